@@ -1,5 +1,6 @@
 """`calibrate_site`, and what its result gives."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,18 +120,21 @@ def test_a_notebook_shows_where_each_lidar_is(result: rp.SiteResult) -> None:
         assert name in page
 
 
-def test_plot_draws_every_lidar_with_or_without_its_clouds(
+def test_plot_draws_every_lidar_with_the_clouds_that_are_found(
     result: rp.SiteResult, tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'figures')")
     result.save(tmp_path / "out")
-    for each in (result, rp.load_site_result(tmp_path / "out")):
+    (tmp_path / "far" / "off").mkdir(parents=True)
+    shutil.copy(tmp_path / "out" / "site-result.json", tmp_path / "far" / "off")
+    loaded = [rp.load_site_result(tmp_path / name) for name in ("out", "far/off")]
+    for each in (result, *loaded):
         above, beside = each.plot().axes
         assert {text.get_text() for text in above.texts} == set(NAMES)
         for k, name in enumerate(NAMES):
             points = np.asarray(above.collections[k].get_offsets())
             assert above.collections[k].get_label() == name
-            assert (len(points) > 0) is (each.calibration is not None)
+            assert (len(points) > 0) is (each is not loaded[1])
         assert len(beside.collections) == len(NAMES)
     picture = getattr(result.plot(), "_repr_png_")()  # noqa: B009
     assert picture.startswith(b"\x89PNG")

@@ -61,13 +61,15 @@ def test_recordings_are_given_one_way(scene: Path) -> None:
 def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
     (four / "site.toml").write_text(
         'name = "quay"\nplacements = ["one"]\n'
-        '[[lidar]]\nname = "a"\nsensor = "XT32"\nrecordings = ["lidar0.pcd"]\n'
+        '[[lidar]]\nname = "a"\nsensor = "XT32"\nserial = "SN<1"\nrecordings = ["lidar0.pcd"]\n'
         '[[lidar]]\nname = "b"\nsensor = "XT32"\nrecordings = ["lidar1.pcd"]\n'
     )
     done = retropole_here("certify", four / "site.toml", "--out", four / "out")
     assert done.returncode == 0, done.stderr
     assert json.loads((four / "out" / "field-test.json").read_text())["status"] == "pass"
-    assert "Pass: the LiDARs measure" in (four / "out" / "field-test.html").read_text()
+    page = (four / "out" / "field-test.html").read_text()
+    for said in ("Pass: the LiDARs measure", "Field test: quay", "SN&lt;1"):
+        assert said in page
     assert "all 6 differences within their limits" in done.stdout
     of_folder = retropole_here("certify", four, "--json")
     assert json.loads(of_folder.stdout)["status"] == "pass"

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from retropole.io import read_cloud, write_pcd
+from retropole.simulation.writing import write_site
 from tests.cli.commands import retropole_here
+from tests.site.adjusting import made
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +143,41 @@ def test_the_certificate_names_the_site_and_the_lidars(own: Path) -> None:
     for said in ("Pier 4 &lt;b&gt;", "11002", "11007"):
         assert said in page
         assert said not in before
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a site, and in `out` what its calibration wrote."""
+    write_site(made(placements=1), tmp_path / "s")
+    monkeypatch.chdir(tmp_path)
+    assert retropole_here("site", "calibrate", "s", "--out", "out", "-q").returncode == 0
+    return tmp_path
+
+
+def test_the_page_of_a_site_is_made_again(site: Path) -> None:
+    before = (site / "out" / "site-report.html").read_text()
+    (site / "out" / "site-report.html").unlink()
+    done = retropole_here("report", "out", cwd=site)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.strip() == "written: out/site-report.html"
+    assert (site / "out" / "site-report.html").read_text() == before
+    (site / "s" / "posts-1_1.pcd").rename(site / "elsewhere.pcd")
+    done = retropole_here("report", "out", cwd=site)
+    assert done.returncode == 0
+    assert done.stderr.startswith("retropole: ../s/posts-1_1.pcd: not found")
+    assert retropole_here("report", "out", "elsewhere.pcd", cwd=site).stderr == ""
+    assert (site / "out" / "site-report.html").read_text() == before
+
+
+def test_serial_numbers_of_a_site_are_given_by_name(site: Path, own: Path) -> None:
+    done = retropole_here("report", "out", "--serial", "posts-1", "11<02", cwd=site)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "11&lt;02" in (site / "out" / "site-report.html").read_text()
+    for folder, options, said in (
+        (site / "out", ("--serial", "mast", "1"), "no LiDAR 'mast'; there are posts-1"),
+        (site / "out", ("--serial-source", "1"), "--serial LIDAR NUMBER"),
+        (own / "r", ("--serial", "target", "1"), "--serial-target and --serial-source"),
+    ):
+        done = retropole_here("report", folder, *options, cwd=site)
+        assert done.returncode == 2
+        assert said in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,13 @@ from retropole.api import explain
 from retropole.api.pages import inline
 from retropole.base.errors import ReadError
 from retropole.fleet.dataset import Row, write_partition
+from retropole.fleet.history.store import append
 from retropole.fleet.overview import Overview, Seen, overview_of
-from retropole.fleet.report import MOST_FAILED, WORST, render_fleet, write_fleet_report
+from retropole.fleet.report import WORST, render_fleet, write_fleet_report
+from retropole.fleet.to_do import CHANGED, MOST_FAILED, OUTDATED
+from retropole.fleet.to_do import MOVED as MOVED_ADVICE
+from tests.fleet.history.checks import MOVED, SIGMA
+from tests.fleet.history.checks import row as check_row
 from tests.fleet.made_up import made_up_row, names_in_first, write_city, write_made_up
 from tests.report.made_up import HOSTILE, Page
 
@@ -152,6 +158,83 @@ def test_what_needs_action_comes_first_with_what_to_do_next(overview: Overview) 
         ((*_, to_do),) = rows_of(html, caption)
         assert to_do == re.sub("<[^>]*>", "", inline(known.advice[0]))
     assert "needs action" not in Page(render_fleet(of_sites(seen("fine")))).text
+
+
+def write_history(folder: Path, names: dict[str, str], weeks: int = 40) -> None:
+    """Write weekly checks of sites; all but `still` move in week 30. The values are documents."""
+    rng = np.random.default_rng(0)
+    append(
+        str(folder),
+        [
+            check_row(
+                k,
+                name,
+                step=SIGMA * rng.normal(size=6) + MOVED * (k >= 30 and name != "still"),
+                stored_sha256=hashlib.sha256(document.encode()).hexdigest(),
+            )
+            for k in range(weeks)
+            for name, document in names.items()
+        ],
+    )
+
+
+@pytest.fixture
+def watched(tmp_path: Path) -> Path:
+    """A dataset of sites that were all calibrated, one with a warning, and one of many LiDARs."""
+    names = ("still", "lamp", "quay/4", "again")
+    rows = [made_up_row(name, np.random.default_rng(1)) for name in names]
+    assert rows[0].status == "ok"
+    rows[1] = msgspec.structs.replace(rows[1], status="warn", codes=["not_confirmed"])
+    rows[2] = msgspec.structs.replace(rows[2], kind="site")
+    write_made_up(tmp_path / "fleet", rows)
+    reports = tmp_path / "reports" / "quay/4"
+    reports.mkdir(parents=True)
+    (reports / "site-report.html").touch()
+    return tmp_path / "fleet"
+
+
+HISTORY = {"still": "{}", "lamp": "{}", "quay/4/a/b/c": "{}", "again": "{ }", "gone": "{}"}
+
+
+def test_what_changed_since_its_calibration_comes_before_all(watched: Path) -> None:
+    before = render_fleet(overview_of(str(watched)))
+    assert "1 site needs action. Start with With a warning." in Page(before).text
+    write_history(watched / "history", HISTORY)
+    overview = overview_of(str(watched))
+    assert overview.damaged == ()
+    page = watched.parent / "fleet.html"
+    write_fleet_report(str(page), overview, str(watched.parent / "reports"))
+    html = page.read_text()
+    # The one with a warning changed too, and counts once.
+    assert "3 sites need action. Start with Changed since the calibration." in Page(html).text
+    assert html.index('id="changed"') < html.index('id="warned"')
+    rows = {name: cells for name, *cells in rows_of(html, CHANGED.caption)}
+    assert list(rows) == ["again", "lamp", "quay/4/a/b/c"]
+    for name, (kind, words, to_do) in rows.items():
+        assert kind == "step"
+        assert words.startswith("step since 2026-08-03: rotation ")
+        assert to_do == re.sub("<[^>]*>", "", inline(OUTDATED if name == "again" else MOVED_ADVICE))
+    assert html.count('href="./reports/quay/4/site-report.html"') == 2
+
+
+def test_without_a_history_nothing_changes(watched: Path, tmp_path: Path) -> None:
+    before = render_fleet(overview_of(str(watched)))
+    write_history(tmp_path / "elsewhere", {"still": "{}", "gone": "{}"})
+    assert render_fleet(overview_of(str(watched), str(tmp_path / "elsewhere"))) == before
+    write_history(tmp_path / "moved", HISTORY)
+    assert render_fleet(overview_of(str(watched))) == before
+    assert len(overview_of(str(watched), str(tmp_path / "moved")).changed) == 3
+    with pytest.raises(ReadError, match="none: is no history of 'retropole fleet check'"):
+        overview_of(str(watched), str(tmp_path / "none"))
+
+
+def test_what_is_damaged_of_a_history_is_named(watched: Path) -> None:
+    write_history(watched / "history", HISTORY)
+    (watched / "history" / "month=2026-01" / "damaged.parquet").write_bytes(b"PAR1")
+    overview = overview_of(str(watched))
+    assert len(overview.changed) == 3
+    assert len(overview.damaged) == 1
+    assert "damaged.parquet" in overview.damaged[0]
 
 
 def test_the_map_leads_from_what_needs_action_to_its_report() -> None:

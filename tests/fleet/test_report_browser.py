@@ -11,6 +11,7 @@ import pytest
 from retropole.fleet.overview import Overview, overview_of
 from retropole.fleet.report import WORST, render_fleet
 from tests.fleet.made_up import write_city
+from tests.fleet.test_report import write_history
 from tests.report.browser import Browser, needs_browser
 from tests.report.test_accessibility import AUDIT, AXE, serious
 from tests.report.test_phone import LEAST_TARGET
@@ -20,7 +21,10 @@ pytestmark = needs_browser
 
 @pytest.fixture(scope="module")
 def overview(tmp_path_factory: pytest.TempPathFactory) -> Overview:
-    return overview_of(str(write_city(tmp_path_factory.mktemp("city"), 120)))
+    city = write_city(tmp_path_factory.mktemp("city"), 120)
+    answered = [site.id for site in overview_of(str(city)).sites if site.status == "ok"]
+    write_history(city / "history", dict.fromkeys(answered[:3], "{}"))
+    return overview_of(str(city))
 
 
 def test_a_phone_scrolls_down_only_and_has_large_targets(

@@ -10,9 +10,9 @@ import msgspec
 
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, Scan
+from retropole.report.subject import Scans
 from retropole.result import ResultDoc
 from retropole.result.site import SiteDoc
-from retropole.site.answer import SiteCalibration
 from tests.report.made_up import made_up
 from tests.report.site.made_up import document_of, made_up_site
 
@@ -56,16 +56,10 @@ def hostile_pair(
 
 def hostile_site(
     status: Status, text: Callable[[], str], *, keeps_status: bool = True
-) -> tuple[SiteDoc, SiteCalibration]:
+) -> tuple[SiteDoc, Scans]:
     """Make up a site of three LiDARs."""
     calibration = made_up_site(status, lidars=3, placements=2, count=50)
     document = everywhere(document_of(calibration), text)
     if keeps_status:
         document = msgspec.structs.replace(document, status=status)
-    lidars = zip(calibration.site.lidars, document.lidars, strict=True)
-    site = replace(
-        calibration.site,
-        lidars=tuple(replace(lidar, name=said.name) for lidar, said in lidars),
-        placements=tuple(document.placements),
-    )
-    return document, replace(calibration, site=site)
+    return document, calibration.scans

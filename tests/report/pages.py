@@ -24,7 +24,7 @@ def subject_of(kind: str, status: Status = "ok", count: int = 300) -> Subject:
     if kind == "pair":
         return of_pair(*made_up(status, count))
     site = made_up_site(status, lidars=4, placements=2, count=count)
-    return of_site(document_of(site), site)
+    return of_site(document_of(site), site.scans)
 
 
 @cache
@@ -33,4 +33,4 @@ def page_of(kind: str, status: Status = "ok", count: int = 300, notes: tuple[str
     if kind == "pair":
         return render_report(*made_up(status, count), notes=notes)
     site = made_up_site(status, lidars=4, placements=2, count=count)
-    return render_site(document_of(site), site, notes=notes)
+    return render_site(document_of(site), site.scans, notes=notes)

@@ -86,6 +86,13 @@ def test_a_lidar_may_have_any_frame(
     for i, j in PAIRS:
         back = moved(between(again, i, j), se3.inverse(frames[i]), frames[j])
         check_same(between(found, i, j), back)
+    # What a page shows of it lies where its pose puts it.
+    for scan, was in zip(again.scans[lidar], found.scans[lidar], strict=True):
+        assert scan is not None
+        assert was is not None
+        for pole, before in zip(scan.poles, was.poles, strict=True):
+            there = se3.apply(A, before.point[None])[0]
+            np.testing.assert_allclose(pole.point, there, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -101,12 +101,15 @@ def _shifted(placement: Placement, by_target: Array, by_source: Array) -> Placem
         return placement
     return replace(
         placement,
-        target=_scan(placement.target, by_target),
-        source=_scan(placement.source, by_source),
+        target=shifted(placement.target, by_target),
+        source=shifted(placement.source, by_source),
     )
 
 
-def _scan(scan: Scan, by: Array) -> Scan:
+def shifted(scan: Scan, by: Array) -> Scan:
+    """Express a scan in a frame whose origin lies at ``-by`` (3,), metres, of the one it is in."""
+    if not by.any():
+        return scan
     found = scan.detection
     return replace(
         scan,

@@ -74,4 +74,6 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
         lidars=[lidar.name for lidar in lidars],
         radius=read.site.radius,
         inputs=input_documents(read.inputs.values()),
+        site=read.site.name,
+        serials={lidar.name: lidar.serial for lidar in lidars if lidar.serial},
     )

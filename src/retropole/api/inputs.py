@@ -76,6 +76,8 @@ class Input:
         Intensity from which a return counts as retro-reflective; None where none was given.
     read
         Of a path, what was read there.
+    how
+        How it was read.
     """
 
     given: CloudSource
@@ -83,6 +85,7 @@ class Input:
     sensor: Sensor | None
     threshold: float | None
     read: ReadRecording | None = None
+    how: Reading = DEFAULT_CONFIG.of_target
 
     @property
     def name(self) -> str:
@@ -174,7 +177,7 @@ def read_input(
             given = np.asarray(given)
             cloud = cloud_from_array(given, role)
         cloud = downsample(in_metres(cloud, unit), how.max_points)
-    taken = Input(given, cloud, sensor, how.threshold, read)
+    taken = Input(given, cloud, sensor, how.threshold, read, how)
     listener.on_read(taken)
     return taken
 

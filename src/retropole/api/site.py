@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.datatypes import Array, Scan
 from ..base.errors import Refusal, UsageError
+from ..base.files import write_atomically
 from ..base.quantities import error as in_words
 from ..base.relative import RelativePose, joint_of, relative
 from ..report import render_site
@@ -29,6 +30,7 @@ from .inputs import Input, Listener
 from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
 from .stored import loaded
+from .stored_site import StoredScans, scans_of
 from .travelling import named_from
 
 if TYPE_CHECKING:
@@ -120,7 +122,7 @@ class SiteResult(Result[SiteDoc]):
     def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
         """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
 
-        The page of a result that was loaded shows no clouds.
+        Of a result that was loaded, the recordings are read again, as for `report`.
 
         Parameters
         ----------
@@ -128,7 +130,7 @@ class SiteResult(Result[SiteDoc]):
             Made where there is none.
         relative
             Whether files are named by their paths from the folder, so that all may be moved
-            together; else as they are in `document`.
+            together and are found again; else as they are in `document`.
 
         Returns
         -------
@@ -137,20 +139,69 @@ class SiteResult(Result[SiteDoc]):
 
         Raises
         ------
+        ReadError, MissingExtraError
+            Of a loaded result, where a recording of the run cannot be read.
         OSError
             Where the folder cannot be written to.
         """
         document = self.document
         if relative:
             document = named_from(document, Path(folder), self.beside)
-        html = render_site(document, self.calibration)
+        stored = self._inputs()
+        html = render_site(document, stored.scans, notes=stored.notes)
         files = Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE)
         return self._write(document, *files, html)
+
+    def report(
+        self,
+        path: str | Path,
+        *,
+        clouds: Sequence[str | Path] = (),
+        site: str = "",
+        serials: Mapping[str, str] | None = None,
+    ) -> Path:
+        """Write the report, one HTML page, to a file.
+
+        A result that was loaded reads its recordings again. Those that are not found, or are no
+        longer those of the run, are not shown, and the page says so.
+
+        Parameters
+        ----------
+        path
+            The file to write.
+        clouds
+            Of a loaded result, where its recordings are now, in any order: each is told by its
+            hash. The others are looked for where they were, and beside the result.
+        site, serials
+            For the certificate, the page's first sheet on paper: where it was calibrated, and
+            serial numbers by the names of LiDARs. Without, what the site file said.
+
+        Raises
+        ------
+        ReadError, MissingExtraError
+            Of a loaded result, where a recording of the run cannot be read.
+        UsageError
+            Where a cloud that is given is not of the run, or no LiDAR is called so.
+        OSError
+            Where the file cannot be written.
+        """
+        stored = self._inputs([Path(cloud) for cloud in clouds])
+        html = render_site(
+            self.document, stored.scans, notes=stored.notes, site=site, serials=serials
+        )
+        write_atomically(Path(path), html.encode())
+        return Path(path)
+
+    def _inputs(self, clouds: Sequence[Path] = ()) -> StoredScans:
+        """Take the scans of the run, or read them again."""
+        if self.calibration is not None and not clouds:
+            return StoredScans(self.calibration.scans, ())
+        return scans_of(self.document, self.beside, clouds)
 
     def plot(self) -> Figure:
         """Draw all LiDARs in the frame of the site, with the first cloud of each, and the poles.
 
-        Of a result that was loaded, without the clouds.
+        Of a result that was loaded, without the clouds that are not found again.
 
         Returns
         -------
@@ -163,14 +214,15 @@ class SiteResult(Result[SiteDoc]):
             Where matplotlib is not installed.
         Refusal
             Where the calibration was refused: there is nothing to draw.
+        ReadError
+            Of a loaded result, where a recording of the run cannot be read.
         """
         from ..report.figures import for_notebooks, site_figure
 
         poses = [self.pose(name).T_site_lidar for name in self.lidars]
-        recorded = self.calibration.scans if self.calibration else [()] * len(poses)
         clouds = [
             next((scan.cloud.xyz for scan in scans if scan is not None), np.empty((0, 3)))
-            for scans in recorded
+            for scans in self._inputs().scans
         ]
         poles = [pole.point for pole in self.document.poles]
         frame = self.document.frame.name

@@ -63,8 +63,11 @@ class SiteInputs:
 
     def documents(self) -> list[RecordingDoc]:
         """Give the entries of the recordings in the result document; each file is hashed once."""
-        documents = zip(input_documents(self.inputs.values()), self.inputs, strict=True)
-        return [recording_document(document, *at) for document, at in documents]
+        documents = input_documents(self.inputs.values())
+        return [
+            recording_document(document, *at, given.how)
+            for document, (at, given) in zip(documents, self.inputs.items(), strict=True)
+        ]
 
 
 def site_file_in(path: Path) -> Path:

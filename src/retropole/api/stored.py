@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from ..io.failures import naming, readable
 from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
 from ..result.decoding import decode
 from ..result.folder import SITE_REPORT_FILE, any_result_file
-from ..result.site import SITE_SCHEMA
+from ..result.site import SITE_SCHEMA, SiteDoc
 from .inputs import SILENT, Listener, read_input, recording_hash
-from .travelling import AnyDoc, with_sensors_from
+from .travelling import with_sensors_from
+
+Loaded = TypeVar("Loaded")
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -92,7 +95,7 @@ def placements_of(
         for each, item in zip(inputs, result.inputs, strict=True)
     ]
     scans = [each.search(config.radius_m) for each in used]
-    scans[:2] = _agreeing(scans[0], result.poles.target), _agreeing(scans[1], result.poles.source)
+    scans[:2] = agreeing(scans[0], result.poles.target), agreeing(scans[1], result.poles.source)
     placements = (Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True))
     return StoredInputs(tuple(placements), notes)
 
@@ -105,14 +108,16 @@ def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> 
             f"{len(given)} clouds are given, the result has {needed}: TARGET and SOURCE of each "
             "placement, or none to look for them"
         )
-    return list(given) or [_find(item, beside) for item in result.inputs]
+    try:
+        return list(given) or [find_recording(item, beside) for item in result.inputs]
+    except ReadError as error:
+        raise ReadError(f"{error}; give TARGET and SOURCE") from None
 
 
-def _find(item: InputDoc, beside: Path) -> Path:
+def find_recording(item: InputDoc, beside: Path) -> Path:
+    """Look for one recording of a result in this folder; see `placements_of`."""
     if item.path in ("", ARRAY_SOURCE):
-        raise ReadError(
-            "a cloud of the run was an array, which is in no file; give TARGET and SOURCE"
-        )
+        raise ReadError("a cloud of the run was an array, which is in no file")
     path = Path(item.path)
     names = dict.fromkeys([beside / path, path, beside / path.name])
     places = [path_of_text(str(name)) for name in names]
@@ -122,7 +127,7 @@ def _find(item: InputDoc, beside: Path) -> Path:
         same = (place for place in there if len(there) > 1 and _has_hash(place, item.sha256))
         return next(same, there[0])
     looked = ", ".join(str(place) for place in places)
-    raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
+    raise ReadError(f"{item.path}: not found (looked for {looked})")
 
 
 def _has_hash(place: Path, sha256: str) -> bool:
@@ -163,16 +168,26 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
 def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
     """Say which of all its recordings are not those that a run read; each is hashed once."""
     hashes = {path: sha256_of(path) for path in dict.fromkeys(paths)}
-    return tuple(
-        f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
-        f"begins {hashes[path][:12]}, that of the run {item.sha256[:12]}; the picture may not be "
-        "that of the figures"
+    faults = (
+        difference(item, path, hashes[path])
         for path, item in zip(paths, result.inputs, strict=True)
-        if hashes[path] != item.sha256
+    )
+    return tuple(
+        f"{fault}; the picture may not be that of the figures" for fault in faults if fault
     )
 
 
-def loaded(file: Path, decode: Callable[[bytes], AnyDoc]) -> AnyDoc:
+def difference(item: InputDoc, path: Path, sha256: str) -> str:
+    """Say that a file of this hash is not the one that the run read; empty where it is."""
+    if sha256 == item.sha256:
+        return ""
+    return (
+        f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
+        f"begins {sha256[:12]}, that of the run {item.sha256[:12]}"
+    )
+
+
+def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
     """Read a result document.
 
     Raises
@@ -184,6 +199,11 @@ def loaded(file: Path, decode: Callable[[bytes], AnyDoc]) -> AnyDoc:
         data = read_document(file)
     with naming(file):
         return decode(data)
+
+
+def decode_any(data: bytes) -> ResultDoc | SiteDoc:
+    """Take a result document, of two LiDARs or of a site."""
+    return result_in(data) or decode(data)
 
 
 def decode_pair(file: Path, data: bytes) -> ResultDoc:
@@ -252,7 +272,7 @@ def recording_of(
     return write_mcap(transform, *frames)
 
 
-def _agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
+def agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
     """Leave out a detection whose poles are not those of the result, in its order."""
     same = len(scan.poles) == len(listed) and all(
         np.linalg.norm(pole.point - document.point_m) < SAME_POLE_DISTANCE

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .common import EXIT_WARNED, json_text, progress_on_terminal, show, show_written
+from .common import EXIT_WARNED, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_network
 from .options import SENSORS, run_options
@@ -136,18 +136,27 @@ def calibrate(
     metavar="DIR",
     help="Folder or URL to which 'fleet calibrate --reports' wrote: the page links there.",
 )
+@click.option(
+    "--history",
+    metavar="DIR",
+    help="Folder or URL of the history of 'fleet check': what changed comes first.  [default: "
+    "history in DATASET, where there is one]",
+)
 @protocol_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
+def report(dataset: str, out: str, reports: str | None, history: str | None, quiet: bool) -> int:
     """Show the outcome of a fleet as one HTML page, from the DATASET of 'fleet calibrate'.
 
-    The page has a map of all sites, how many ended how and why, how large the predicted errors
-    are, the worst twenty, and every error with its message. It works without a network.
+    The page begins with what needs action: sites that changed since their calibration, were
+    refused, or ended in an error, each with what to do next. It has a map of all sites, how many
+    ended how and why, how large the predicted errors are, and the worst twenty. It works without a
+    network.
 
     \b
     Examples:
       retropole fleet report fleet --out fleet.html
       retropole fleet report fleet --reports reports --out fleet.html
+      retropole fleet report fleet --history history --out fleet.html
       retropole fleet report s3://city/fleet --out fleet.html
 
     \b
@@ -161,9 +170,11 @@ def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
 
     with progress_on_terminal(quiet) as progress:
         progress("read the dataset")
-        overview = overview_of(dataset)
+        overview = overview_of(dataset, history)
         progress("write")
         write_fleet_report(out, overview, reports)
+    for fault in overview.damaged:
+        say(f"retropole: left out of the history: {fault}")
     if not quiet:
         show_written(out)
     return 0

@@ -6,10 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from ..base.errors import printable
-from ..base.quantities import counted, value_and_error
+from ..base.quantities import counted
 from ..fleet import TIME_LIMIT
 from .check import tolerance_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
@@ -206,7 +205,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
     """Write what was found at so many sites: a line for each pair that has something to say."""
     lines = []
     for site in found.sites:
-        said = [_said(site, event) for event in site.changes]
+        said = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
             said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will tell")
@@ -231,28 +230,3 @@ def _untold(newest: CheckRow) -> str:
     if newest.status == "error":
         return f"error ({codes}: {newest.message})"
     return f"{newest.status.replace('_', ' ')} ({codes})"
-
-
-def _said(site: SiteChange, event: Event) -> str:
-    since = f"{site.times[event.onset]:%Y-%m-%d}"
-    new = ", new" if site.is_new(event) else ""
-    if event.size is None or event.covariance is None:
-        return f"checks that do not agree since {since}{new}"
-    rotation = value_and_error(*lengths(event, slice(0, 3)), "rad")
-    translation = value_and_error(*lengths(event, slice(3, 6)))
-    if event.kind == "moved":
-        return f"moved since {since}: now rotation {rotation}, translation {translation} (1 σ{new})"
-    per = " a year" if event.kind == "trend" else ""
-    unclear = "" if event.is_clear else ", or the other of step and trend"
-    size = f"rotation {rotation}, translation {translation}{per}"
-    return f"{event.kind} since {since}: {size} (1 σ{unclear}{new})"
-
-
-def lengths(event: Event, part: slice) -> tuple[float, float]:
-    """Give the length of a part of a change, and 1 σ of it along its own direction."""
-    assert event.size is not None
-    assert event.covariance is not None
-    vector = event.size[part]
-    length = float(np.linalg.norm(vector))
-    unit = vector / max(length, 1e-12)
-    return length, float(np.sqrt(unit @ event.covariance[part, part] @ unit))

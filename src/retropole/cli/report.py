@@ -13,10 +13,20 @@ from .options import CLOUD, FILE
 @click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]...")
-@click.option("--out", type=FILE, help="File to write.  [default: report.html beside RESULT]")
+@click.option(
+    "--out", type=FILE, help="File to write.  [default: report.html or site-report.html by RESULT]"
+)
 @click.option("--site", help="Where it was calibrated, for the certificate.")
 @click.option("--serial-target", help="Serial number of TARGET, for the certificate.")
 @click.option("--serial-source", help="The same for SOURCE.")
+@click.option(
+    "--serial",
+    "serials",
+    multiple=True,
+    nargs=2,
+    metavar="LIDAR NUMBER",
+    help="The same for a LiDAR of a site, by its name; may be repeated.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(
     result: Path,
@@ -25,17 +35,22 @@ def report(
     site: str | None,
     serial_target: str | None,
     serial_source: str | None,
+    serials: tuple[tuple[str, str], ...],
     quiet: bool,
 ) -> int:
-    """Make the report of RESULT, result.json or the folder that holds it, again.
+    """Make the report of RESULT, result.json, site-result.json or the folder that holds it, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
     and from the folder of RESULT; give TARGET and SOURCE where they lie elsewhere now (and again
     for each further placement). Files that differ from those of the run are drawn, and both the
     page and this command say that they differ.
 
-    Printed, the page begins with a certificate of one page. --site and the serial numbers are
-    written on it; without them it has lines to fill in.
+    Of a site, recordings that are not found, or differ from those of the run, are left out of the
+    page, and it says so. Give those that lie elsewhere now, in any order: each is told by its
+    SHA-256.
+
+    Printed, the page begins with a certificate. --site and the serial numbers are written on it;
+    those of a site are taken from its site file. Without them it has lines to fill in.
 
     \b
     Examples:
@@ -43,6 +58,7 @@ def report(
       retropole report today/result.json front.pcd rear.pcd
       retropole report today/result.json --out share/monday.html
       retropole report today --site "Pier 4, crane 2" --serial-target 11002 --serial-source 11007
+      retropole report quay/site-result.json moved/*.pcd --serial mast-a 11002
 
     \b
     Exit code:
@@ -50,26 +66,40 @@ def report(
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.result import load_result
-    from ..api.stored import placements_of
-    from ..report import write_report
-    from ..result.folder import REPORT_FILE, result_file
+    from ..api.stored import decode_any, loaded, placements_of
+    from ..api.stored_site import scans_of
+    from ..base.files import write_atomically
+    from ..report import render_report, render_site
+    from ..result import ResultDoc
+    from ..result.folder import REPORT_FILE, SITE_REPORT_FILE, result_file
 
     file = result_file(result)
-    document, page = load_result(file).document, out or file.with_name(REPORT_FILE)
+    document = loaded(file, decode_any)
     with progress_on_terminal(quiet) as progress:
-        stored = placements_of(document, file.parent, clouds, progress)
+        if isinstance(document, ResultDoc):
+            if serials:
+                raise click.UsageError(
+                    "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
+                )
+            placements = placements_of(document, file.parent, clouds, progress)
+            name, notes = REPORT_FILE, placements.notes
+            of_pair = serial_target or "", serial_source or ""
+            page = render_report(
+                document, placements.placements, notes=notes, site=site or "", serials=of_pair
+            )
+        else:
+            if serial_target or serial_source:
+                raise click.UsageError("of a site, --serial LIDAR NUMBER gives a serial number")
+            scans = scans_of(document, file.parent, clouds, progress)
+            name, notes = SITE_REPORT_FILE, scans.notes
+            page = render_site(
+                document, scans.scans, notes=notes, site=site or "", serials=dict(serials)
+            )
         progress("write")
-        write_report(
-            page,
-            document,
-            stored.placements,
-            notes=stored.notes,
-            site=site or "",
-            serials=(serial_target or "", serial_source or ""),
-        )
-    for note in stored.notes:
+        out = out or file.with_name(name)
+        write_atomically(out, page.encode())
+    for note in notes:
         say(f"retropole: {note}")
     if not quiet:
-        show_written(page)
+        show_written(out)
     return 0

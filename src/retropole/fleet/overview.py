@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -17,13 +18,20 @@ from .dataset import (
     Latitude,
     Length,
     Longitude,
+    Row,
     Seconds,
     Status,
+    partition_of,
     partitions_in,
     read_as,
+    read_rows,
 )
+from .history.run import SiteChange, replay
 from .sites import Kind
-from .storage import absolute
+from .storage import absolute, below, exists
+
+HISTORY = "history"
+"""Folder of a dataset where the history of its checks may be."""
 
 STATUSES: tuple[Status, ...] = ("ok", "warn", "refused", "error")
 """From the best to the worst."""
@@ -52,6 +60,25 @@ class _Took(msgspec.Struct, frozen=True):
     host: str
 
 
+@dataclass(frozen=True, eq=False)
+class Changed:
+    """A site that changed since it was calibrated.
+
+    Attributes
+    ----------
+    site
+        Of the dataset; of many LiDARs, `change` is of a pair of them.
+    change
+        What the history says.
+    is_current
+        Whether it was checked against the answer that is in the dataset.
+    """
+
+    site: Seen
+    change: SiteChange
+    is_current: bool
+
+
 @dataclass(frozen=True)
 class Overview:
     """The outcome of a fleet.
@@ -70,6 +97,10 @@ class Overview:
         When the first site was begun, and the last done, UTC; None without runs.
     hosts
         How many sites were done on each machine.
+    changed
+        What changed since it was calibrated; empty without a history.
+    damaged
+        What of the history was left out.
     """
 
     place: str
@@ -79,6 +110,8 @@ class Overview:
     first: datetime | None
     last: datetime | None
     hosts: Mapping[str, int]
+    changed: tuple[Changed, ...] = ()
+    damaged: tuple[str, ...] = ()
 
     @property
     def statuses(self) -> dict[Status, int]:
@@ -98,13 +131,16 @@ class Overview:
         return sorted(stated, key=lambda site: (-(site.sigma_30m_m or 0.0), site.id))[:count]
 
 
-def overview_of(out: str) -> Overview:
+def overview_of(out: str, history: str | None = None) -> Overview:
     """Read the outcome of a fleet, one partition after the other.
 
     Parameters
     ----------
     out
         Path or URL of the dataset.
+    history
+        Path or URL of the history of its checks; None for ``history`` in the dataset, where there
+        is one.
 
     Raises
     ------
@@ -128,6 +164,7 @@ def overview_of(out: str) -> Overview:
         ends = [start + timedelta(0, run.seconds) for start, run in zip(starts, runs, strict=True)]
     except OverflowError as error:
         raise ReadError(f"{out}/{RUNS}: there is no such time ({error})") from None
+    changed, damaged = _changed(out, sites, history)
     return Overview(
         place=out,
         sites=tuple(sorted(sites, key=lambda site: site.id)),
@@ -136,7 +173,45 @@ def overview_of(out: str) -> Overview:
         first=min(starts, default=None),
         last=max(ends, default=None),
         hosts=Counter(run.host for run in runs),
+        changed=changed,
+        damaged=damaged,
     )
+
+
+def _changed(
+    out: str, sites: Iterable[Seen], history: str | None
+) -> tuple[tuple[Changed, ...], tuple[str, ...]]:
+    """Tell which sites changed since they were calibrated, and what of the history is damaged."""
+    place = below(out, HISTORY) if history is None else absolute(history)
+    if not exists(place, as_folder=True):
+        if history is not None:
+            raise ReadError(f"{place}: is no history of 'retropole fleet check'")
+        return (), ()
+    by_id = {site.id: site for site in sites}
+    changes, damaged = replay(place)
+    changed = []
+    for change in changes:
+        # Of many LiDARs, a pair is called by the site and both its LiDARs.
+        parts = change.id.split("/")
+        names = ("/".join(parts[:k]) for k in range(len(parts), 0, -1))
+        site = next((by_id[name] for name in names if name in by_id), None)
+        if site is not None and change.changes:
+            changed.append((site, change))
+    answers: dict[str, Row] = {}
+    for part in {partition_of(site.id) for site, _ in changed}:
+        answers |= read_rows(out, part)
+    return (
+        tuple(
+            Changed(site, change, change.newest.stored_sha256 == _sha256(answers[site.id]))
+            for site, change in changed
+        ),
+        tuple(dict.fromkeys(map(str, damaged))),
+    )
+
+
+def _sha256(answer: Row) -> str:
+    """Hash a stored result, as a check that takes it from the dataset does."""
+    return hashlib.sha256((answer.document or "").encode()).hexdigest()
 
 
 def _slim(row: Seen) -> Seen:

@@ -9,83 +9,27 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from html import escape
 from pathlib import Path
-from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
-from ..api import explain, quantities
-from ..api.pages import EMPTY, Html, fill, fill_page, folded, inline, join, share_styles, table
+from ..api import quantities
+from ..api.pages import EMPTY, Html, fill, fill_page, join, share_styles, table
 from ..base.errors import printable
 from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
-from .dataset import AT_RANGE, FLEET_SCHEMA, Status
+from .dataset import AT_RANGE, FLEET_SCHEMA
 from .overview import Overview, Seen
 from .pictures import fleet_map, histogram
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
+from .to_do import CHANGED, FIRST, explained, listed, listed_changes
 
 WORST = 20
 """So many of the largest errors are listed."""
 
-MOST_FAILED = 500
-"""So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
-
 EXAMPLES = 3
 """So many sites are named for each reason."""
 
-
-class _Part(NamedTuple):
-    """A part of the page: where links find it, its title, and the caption of its table."""
-
-    name: str
-    title: str
-    caption: str
-
-
-FIRST: dict[Status, _Part] = {
-    "refused": _Part("refused", "Refused", "Sites that were refused"),
-    "error": _Part("errors", "Errors", "Sites that ended in an error"),
-    "warn": _Part("warned", "With a warning", "Sites with a warning"),
-}
-"""The parts of the page with what needs action, in their order."""
-
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-
-ERRORS = {
-    "unreadable": (
-        "A file is absent, damaged or no recording",
-        "`retropole info FILE` says what a recording holds.",
-    ),
-    "usage": (
-        "An option or a line of the list is invalid",
-        "Correct what the message names in the list, or in the site file.",
-    ),
-    "missing_extra": (
-        "A recording needs an extra",
-        "Install on every worker what the message names, then `--retry`.",
-    ),
-    "time_limit": (
-        "It took longer than its time limit",
-        "Read fewer frames, or give it longer: `--retry --time-limit SECONDS`.",
-    ),
-    "out_of_memory": (
-        "It took more memory than its worker has",
-        "Start fewer `--workers`, or set a smaller `max_points` in the list; then `--retry`.",
-    ),
-    "killed": (
-        "Its process crashed or was ended, again and again",
-        "`--retry` with fewer `--workers`; if that ends so too, a recording is damaged.",
-    ),
-    "worker_lost": ("Its workers died, again and again", "Look at the workers, then `--retry`."),
-    "system": (
-        "The worker's disk or system failed",
-        "Make room, or mend what the message names, then `--retry`.",
-    ),
-    "internal": (
-        "A fault of this program",
-        "Report it, with the message and the files of one such site.",
-    ),
-}
-"""What the code of a row that ended in an error means, in short, and what to do about it."""
 
 
 def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: "") -> str:
@@ -106,7 +50,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     """
     link = cache(link)
     every = (
-        *((one.name, one.title, _to_do(overview, status, link)) for status, one in FIRST.items()),
+        (CHANGED.name, CHANGED.title, listed_changes(overview, link)),
+        *((one.name, one.title, listed(overview, status, link)) for status, one in FIRST.items()),
         ("map", "Map", fleet_map(overview.sites, link)),
         ("reasons", "Reasons", _reasons(overview)),
         ("far", "Errors at 30 m", _far(overview)),
@@ -200,10 +145,14 @@ def _counts(overview: Overview) -> Html:
             f"predicted error of at most {half} at {AT_RANGE:g} m (1 σ), 95 % of them of at most "
             f"{most}."
         )
-    waiting = [status for status in FIRST if status in overview.statuses]
+    waiting = [one for status, one in FIRST.items() if status in overview.statuses]
+    if overview.changed:
+        waiting.insert(0, CHANGED)
     to_do = ""
     if waiting:
-        first, count = FIRST[waiting[0]], sum(overview.statuses[s] for s in waiting)
+        # One that changed may have had a warning before.
+        acting = {site.id for site in overview.sites if site.status in FIRST}
+        first, count = waiting[0], len(acting | {each.site.id for each in overview.changed})
         needs = "needs" if count == 1 else "need"
         said = f"{quantities.counted(count, 'site')} {needs} action"
         to_do = fill("fleet-to-do", said=said, name=first.name, title=first.title)
@@ -258,57 +207,13 @@ def _reasons(overview: Overview) -> Html:
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
         more = ", …" if len(sites) > EXAMPLES else ""
-        said, to_do = _explained(code)
+        said, to_do = explained(code)
         found = ", ".join(named) + more
         rows.append((printable(code), said, to_do, found, f"{len(sites):,}"))
         commonest = Counter(site.status for site in sites).most_common(1)[0][0]
         bars.append((commonest, len(sites) / len(overview.sites)))
     header = ("code", "what it says", "what to do", "for example", "sites")
     return table("Sites by reason", header, rows, (1, 2, 3), bars)
-
-
-def _explained(code: str) -> tuple[str, Html]:
-    """Say what a code means, and what to do about it."""
-    known = explain(code)
-    if known is not None:
-        return known.title, inline(" ".join(known.advice))
-    title, to_do = ERRORS.get(code, (quantities.UNKNOWN, quantities.UNKNOWN))
-    return title, inline(to_do)
-
-
-def _to_do(overview: Overview, status: Status, link: Callable[[Seen], str]) -> Html:
-    """List the sites of a status, with what to do next; the first ones are unfolded."""
-    sites = [site for site in overview.sites if site.status == status]
-    if not sites:
-        return EMPTY
-    caption = FIRST[status].caption
-    shown = sites[:MOST_FAILED]
-    rows = [(*_said(site), _next(site)) for site in shown]
-    links = [link(site) for site in shown]
-    header = ("site", "codes", "what is wrong", "what to do next")
-    parts = [fill("fleet-again")] if status == "error" else []
-    parts.append(table(caption, header, rows[:WORST], (1, 2, 3), links=links[:WORST]))
-    if rest := rows[WORST:]:
-        more = table(f"{caption}: the rest", header, rest, (1, 2, 3), links=links[WORST:])
-        parts.append(folded(f"{len(rest):,} more", more))
-    if more_than := len(sites) - len(shown):
-        parts.append(fill("fleet-more", count=f"{more_than:,}", status=status))
-    return join(parts)
-
-
-def _said(site: Seen) -> tuple[str, str, str]:
-    """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
-    meant = "; ".join(_explained(code)[0] for code in site.codes)
-    words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
-    return printable(words[0]), printable(words[1]), printable(words[2])
-
-
-def _next(site: Seen) -> Html:
-    """Say what to do next about the first code of a site."""
-    known = explain(site.codes[0]) if site.codes else None
-    if known is not None and known.advice:
-        return inline(known.advice[0])
-    return _explained(site.codes[0])[1] if site.codes else inline(quantities.UNKNOWN)
 
 
 def _dataset(overview: Overview) -> Html:

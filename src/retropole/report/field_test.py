@@ -175,7 +175,7 @@ def render_field_test(document: FieldTestDoc) -> str:
         pairs = table(*_pairs(document))
     return render_page(
         "field test of LiDARs",
-        "Field test",
+        f"Field test: {document.site}" if document.site else "Field test",
         f"{document.created} · {counted(len(document.pairs), 'pair')} of LiDARs",
         document.status,
         verdict_box(kind, symbol, title, fill("field-test", pairs=pairs)),
@@ -184,10 +184,13 @@ def render_field_test(document: FieldTestDoc) -> str:
 
 
 def _inputs(document: FieldTestDoc) -> Html:
-    """List the recordings, with what tells them again."""
+    """List serial numbers and recordings: what tells again what was tested."""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))
+    if document.serials:
+        serials = table("LiDARs", ("LiDAR", "serial number"), [*document.serials.items()], (1,))
+        listed = fill("stack", body=join((serials, listed)))
     return fill("recordings", table=listed) if rows else EMPTY
 
 

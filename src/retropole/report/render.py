@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..base.datatypes import Placement
 from ..base.files import write_atomically
 from ..result import ResultDoc
 from ..result.site import SiteDoc
-from ..site.answer import SiteCalibration
 from . import listings
 from .certificate import certificate
 from .error_curve import curve_sentence, error_curve
@@ -23,7 +22,7 @@ from .pairs import pairs
 from .plan import plan_of
 from .poses import poses, transform
 from .recorded import poles, run
-from .subject import LIDARS, Subject, colour_class, input_names, of_pair, of_site
+from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
 from .uncertainty import certainty
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
@@ -78,7 +77,12 @@ def render_report(
 
 
 def render_site(
-    document: SiteDoc, calibration: SiteCalibration | None = None, *, notes: Sequence[str] = ()
+    document: SiteDoc,
+    scans: Scans = (),
+    *,
+    notes: Sequence[str] = (),
+    site: str = "",
+    serials: Mapping[str, str] | None = None,
 ) -> str:
     """Render the result of a site as one HTML page.
 
@@ -86,10 +90,14 @@ def render_site(
     ----------
     document
         The result document.
-    calibration
-        What it is of: its clouds are shown. Without it, the page has no view of them.
+    scans
+        What each LiDAR recorded of each placement, in its own frame; None where it is not shown.
+        Without any, the page has no view of clouds.
     notes
         What a reader has to know before all else, for example that a recording was not found.
+    site, serials
+        Where it was calibrated, and serial numbers by the names of LiDARs, for the certificate;
+        without, what the document says.
 
     Returns
     -------
@@ -100,9 +108,11 @@ def render_site(
     Raises
     ------
     ValueError
-        Where the document is of other LiDARs or placements than the calibration.
+        Where there are not as many LiDARs and placements of scans as of the document.
+    UsageError
+        Where a serial number is given of a LiDAR that is none of the site.
     """
-    return _render(of_site(document, calibration), notes)
+    return _render(of_site(document, scans, serials), notes, place=site)
 
 
 def _render(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from ..base.datatypes import Placement, Scan
+from ..base.errors import UsageError
 from ..base.quantities import counted
 from ..base.uncertainty.confirmation import UNUSABLE
 from ..result import ResultDoc
@@ -24,7 +25,7 @@ from ..result.site import (
 )
 from ..result.verdict import chance_wrong
 from ..scene.choice import hypothesis_name
-from ..site.answer import SiteCalibration, WithoutPlacement
+from ..site.answer import WithoutPlacement
 from ..site.description import Frame
 
 __all__ = ["LIDARS", "Subject", "hypothesis_name", "input_names", "of_pair", "of_site"]
@@ -119,26 +120,29 @@ class Subject:
         return f"{counted(len(self.site.lidars), 'LiDAR')}, {placements}"
 
 
-def of_site(document: SiteDoc, calibration: SiteCalibration | None) -> Subject:
+def of_site(
+    document: SiteDoc, scans: Scans = (), serials: Mapping[str, str] | None = None
+) -> Subject:
     """Take a site as it is, with its clouds where they are at hand.
 
     Raises
     ------
     ValueError
-        Where the document is of other LiDARs or placements than the calibration.
+        Where there are not as many LiDARs and placements of scans as of the document.
+    UsageError
+        Where a serial number is given of a LiDAR that is none of the site.
     """
-    if calibration is None:
-        return Subject(document)
-    site = calibration.site
-    if [lidar.name for lidar in site.lidars] != [lidar.name for lidar in document.lidars]:
-        raise ValueError("the document is of other LiDARs than the calibration")
-    if list(site.placements) != document.placements:
-        raise ValueError("the document is of other placements than the calibration")
-    # A run that was refused early has clouds that nobody searched.
-    scans = calibration.scans or [
-        [None if cloud is None else Scan(cloud, lidar.sensor) for cloud in lidar.clouds]
-        for lidar in site.lidars
+    names, given = [each.name for each in document.lidars], serials or {}
+    for name in given.keys() - {*names}:
+        raise UsageError(f"no LiDAR {name!r}; there are {', '.join(names)}")
+    lidars = [
+        msgspec.structs.replace(each, serial=given.get(each.name, each.serial))
+        for each in document.lidars
     ]
+    document = msgspec.structs.replace(document, lidars=lidars)
+    counts = [len(of_lidar) for of_lidar in scans]
+    if counts and counts != [len(document.placements)] * len(document.lidars):
+        raise ValueError("the scans are of other LiDARs or placements than the document")
     return Subject(document, None, scans)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Scan
+from ..base.quantities import counted
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..scene.consistency import contradicting_points, standing_in
 from .page import Html
@@ -226,7 +227,7 @@ def _shown(clouds: Sequence[CloudView]) -> str:
     shown, total, far = (
         sum(getattr(each.points, name) for each in clouds) for name in ("shown", "total", "far")
     )
-    text = f"{len(clouds)} clouds; the page holds {shown:,} of {total:,} points"
+    text = f"{counted(len(clouds), 'cloud')}; the page holds {shown:,} of {total:,} points"
     return text + (f", {far:,} beyond {MAX_SHOWN_RANGE:g} m left out" if far else "")
 
 

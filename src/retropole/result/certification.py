@@ -34,6 +34,8 @@ class PairTestDoc(msgspec.Struct, frozen=True, kw_only=True):
 class FieldTestDoc(msgspec.Struct, frozen=True, kw_only=True):
     """The test of all pairs of LiDARs: fail where one fails, refused where none could be tested,
     partial where some LiDARs, `untested`, are in no pair that was.
+
+    Of a site file, `site` is its name, and `serials` are the serial numbers by the names of LiDARs.
     """
 
     schema: Literal["retropole/field-test/1"] = FIELD_TEST_SCHEMA
@@ -42,6 +44,8 @@ class FieldTestDoc(msgspec.Struct, frozen=True, kw_only=True):
     radius_m: Size
     pairs: list[PairTestDoc]
     untested: list[Text] = []
+    site: Text = ""
+    serials: dict[Text, Text] = {}
     inputs: list[InputDoc]
     version: Text
     created: Text
@@ -53,6 +57,8 @@ def field_test_document(
     lidars: Sequence[str],
     radius: float,
     inputs: Sequence[InputDoc],
+    site: str = "",
+    serials: Mapping[str, str] | None = None,
 ) -> FieldTestDoc:
     """Write the tests of pairs of LiDARs as a document.
 
@@ -66,6 +72,8 @@ def field_test_document(
         Of the poles as given, metres.
     inputs
         The recordings.
+    site, serials
+        Name of the site, and serial numbers by the names of LiDARs, where they are known.
     """
     verdicts = {test.status for test in tests.values()}
     tested = {name for pair, test in tests.items() if test.status != "refused" for name in pair}
@@ -78,6 +86,8 @@ def field_test_document(
         made_now(),
         status=status,
         untested=untested,
+        site=site,
+        serials=dict(serials or {}),
         alpha=next(iter(tests.values())).alpha,
         radius_m=radius,
         pairs=[

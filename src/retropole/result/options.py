@@ -80,6 +80,11 @@ def frames_named(text: str) -> slice | None:
     return slice(*parts)
 
 
+def slice_of(frames: Frames | None) -> slice | None:
+    """Take frames as a document holds them as a slice; None for those evenly spread."""
+    return None if frames is None else slice(*frames)
+
+
 class Reading(NamedTuple):
     """How the recordings of one LiDAR are read.
 
@@ -208,17 +213,14 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        return Reading(sensor, threshold, topic, self._slice, self.max_points, self.unit)
+        return Reading(sensor, threshold, topic, slice_of(self.frames), self.max_points, self.unit)
 
     @property
     def of_source(self) -> Reading:
         """How recordings of the source are read."""
         sensor, threshold, topic = self.sensor_source, self.threshold_source, self.source_topic
-        return Reading(sensor, threshold, topic, self._slice, self.max_points, self.source_unit)
-
-    @property
-    def _slice(self) -> slice | None:
-        return None if self.frames is None else slice(*self.frames)
+        frames = slice_of(self.frames)
+        return Reading(sensor, threshold, topic, frames, self.max_points, self.source_unit)
 
 
 DEFAULT_CONFIG = RunConfig()

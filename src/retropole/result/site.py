@@ -41,6 +41,7 @@ from ..site.answer import (
 from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from . import (
     COVARIANCE_ORDER,
+    DEFAULT_CONFIG,
     Document,
     InputDoc,
     PoleDoc,
@@ -53,7 +54,7 @@ from . import (
     with_threshold,
 )
 from .contents import RejectedDoc, rejected_documents
-from .options import Frames, MaxPoints
+from .options import Frames, MaxPoints, Reading, slice_of
 
 SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
 SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
@@ -107,10 +108,18 @@ class FoundDoc(msgspec.Struct, frozen=True, eq=False):
 
 
 class RecordingDoc(InputDoc, frozen=True, kw_only=True):
-    """What was read of one LiDAR and placement."""
+    """What was read of one LiDAR and placement, and how."""
 
     lidar: Count
     placement: Count
+    topic: Text | None = None
+    frames: Frames | None = None
+    unit: Unit = "m"
+
+    def reading(self, max_points: int) -> Reading:
+        """How it was read, with at most so many points of a cloud."""
+        frames = slice_of(self.frames)
+        return Reading(self.sensor, self.threshold, self.topic, frames, max_points, self.unit)
 
 
 class PairDoc(msgspec.Struct, frozen=True):
@@ -286,6 +295,10 @@ def found_document(scan: Scan | None) -> FoundDoc | None:
     )
 
 
-def recording_document(source: InputDoc, lidar: int, placement: int) -> RecordingDoc:
-    """Say of what was read which LiDAR and placement, by their indices, it is of."""
-    return document_of(RecordingDoc, source, lidar=lidar, placement=placement)
+def recording_document(
+    source: InputDoc, lidar: int, placement: int, how: Reading = DEFAULT_CONFIG.of_target
+) -> RecordingDoc:
+    """Say of what was read which LiDAR and placement, by their indices, it is of, and how."""
+    frames = None if how.frames is None else (how.frames.start, how.frames.stop, how.frames.step)
+    at = {"lidar": lidar, "placement": placement}
+    return document_of(RecordingDoc, source, **at, topic=how.topic, frames=frames, unit=how.unit)

@@ -234,7 +234,8 @@ class SiteCalibration:
     datum
         What fixes the frame, in words.
     scans
-        For each LiDAR, what was found in each placement; None where it recorded none.
+        For each LiDAR, what was found in each placement, in the frame of its clouds; None where it
+        recorded none.
     lidars
         Poses of all LiDARs, in the order of `Site.lidars`; empty when refused.
     covariance

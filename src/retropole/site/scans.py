@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..alignment.origins import shifted
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, Pole, Scan
 from ..base.errors import Refusal
@@ -42,6 +43,14 @@ class SiteScans:
     origins: Array
     faults: tuple[tuple[Recording, Refusal], ...] = ()
     recorded: tuple[tuple[PointCloud | None, ...], ...] = ()
+
+    @property
+    def in_clouds(self) -> tuple[tuple[Scan | None, ...], ...]:
+        """The same scans in the frames of the clouds, in which poses are stated."""
+        return tuple(
+            tuple(None if scan is None else shifted(scan, origin) for scan in row)
+            for row, origin in zip(self.by_lidar, self.origins, strict=True)
+        )
 
     def poles(self, lidar: int, placement: int) -> tuple[Pole, ...]:
         """Poles that a LiDAR sees in a placement."""

@@ -9,7 +9,9 @@ from datetime import UTC, datetime
 from itertools import chain, groupby
 
 import msgspec
+import numpy as np
 
+from ...api import Array, quantities
 from ...base.errors import ReadError, UsageError
 from .. import TIME_LIMIT
 from ..batch import Doing, outcomes_of, whole_groups
@@ -70,6 +72,30 @@ class SiteChange:
     def is_new(self, event: Event) -> bool:
         """Whether the newest check found it."""
         return self.is_told and event.found == len(self.times) - 1
+
+    def words(self, event: Event) -> str:
+        """Say what changed, since when and by how much."""
+        since = f"{self.times[event.onset]:%Y-%m-%d}"
+        new = ", new" if self.is_new(event) else ""
+        if event.size is None or event.covariance is None:
+            return f"checks that do not agree since {since}{new}"
+        parts = slice(0, 3), slice(3, 6)
+        turned, pushed = (_length(event.size[p], event.covariance[p, p]) for p in parts)
+        rotation = quantities.value_and_error(*turned, "rad")
+        translation = quantities.value_and_error(*pushed)
+        size = f"rotation {rotation}, translation {translation}"
+        if event.kind == "moved":
+            return f"moved since {since}: now {size} (1 σ{new})"
+        per = " a year" if event.kind == "trend" else ""
+        unclear = "" if event.is_clear else ", or the other of step and trend"
+        return f"{event.kind} since {since}: {size}{per} (1 σ{unclear}{new})"
+
+
+def _length(vector: Array, covariance: Array) -> tuple[float, float]:
+    """Give the length of a vector (3,), and 1 σ of it along its own direction."""
+    length = float(np.linalg.norm(vector))
+    unit = vector / max(length, 1e-12)
+    return length, float(np.sqrt(unit @ covariance @ unit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,13 +236,14 @@ def check_fleet(
 
 def replay(
     history: str,
-    ids: Collection[str],
+    ids: Collection[str] | None = None,
     replaying: Replaying = map,
     newest: Mapping[str, CheckRow] | None = None,
     known: reading.Contents | None = None,
 ) -> tuple[list[SiteChange], list[ReadError]]:
     """Tell what changed at sites, in the order of their ids, and what of the history is damaged.
 
+    Without ids, at all that the history has.
     `newest` is of a run what came of each site, by its id, and `known` what the history had before.
     """
     damaged: list[ReadError] = []
