@@ -185,11 +185,10 @@ class Match:
         (4, 4) least-squares pose under these pairs (eq. 1–2), unless `icp_refined`.
     pole_rms
         Root mean square distance of source points from target lines at that minimum, metres.
-    exact, converged, icp_refined
+    exact, converged, icp_refined, by_place
         Whether the lines fit, one of the Klein group's four, or three or more poles; the solver
-        came to rest; and the pose is where the scenes lie on each other, near the poles' own.
-    by_place
-        Whether the scenes give what the poles leave open of the pose: one, or parallel ones.
+        came to rest; the pose is where the scenes lie on each other, near the poles' own; and the
+        scenes give what the poles leave open of it: one, or parallel ones.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
