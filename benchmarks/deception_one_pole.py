@@ -68,7 +68,7 @@ def container_shoved(site: Site, rng: np.random.Generator) -> Drawn | None:
     far, way = rng.uniform(0.3, 1.5), rng.uniform(0, 2 * np.pi)
     there = at + far * np.array([np.cos(way), np.sin(way), 0.0])
     near: list[Array] = [foot_of(pole) for pole in site.poles]
-    near += [pose[:3, 3] for pose in site.poles]
+    near += [pose[:3, 3] for pose in site.poses]
     for spot in (at, there):
         if any(np.all(np.abs((each - spot) @ axes)[:2] < half[:2] + 0.8) for each in near):
             return None

@@ -186,9 +186,8 @@ class Match:
     pole_rms
         Root mean square distance of source points from target lines at that minimum, metres.
     exact, converged, icp_refined, by_place
-        Whether the lines fit, one of the Klein group's four, or three or more poles; the solver
-        came to rest; the pose is where the scenes lie on each other, near the poles' own; and the
-        scenes give what the poles leave open of it: one, or parallel ones.
+        Whether the lines fit, one of the Klein group's four, or more; the solver came to rest; the
+        scenes lie on each other; and they give what one pole, or parallel ones, leave open.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -257,12 +256,10 @@ class Scan:
 
     Attributes
     ----------
-    cloud
-        The cloud that was used: of several frames, without dynamic points.
-    sensor
-        What recorded it; None where not known.
+    cloud, sensor
+        The cloud that was used, of several frames without dynamic points; what recorded it or None.
     detection, refusal
-        What was found; or, where the cloud cannot be searched for poles, why.
+        What was found; or why the cloud cannot be searched for poles.
     """
 
     cloud: PointCloud
