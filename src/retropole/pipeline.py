@@ -30,7 +30,7 @@ from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
 from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
-from .scene.one_pole import check_held
+from .scene.one_pole import check_held, check_told
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine_by_scene
 from .scene.scans import find_poles
@@ -159,6 +159,7 @@ def calibrate(
                     paired, pose, others, rng, trusted=trust_poles, deceiving=deceiving
                 )
                 check_confirmation(confirmation)
+                check_told(paired, confirmation)
                 check_similarity(refined, placements, pose)
         except Refusal as refusal:
             with step("explain"):

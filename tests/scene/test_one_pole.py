@@ -133,7 +133,7 @@ def test_the_sign_of_a_pole_does_not_matter(street: SimulatedPair) -> None:
             if scan is placement.target
             else Placement(placement.target, turned)
         )
-        best = matches_about(each)[0]
+        best = matches_about(each, 0.02)[0]
         assert best.exact
         assert_near(best.T_target_source, street.T_target_source, 1.0, 0.1)
 
@@ -148,7 +148,7 @@ def test_a_pole_that_was_moved_is_on_no_pole_where_the_scenes_lie_on_each_other(
     source = replace(
         placement.source, detection=replace(placement.source.detection, poles=(moved,))
     )
-    matches = matches_about(Placement(placement.target, source))
+    matches = matches_about(Placement(placement.target, source), 0.02)
     assert matches
     assert not any(match.exact for match in matches)
     # All are poses that lay the pole on the pole: what the place is compared at.
@@ -185,7 +185,7 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
 ) -> None:
     placement = found_in(street)
     scans = placement.target.cloud, placement.source.cloud
-    (hypothesis, *_) = score_hypotheses(*scans, matches_about(placement))
+    (hypothesis, *_) = score_hypotheses(*scans, matches_about(placement, 0.02))
     paired = [PairedPlacement(placement, hypothesis)]
     with pytest.raises(Refusal, match="too few surfaces") as refused:
         check_held(paired, None)

@@ -21,7 +21,7 @@ from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
 from ..matching.correspondence import are_alike
-from ..matching.placements import PairedPlacement
+from ..matching.placements import PairedPlacement, is_by_place
 from .consistency import Standing, consistency, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
 from .times import recorded_together
@@ -189,8 +189,10 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """Whether the poles check each other: three of them, or two placements that differ.
 
     Files of two placements on one stand, mixed up, tell the same lie twice: both LiDARs must see
-    that the shapes differ by more than their noise.
+    that the shapes differ by more than their noise. Parallel ones may be posts of a row.
     """
+    if is_by_place(paired):
+        return False
     if max(len(each.target_poles) for each in paired) > 2:
         return True
     two = [each for each in paired if len(each.target_poles) == 2]

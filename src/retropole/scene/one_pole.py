@@ -21,10 +21,22 @@ from ..alignment.adjustment import PLACE_SIGMA
 from ..base import se3
 from ..base.datatypes import Array, Match, Placement, Pole, Scan
 from ..base.errors import Refusal
+from ..base.uncertainty.confirmation import Confirmation
+from ..matching.confirmation import FACING_SIDES
 from ..matching.distinct import same_pose
-from ..matching.extension import EXTENSION_RMS, extended
-from ..matching.placements import PairedPlacement, is_by_place
-from .disambiguation import SCORING_VOXEL
+from ..matching.extension import EXACT_RMS, EXTENSION_RMS, extended
+from ..matching.placements import (
+    Chosen,
+    PairedPlacement,
+    PlacementHypotheses,
+    find_recurring,
+    is_by_place,
+    rank_joint_hypotheses,
+)
+from ..matching.prior import RotationPrior, agreeing_with_prior
+from .confirmation import MAX_WRONG, MIN_TOTAL, scenes_of
+from .confirmation import count as agreement
+from .disambiguation import SCORING_VOXEL, score_hypotheses
 from .icp_refinement import registered
 from .refinement import Refinement
 from .registration import MIN_CLOUD_POINTS, prepare, voxel_downsample
@@ -49,10 +61,6 @@ peaks with either end up, the highest first, settle on the scene. The ground alo
 upside down at any angle: of 223 poles (benchmarks/hard_scenes.py, seeds 0 to 109) the right pose is
 the highest peak of 215, and among these of 222."""
 
-LAID_RMS = 0.08
-"""Residual of the poles where the scenes lie on each other, at most, metres: what lines may leave
-(`EXACT_RMS`), and what a registration is off by. What poles say more exactly is asked later."""
-
 
 HELD = 0.5
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
@@ -72,13 +80,62 @@ class Peak:
     height: float
 
 
-def matches_about(placement: Placement) -> list[Match]:
+def choose_by_place(
+    placements: Sequence[Placement],
+    radius: float,
+    *,
+    count: int | None = None,
+    prior: RotationPrior | None = None,
+) -> Chosen | None:
+    """Lay one pole on one pole in every placement, and let the place give the rest of the pose.
+
+    What stands off the ground chooses, not the overlap of all: the ground lies on itself at any
+    angle, and best where it brings the LiDARs near each other.
+
+    Parameters
+    ----------
+    placements
+        With the poles of both LiDARs, the best supported first.
+    radius
+        Of the poles, metres.
+    count, prior
+        How many poles both LiDARs see, and what is known of the rotation.
+
+    Returns
+    -------
+    Chosen or None
+        None where nothing lies on each other so.
+    """
+    try:
+        scored = []
+        for placement in placements:
+            found = agreeing_with_prior(matches_about(placement, radius), prior)
+            own = [match for match in found if count in (None, len(match.pairs))]
+            if not any(match.exact for match in own):
+                return None
+            clouds = placement.target.cloud, placement.source.cloud
+            scored.append(PlacementHypotheses(placement, score_hypotheses(*clouds, own)))
+        choices = find_recurring(scored)
+    except Refusal:
+        return None
+    # The same recordings give the same answer.
+    scenes = scenes_of(placements, np.random.default_rng(0))
+    told = [agreement(scenes, choice.joint.match.T_target_source) for choice in choices]
+    order = np.argsort([each.conflicting - each.agreeing for each in told], kind="stable")
+    choices = [choices[k] for k in order]
+    hypotheses = rank_joint_hypotheses(choices, scored)
+    return Chosen(hypotheses, choices[0].paired, None, tuple(choices), scored=tuple(scored))
+
+
+def matches_about(placement: Placement, radius: float) -> list[Match]:
     """Find the poses that lay one pole on one pole and the place on the place.
 
     Parameters
     ----------
     placement
         With the poles of both LiDARs, the best supported first.
+    radius
+        Of the poles, metres: the lines that two LiDARs see of one lie up to π r/2 apart.
 
     Returns
     -------
@@ -98,7 +155,7 @@ def matches_about(placement: Placement) -> list[Match]:
     found: list[Match] = []
     for peak in peaks:
         T = registered(surface, tree, points, peak.T)
-        match = None if T is None else _match(target.poles, source.poles, T)
+        match = None if T is None else _match(target.poles, source.poles, T, FACING_SIDES * radius)
         if match is None or peak.pair not in match.pairs or not match.exact:
             match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
         if not any(same_pose(match, other, at) for other in found):
@@ -106,15 +163,56 @@ def matches_about(placement: Placement) -> list[Match]:
     return found
 
 
-def _match(target: Sequence[Pole], source: Sequence[Pole], T: Array) -> Match | None:
-    """State a pose as a match of every pole that lies on one under it; None without any."""
-    pairs = extended(target, source, T, EXTENSION_RMS)
+def _match(target: Sequence[Pole], source: Sequence[Pole], T: Array, apart: float) -> Match | None:
+    """State a pose as a match of every pole that lies on one under it; None without any.
+
+    Parameters
+    ----------
+    target, source, T
+        Poles of both LiDARs, and (4, 4) the pose.
+    apart
+        How far apart the lines of one pole may lie, metres, before any error.
+    """
+    pairs = extended(target, source, T, EXTENSION_RMS + apart)
     if not pairs:
         return None
     squares = np.concatenate([_off_line(target[i], source[j], T) for i, j in pairs]) ** 2
     rms = float(np.sqrt(squares.mean()))
     return Match(
-        pairs, T, rms, rms <= LAID_RMS, True, NOTHING_SAID, icp_refined=True, by_place=True
+        pairs, T, rms, rms <= EXACT_RMS + apart, True, NOTHING_SAID, icp_refined=True, by_place=True
+    )
+
+
+def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
+    """Refuse a pose of which the place gives a part and does not confirm it.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_poles``.
+    """
+    if not is_by_place(paired):
+        return
+    wrong = 1.0 if found.probability_wrong is None else found.probability_wrong
+    if found.total >= MIN_TOTAL and wrong <= MAX_WRONG:
+        return
+    lead = found.z_margin or 0.0
+    raise Refusal(
+        "too_few_poles",
+        "both LiDARs see one pole only, or parallel ones, and the place around does not tell the "
+        f"rest of the pose: off the ground {found.counts}, and the pose leads others by {lead:.1f} "
+        f"σ (chance of a wrong pose {found.chance_words}; {MIN_TOTAL} patches and "
+        f"{100 * MAX_WRONG:.0f} % are needed). Lean a second pole by 15° or more against the first "
+        "where both LiDARs see it",
+        {
+            "poles": max(len(each.target_poles) for each in paired),
+            "needed": 2,
+            "agreeing": found.agreeing,
+            "contradicting": found.contradicting,
+            "missing": found.missing,
+            "lead": lead,
+            "probability_wrong": wrong,
+        },
     )
 
 
@@ -203,7 +301,10 @@ def _spectrum(points: Array) -> NDArray[np.complex64]:
     # Near the pole cells are narrow, and one thing fills many.
     width = (np.arange(RINGS) + 0.5) * CELL * (2 * np.pi / ANGLES)
     grid *= np.sqrt(np.minimum(width / SCORING_VOXEL, 1.0, dtype=np.float32))[:, None, None]
-    return np.asarray(fft.rfft2(grid))
+    spectrum = np.asarray(fft.rfft2(grid))
+    # What is alike at all angles tells none: level ground about an upright pole.
+    spectrum[:, 0] = 0.0
+    return spectrum
 
 
 def _spread(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:

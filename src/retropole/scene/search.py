@@ -19,10 +19,9 @@ from ..matching.budget import Share, Tried, state_what_was_tried
 from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
-from ..matching.scene_support import scene_agrees
 from . import disambiguation, icp_refinement
 from .choice import choose_best
-from .one_pole import matches_about
+from .one_pole import choose_by_place
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
@@ -87,8 +86,9 @@ def choose_with_candidates(
                     return attempt
     if by_place and first.refusal.code in BY_PLACE:
         for found in looks:
-            chosen = choose_by_place(_with_all(found), step, count=count, prior=prior)
-            if chosen.refusal is None:
+            with step("place"):
+                chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
+            if chosen is not None:
                 return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
     return replace(first, refusal=state_what_was_tried(first.refusal, tried))
@@ -149,36 +149,6 @@ def choose(
             return choose_best([score_hypotheses(each) for each in matched])
     except Refusal as refusal:
         return Chosen((), (), refusal)
-
-
-def choose_by_place(
-    placements: Sequence[Placement],
-    step: Step,
-    *,
-    count: int | None = None,
-    prior: RotationPrior | None = None,
-) -> Chosen:
-    """Lay one pole on one pole in every placement, and let the place give the rest of the pose.
-
-    Where poles are doubtful it must confirm them as it does two.
-    """
-    try:
-        matched = []
-        with step("match"):
-            for placement in placements:
-                found = agreeing_with_prior(matches_about(placement), prior)
-                own = [match for match in found if count in (None, len(match.pairs))]
-                if not any(match.exact for match in own):
-                    raise Refusal("no_match", "no pole of the target is one of the source", {})
-                matched.append(PlacementMatches(placement, own))
-        with step("disambiguate"):
-            chosen = choose_best([score_hypotheses(each) for each in matched])
-    except Refusal as refusal:
-        return Chosen((), (), refusal)
-    is_doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
-    if is_doubtful and not scene_agrees(chosen.hypotheses[0]):
-        return replace(chosen, refusal=Refusal("no_overlap", "the place does not agree", {}))
-    return chosen
 
 
 def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:
