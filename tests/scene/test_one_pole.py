@@ -9,11 +9,12 @@ import pytest
 from scipy import fft
 
 from retropole.base import se3
-from retropole.base.datatypes import Array, Placement, Pole, PoseEstimate
+from retropole.base.datatypes import Array, Match, Placement, Pole, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.scene import one_pole
+from retropole.scene.confirmation import scenes_of
 from retropole.scene.disambiguation import score_hypotheses
 from retropole.scene.one_pole import CELL, PLACE_SIGMA, SLIDE, check_held, matches_about
 from retropole.scene.refinement import refine
@@ -42,6 +43,11 @@ def found_in(pair: SimulatedPair) -> Placement:
         find_poles(pair.target, sensor=None, threshold=None, radius=0.02),
         find_poles(pair.source, sensor=None, threshold=None, radius=0.02),
     )
+
+
+def poses_in(placement: Placement) -> list[Match]:
+    (standing,) = scenes_of([placement], np.random.default_rng(0))
+    return matches_about(placement, standing, 0.02)
 
 
 def assert_near(T: Array | None, T_true: Array, degrees: float = 0.3, metres: float = 0.05) -> None:
@@ -133,7 +139,7 @@ def test_the_sign_of_a_pole_does_not_matter(street: SimulatedPair) -> None:
             if scan is placement.target
             else Placement(placement.target, turned)
         )
-        best = matches_about(each, 0.02)[0]
+        best = poses_in(each)[0]
         assert best.exact
         assert_near(best.T_target_source, street.T_target_source, 1.0, 0.1)
 
@@ -148,7 +154,7 @@ def test_a_pole_that_was_moved_is_on_no_pole_where_the_scenes_lie_on_each_other(
     source = replace(
         placement.source, detection=replace(placement.source.detection, poles=(moved,))
     )
-    matches = matches_about(Placement(placement.target, source), 0.02)
+    matches = poses_in(Placement(placement.target, source))
     assert matches
     assert not any(match.exact for match in matches)
     # All are poses that lay the pole on the pole: what the place is compared at.
@@ -185,7 +191,7 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
 ) -> None:
     placement = found_in(street)
     scans = placement.target.cloud, placement.source.cloud
-    (hypothesis, *_) = score_hypotheses(*scans, matches_about(placement, 0.02))
+    (hypothesis, *_) = score_hypotheses(*scans, poses_in(placement))
     paired = [PairedPlacement(placement, hypothesis)]
     with pytest.raises(Refusal, match="too few surfaces") as refused:
         check_held(paired, None)

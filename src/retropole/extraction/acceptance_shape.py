@@ -112,7 +112,7 @@ def shape_failure(
     if line.length < MIN_SLENDERNESS * line.width:
         reason = f"{size}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
         return Failure("too_wide", reason)
-    if line.rms > MAX_RMS or is_long_and_thick:
+    if line.rms > MAX_RMS + line.thicker or is_long_and_thick:
         return Failure("too_wide", f"{size}, more than any post")
     if line.rms > line.with_beams(MAX_FEW_RMS) and count < FEW_POLE_POINTS:
         reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.datatypes import DEFAULT_RADIUS, PointCloud
+from ..base.datatypes import PointCloud
 from .acceptance_shape import Failure
-from .beams import RMS_PER_RADIUS
 from .bodies import worn_by_a_body
 from .lines import HALF, RING_GAP, Line, distance_and_place
 from .surroundings import PIECES
@@ -52,8 +51,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
     """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
-    limit = MAX_SURE_RMS + RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0)
-    limit = line.with_beams(limit)
+    limit = line.with_beams(MAX_SURE_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:
         return None

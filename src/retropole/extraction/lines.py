@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
-from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
+from .beams import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter, returns_per_ring
 from .clustering import LINK, MANY
 
 LITTLE, HALF, MOST = 0.25, 0.5, 0.7
@@ -93,6 +93,8 @@ class Line:
         Radius about the line in which its points lie, metres.
     beam_scatter
         What beams wider than ordinary ones add to the scatter of the returns, metres.
+    thicker
+        What a radius above the usual one adds to it, metres.
     returns_per_ring
         How many returns each ring can leave on a pole there; infinite where it is not known.
     """
@@ -106,11 +108,15 @@ class Line:
     rings: int
     tube: float
     beam_scatter: float = 0.0
+    thicker: float = 0.0
     returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
-        """Give the largest scatter, metres, that a line of so much has by beams of this width."""
-        return float(np.hypot(limit, self.beam_scatter))
+        """Give the largest scatter, metres, that a line of so much has by beams of this width.
+
+        Limits are those of a pole of `DEFAULT_RADIUS`.
+        """
+        return float(np.hypot(limit + self.thicker, self.beam_scatter))
 
     @property
     def step(self) -> float:
@@ -306,6 +312,7 @@ def fit_line(
         rings,
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
+        thicker=RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0),
         returns_per_ring=returns_per_ring(away, radius, beams),
     )
 
