@@ -74,7 +74,7 @@ def calibrate(
         Intensity from which a return counts as retro-reflective, in each cloud; None asks the
         sensor, or else the cloud itself.
     poles
-        Exact number of poles that both LiDARs see; None takes any number from two up.
+        Exact number of poles that both LiDARs see; None takes any number from one up.
     scene
         Whether the scene refines the pose that the poles give.
     prior

@@ -33,7 +33,7 @@ def test_no_intensity_never_gives_a_transform(
         ("calibrate", "missing.pcd", "missing.pcd"),
         ("calibrate", "only-one.pcd"),
         ("calibrate", "a.pcd", "b.pcd", "--radius", "-1"),
-        ("calibrate", "a.pcd", "b.pcd", "--poles", "1"),
+        ("calibrate", "a.pcd", "b.pcd", "--poles", "0"),
         ("calibrate", "a.pcd", "b.pcd", "--sensor-target", "nonsense"),
         ("detect", "missing.pcd"),
         ("info", "missing.bag"),

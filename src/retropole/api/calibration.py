@@ -71,7 +71,7 @@ def calibrate(
         Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
         cloud.
     poles
-        Exact number of poles that both LiDARs see; None takes any number from two up.
+        Exact number of poles that both LiDARs see; None takes any number from one up.
     refine
         Whether the scene refines the pose that the poles give.
     trust_poles

@@ -26,8 +26,8 @@ UNITS = get_args(Unit)
 LARGEST_WHOLE = 2**53
 """Of a whole number: JSON of other programs holds none beyond."""
 
-MIN_POLES = 2
-"""One pole leaves the rotation about it, and the place along it, free."""
+MIN_POLES = 1
+"""Of one pole the place around gives what it leaves open (docs/hypotheses.md, One pole)."""
 
 MaxPoints = Annotated[int, Meta(ge=LEAST_POINTS, le=LARGEST_WHOLE)]
 Radius = Annotated[float, Meta(ge=MIN_RADIUS, le=MAX_RADIUS)]
@@ -141,7 +141,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     poles: Annotated[
         Poles | None,
-        told(f"Exact number of poles that both see.  [default: any, at least {MIN_POLES}]"),
+        told("Exact number of poles that both see.  [default: any]"),
     ] = None
     refine: Annotated[bool, told("Use the poles only.")] = True
     trust_poles: Annotated[
