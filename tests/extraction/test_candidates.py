@@ -9,7 +9,7 @@ import pytest
 
 from retropole.base.datatypes import IntArray, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.extraction.candidates import with_candidates
+from retropole.extraction.candidates import _from_afar, with_candidates
 from retropole.extraction.poles import MAX_POLES, extract_poles
 from retropole.simulation import Rectangle, Surface
 from tests.extraction.scenes import (
@@ -24,6 +24,7 @@ from tests.extraction.scenes import (
     seen,
     without_rings,
 )
+from tests.extraction.synthetic import line_with
 
 WALL = Rectangle(np.array([5.2, 0, 0]), Y, Z, (4, 2), PAINT)
 SHORT_AT_A_WALL: list[Surface] = [pole((5, 0), length=0.7), WALL]
@@ -137,3 +138,32 @@ def test_the_wall_of_a_stripe_is_beside_it_however_it_is_turned(turn: float, sen
     wall = Rectangle(np.array([4.0, 0, 0]), along, Z, (3, 2), PAINT)
     stripe = Rectangle(wall.centre - 0.01 * toward, along, Z, (0.025, 0.9), TAPE)
     assert looked_at(*seen([stripe, wall], sensor), find_sensor(sensor)) == ([], [])
+
+
+def test_a_far_pole_may_scatter_by_more() -> None:
+    """Beams that point beside where they should spread its returns across the line of sight."""
+    cloud, labels = seen([pole((14, 0), length=3.0)], "Pandar64")
+    shift = 2e-3 * 14.0 * np.random.default_rng(1).normal(size=len(cloud))
+    shift[labels != 0] = 0.0
+    moved = replace(cloud, xyz=cloud.xyz + shift[:, None] * Y)
+    assert looked_at(cloud, labels) == ([0], [])
+    assert looked_at(moved, labels) == ([], [0])
+
+
+def test_limits_of_scatter_are_those_of_near_poles_up_to_8_m() -> None:
+    cloud, _ = seen([], "XT32")
+    for away in (3.0, 8.0, 12.0, 16.0):
+        line = replace(line_with(), point=np.array([away, 0.0, 0.0]))
+        limit = _from_afar(cloud, line).with_beams(0.03)
+        more = 0.002 * np.sqrt(max(away**2 - 64.0, 0.0))
+        assert limit == pytest.approx(np.hypot(0.03, more))
+    thick = replace(line_with(), thicker=0.62 * 0.035)
+    assert thick.with_beams(0.03) == pytest.approx(0.0517)
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.055])
+def test_a_thick_tube_is_a_pole_of_its_own_radius(radius: float) -> None:
+    """Of 11 cm and 3 m, which is a post where poles are 4 cm thick."""
+    cloud, labels = seen([pole((6, 0), radius=0.055, length=3.0)], "Pandar64")
+    found = extract_poles(cloud, radius=radius)
+    assert labels_of(found, labels) == ([0] if radius > 0.02 else [])
