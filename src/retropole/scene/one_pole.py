@@ -63,7 +63,6 @@ peaks with either end up, the highest first, settle on the scene. Of 121 poles
 and of 67 before LiDARs on masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the ground
 among the points for 61, since that lies on itself at many angles."""
 
-
 HELD = 0.5
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
 taken to give before (`alignment.adjustment.PLACE_SIGMA`)."""

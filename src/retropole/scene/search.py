@@ -74,18 +74,17 @@ def choose_with_candidates(
     if first.refusal is None:
         return first
     attempts = [first]
-    looks = [placements]
+    last = placements
     if first.refusal.code in RESCUED:
-        for found in _looks(placements, radius, step):
-            looks.append(found)
-            for attempt in _attempts(first, found, step, count, prior):
+        for last in _looks(placements, radius, step):
+            for attempt in _attempts(first, last, step, count, prior):
                 attempts.append(attempt)
                 if attempt.refusal is None and is_confirmed(
                     attempt.paired, attempt.hypotheses, radius
                 ):
                     return attempt
     if by_place and first.refusal.code in BY_PLACE:
-        for found in looks:
+        for found in (placements,) if last is placements else (placements, last):
             with step("place"):
                 chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
             if chosen is not None:
