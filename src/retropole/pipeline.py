@@ -28,9 +28,9 @@ from .base.uncertainty.purpose import Need
 from .matching.placements import Chosen, PairedPlacement, align, leave_one_out
 from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
+from .scene.by_place import check_held, check_told
 from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
-from .scene.one_pole import check_held, check_told
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine_by_scene
 from .scene.scans import find_poles

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from scipy import fft
 
+from retropole.alignment.adjustment import PLACE_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import Array, Match, Placement, Pole, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.scene import one_pole
+from retropole.scene.by_place import check_held
 from retropole.scene.confirmation import scenes_of
 from retropole.scene.disambiguation import score_hypotheses
-from retropole.scene.one_pole import CELL, PLACE_SIGMA, SLIDE, check_held, matches_about
+from retropole.scene.one_pole import CELL, SLIDE, matches_about
 from retropole.scene.refinement import refine
 from retropole.scene.scans import find_poles
 from retropole.simulation import SimulatedPair, simulate_pair

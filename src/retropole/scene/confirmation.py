@@ -79,8 +79,8 @@ def confirm(
     exact = [other.match for other in others if other.match.exact]
     angles = [other.match for other in others if other.match.by_place]
     rivals = [match.T_target_source for match in angles or exact[:MAX_RIVALS]]
-    if not _lifts(scenes, T):
-        rivals = [pose for pose in rivals if not _lifts(scenes, pose)]
+    if not lifts(scenes, T):
+        rivals = [pose for pose in rivals if not lifts(scenes, pose)]
     shifted = [*_shifted(scenes, T)]
     poses = [*shifted, *_turned(scenes, T), *rivals]
     margins, better = [], []
@@ -141,13 +141,13 @@ def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
         shifts = best_shifts(*clouds)
-        if _lifts([(target, source)], T):
+        if lifts([(target, source)], T):
             shifts += [shift for shift in best_lifts(*clouds) if shift.gain > 1]
         for shift in shifts:
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
 
 
-def _lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
+def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
     """Whether a pose lifts the grounds of some scene off each other.
 
     Grounds that lie on each other conflict with all lifts, and are not among the points.

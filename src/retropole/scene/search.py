@@ -20,8 +20,8 @@ from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confi
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
 from . import disambiguation, icp_refinement
+from .by_place import choose_by_place
 from .choice import choose_best
-from .one_pole import choose_by_place
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
