@@ -58,6 +58,9 @@ HELD = 0.5
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
 taken to give before (`alignment.adjustment.PLACE_SIGMA`)."""
 
+LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
+"""What to do where the place does not tell."""
+
 NOTHING_SAID = np.zeros((6, 6))
 """What such a match says of how sure its pose is."""
 
@@ -128,29 +131,46 @@ def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) ->
     """
     if not is_by_place(paired):
         return
-    told = "lean a second pole by 15° or more against the first where both LiDARs see it"
     if refined is None:
         raise Refusal(
             "degenerate_poles",
             f"one pole leaves a turn about it and a slide along it open, and too few surfaces that "
-            f"both LiDARs see tell them; {told}",
+            f"both LiDARs see tell them; {LEAN_ANOTHER}",
             {"poles": 1},
         )
     assert refined.pose.covariance is not None
-    covariance = refined.pose.covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
-    share = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-    if share > HELD:
-        rotation, translation = (
-            float(np.sqrt(np.linalg.eigvalsh(refined.pose.covariance[part, part])[-1]))
-            for part in (slice(3), slice(3, 6))
-        )
-        raise Refusal(
-            "degenerate_poles",
-            "one pole leaves a turn about it and a slide along it open, and the surfaces that both "
-            f"LiDARs see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
-            f"(1 σ); {told}",
-            {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
-        )
+    check_held_by_scene(refined.pose.covariance)
+
+
+def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
+    """Refuse a pose that the scene holds little better than the place was taken to give it.
+
+    Parameters
+    ----------
+    covariance
+        (6, 6) of the pose of one LiDAR in the frame of the other, over ``[φ, δ]``, rad and m.
+    lidars
+        What they are called.
+
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles``.
+    """
+    by_place = covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
+    if float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2:
+        return
+    rotation, translation = (
+        float(np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]))
+        for part in (slice(3), slice(3, 6))
+    )
+    raise Refusal(
+        "degenerate_poles",
+        "one pole leaves a turn about it and a slide along it open, and the surfaces that "
+        f"{lidars} see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
+        f"(1 σ); {LEAN_ANOTHER}",
+        {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
+    )
 
 
 def _off_line(target: Pole, source: Pole, T: Array) -> Array:

@@ -25,7 +25,9 @@ from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
+from .hanging import Hanging, find_hanging
 from .linked import check_linked
+from .one_pole import link_by_place
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import SharedPole, same_poles, shared_poles
@@ -68,6 +70,7 @@ def calibrate_site(
                 check_places(site, views)
                 pairs = find_pairs(scans, views)
                 scans, pairs = link_by_candidates(scans, pairs, site.radius)
+                scans, pairs = link_by_place(scans, pairs, site.radius)
                 groups = linked_groups(count, pairs)
             with step("choose"):
                 at = [poles_of(scans, lidar) for lidar in range(count)]
@@ -82,7 +85,8 @@ def calibrate_site(
                 check_decided(site, choices, pairs, at)
             with step("adjust"):
                 poles = shared_poles(scans, choices.best.poses, site.radius)
-                datum = find_datum(site, scans.origins, choices.best.poses, poles)
+                hanging = find_hanging(pairs, choices.best.poses)
+                datum = find_datum(site, scans.origins, choices.best.poses, poles, hanging)
                 patches = patches_of(scans)
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
@@ -92,11 +96,12 @@ def calibrate_site(
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
-                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles)
+                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles, hanging)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
                 if misfit or adjusted.datum.unmet or not same_poles(again, poles):
-                    adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
+                    datum = find_datum(site, scans.origins, poses, again, hanging)
+                    adjusted = adjust(recorded, datum)
             with step("test"):
                 # Whatever is refused from here on, a radius that the returns deny may be why.
                 blunders = list(radius_denied(adjusted))
@@ -115,11 +120,14 @@ def calibrate_site(
 
 
 def adjust_without_survey(
-    recorded: Recorded, poses: dict[int, Array], poles: Sequence[SharedPole]
+    recorded: Recorded,
+    poses: dict[int, Array],
+    poles: Sequence[SharedPole],
+    hanging: Sequence[Hanging],
 ) -> Adjusted:
     """Adjust all poses by poles and scenes alone, in the frame of a LiDAR."""
     bare = replace(recorded.site, poles=(), points=())
-    datum = find_datum(bare, recorded.scans.origins, poses, poles)
+    datum = find_datum(bare, recorded.scans.origins, poses, poles, hanging)
     return adjust(replace(recorded, site=bare), datum)
 
 
@@ -134,6 +142,9 @@ def decide_by_candidates(
     """Count candidate poles, too, where with them one choice alone goes together."""
     more = with_own_candidates(scans, radius)
     found = find_pairs(more, views)
+    if not set(group) <= set(linked_groups(len(more.by_lidar), found)[0]):
+        # What links some of them is not found among pairs of poles.
+        return scans, pairs, choices
     at = [poles_of(more, lidar) for lidar in range(len(more.by_lidar))]
     again = choose_poses(group, found, at, group[0])
     if again.rivals or again.best.count <= choices.best.count:
