@@ -61,6 +61,7 @@ def with_pole_moved(simulated: SimulatedSite, lidar: int, step: Array) -> Simula
     """Push the poles that one LiDAR sees, in the world frame, after all others recorded them."""
     (cloud,), (labels,) = simulated.clouds[lidar], simulated.labels[lidar]
     assert cloud is not None
+    assert labels is not None
     xyz = cloud.xyz.copy()
     own = labels >= len(simulated.surroundings)
     xyz[own] += simulated.T_world_lidar[lidar][:3, :3].T @ step
@@ -74,28 +75,28 @@ def true_between(simulated: SimulatedSite, i: int, j: int) -> Array:
 
 
 @pytest.fixture(scope="module")
-def simulated() -> SimulatedSite:
+def hidden() -> SimulatedSite:
     """Three LiDARs in one placement, of which the last sees one pole."""
     return keeping(made(seed=101, placements=1), (2,))
 
 
 @pytest.fixture(scope="module")
-def found(simulated: SimulatedSite) -> SiteCalibration:
-    return calibrate_site(simulated.as_site())
+def answer(hidden: SimulatedSite) -> SiteCalibration:
+    return calibrate_site(hidden.as_site())
 
 
 def test_the_place_links_a_lidar_that_shares_one_pole(
-    simulated: SimulatedSite, found: SiteCalibration
+    hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
-    assert found.status == "ok", found.reasons
+    assert answer.status == "ok", answer.reasons
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        relative = between(found, i, j)
-        assert off(relative, true_between(simulated, i, j)) < THOUSANDTH
-    assert found.groups == ((0, 1, 2),)
-    (note,) = [note for note in found.notes if note.code == "by_place"]
-    assert note.values == {"lidars": simulated.names[2], "poles": 1}
-    assert [pair.standing for pair in found.pairs] == [1, 1, 1]
-    assert all("the place" not in test.name for test in found.tests)
+        relative = between(answer, i, j)
+        assert off(relative, true_between(hidden, i, j)) < THOUSANDTH
+    assert answer.groups == ((0, 1, 2),)
+    (note,) = [note for note in answer.notes if note.code == "by_place"]
+    assert note.values == {"lidars": hidden.names[2], "poles": 1}
+    assert [pair.standing for pair in answer.pairs] == [1, 1, 1]
+    assert all("the place" not in test.name for test in answer.tests)
 
 
 def test_without_surroundings_it_is_linked_to_nothing() -> None:
@@ -108,34 +109,34 @@ def test_without_surroundings_it_is_linked_to_nothing() -> None:
 
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)])
 def test_the_order_of_the_lidars_changes_nothing(
-    simulated: SimulatedSite, found: SiteCalibration, order: tuple[int, ...]
+    hidden: SimulatedSite, answer: SiteCalibration, order: tuple[int, ...]
 ) -> None:
-    again = calibrate_site(reordered(simulated.as_site(), order, (0,)))
+    again = calibrate_site(reordered(hidden.as_site(), order, (0,)))
     assert again.status == "ok", again.reasons
-    assert {note.code for note in again.notes} == {note.code for note in found.notes}
+    assert {note.code for note in again.notes} == {note.code for note in answer.notes}
     for i, j in ((0, 1), (0, 2), (1, 2)):
         other = between(again, order.index(i), order.index(j))
-        assert off(between(found, i, j), other.T_i_j) < 2.0
+        assert off(between(answer, i, j), other.T_i_j) < 2.0
 
 
 def test_the_frame_of_the_lidar_that_hangs_may_be_that_of_the_site(
-    simulated: SimulatedSite, found: SiteCalibration
+    hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
-    site = replace(simulated.as_site(), reference=2)
+    site = replace(hidden.as_site(), reference=2)
     again = calibrate_site(site)
     assert again.status == "ok", again.reasons
-    assert off(between(found, 0, 2), between(again, 0, 2).T_i_j) < 0.5
+    assert off(between(answer, 0, 2), between(again, 0, 2).T_i_j) < 0.5
     (note,) = [note for note in again.notes if note.code == "by_place"]
-    assert note.values["lidars"] == f"{simulated.names[0]}, {simulated.names[1]}"
+    assert note.values["lidars"] == f"{hidden.names[0]}, {hidden.names[1]}"
 
 
-def test_a_pole_that_moved_links_nothing(simulated: SimulatedSite) -> None:
-    moved = with_pole_moved(simulated, 2, np.array([0.3, 0.2, 0.0]))
+def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
+    moved = with_pole_moved(hidden, 2, np.array([0.3, 0.2, 0.0]))
     assert calibrate_site(moved.as_site()).status == "refused"
 
 
-def test_another_place_links_nothing(simulated: SimulatedSite) -> None:
-    site = simulated.as_site()
+def test_another_place_links_nothing(hidden: SimulatedSite) -> None:
+    site = hidden.as_site()
     other = keeping(made(seed=104, placements=1), (2,)).as_site()
     mixed = replace(site, lidars=(*site.lidars[:2], other.lidars[2]))
     assert calibrate_site(mixed).status == "refused"
@@ -150,17 +151,17 @@ def test_what_was_surveyed_holds_the_frame_and_the_place_what_hangs() -> None:
         sensors=("VLP-16",),
         survey=Survey((0,), 0),
     )
-    hidden = keeping(surveyed, (2,))
-    answer = calibrate_site(hidden.as_site())
+    one = keeping(surveyed, (2,))
+    answer = calibrate_site(one.as_site())
     assert answer.status != "refused", answer.reasons
     assert "by_place" in {note.code for note in answer.notes}
-    for one in answer.lidars:
-        step = se3.local(one.T_site_lidar, hidden.T_world_lidar[one.lidar])
-        assert step @ np.linalg.solve(one.covariance, step) < THOUSANDTH
+    for pose in answer.lidars:
+        step = se3.local(pose.T_site_lidar, one.T_world_lidar[pose.lidar])
+        assert step @ np.linalg.solve(pose.covariance, step) < THOUSANDTH
 
 
-def test_two_lidars_of_one_pole_are_a_pair(simulated: SimulatedSite) -> None:
-    site = simulated.as_site()
+def test_two_lidars_of_one_pole_are_a_pair(hidden: SimulatedSite) -> None:
+    site = hidden.as_site()
     two = replace(site, lidars=(site.lidars[0], site.lidars[2]))
     answer = calibrate_site(two)
     target, source = (lidar.clouds[0] for lidar in two.lidars)
@@ -191,10 +192,10 @@ def test_where_poles_link_all_the_place_is_not_asked(
 
 
 def test_a_pose_that_the_scene_does_not_confirm_links_nothing(
-    simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+    hidden: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(one_pole, "_is_confirmed", lambda chosen: False)
-    refused = calibrate_site(simulated.as_site())
+    refused = calibrate_site(hidden.as_site())
     assert refused.reasons[0].code == "disconnected"
 
 
