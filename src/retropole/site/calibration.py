@@ -23,6 +23,7 @@ from .blunders import without_blunders, worst_test
 from .candidates import link_by_candidates, with_own_candidates
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
+from .contradiction import check_poles_of_hanging
 from .datum import find_datum
 from .description import Site
 from .hanging import Hanging, find_hanging
@@ -106,6 +107,7 @@ def calibrate_site(
                 # Whatever is refused from here on, a radius that the returns deny may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
+                check_poles_of_hanging(recorded, adjusted)
                 adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):
                 check_contradiction(adjusted.refined)

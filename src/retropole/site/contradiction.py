@@ -21,7 +21,7 @@ from ..scene.descent import End
 from ..scene.patch_pairs import pair_patches
 from ..scene.terms import FEW, SceneTerm
 from .adjustment import Adjusted, Recorded, adjust
-from .datum import without_poles
+from .datum import Datum, without_poles
 from .links import find_links
 
 CLOSE = 0.02
@@ -117,26 +117,63 @@ def conflicting_poles(
     weak = [link for link in find_links(adjusted) if len(link.poles) == 2]
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
-        # A part of the patches is enough to see that nothing moved, but may hold too little.
-        some = _without(k, recorded, adjusted, across, few=True)
-        if some is not None and some[1] < LEAST / FEW:
-            continue
-        every = _without(k, recorded, adjusted, across, few=False)
-        if every is not None and every[1] >= LEAST:
-            yield k, *every
+        found = _conflicting(recorded, adjusted, without_poles(adjusted.datum, {k}), across)
+        if found is not None:
+            yield k, *found
+
+
+def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> None:
+    """Refuse what hangs on poles without which far more of the surroundings coincides.
+
+    One pole conflicts with nothing across itself, where it alone decides and surfaces look for
+    their partners no farther than it allows. Without it the place holds the pose.
+
+    Raises
+    ------
+    Refusal
+        ``site_inconsistent``.
+    """
+    datum, site = adjusted.datum, recorded.site
+    for each in datum.hanging:
+        across = each.across(datum.poles)
+        others = tuple(one for one in datum.hanging if one is not each)
+        # Where the place puts what hangs stays known.
+        rest = without_poles(replace(datum, hanging=others), set(across))
+        found = _conflicting(recorded, adjusted, rest, [each.lidars])
+        if found is not None:
+            names = ", ".join(datum.poles[k].name(site) for k in across)
+            raise Refusal(
+                "site_inconsistent",
+                f"{names} moved between the recordings of {each.names(site)}, which nothing else "
+                f"links: without it {found[1]:.0f} more patches of their surroundings coincide; "
+                "record the placement again",
+                {"poles": names, "more": found[1], "allowed": LEAST},
+            )
+
+
+def _conflicting(
+    recorded: Recorded, adjusted: Adjusted, datum: Datum, across: Sequence[frozenset[int]]
+) -> tuple[Adjusted, float] | None:
+    """Adjust without some poles, and count how many more patches coincide; None where few do."""
+    # A part of the patches is enough to see that nothing moved, but may hold too little.
+    some = _without(recorded, adjusted, datum, across, few=True)
+    if some is not None and some[1] < LEAST / FEW:
+        return None
+    every = _without(recorded, adjusted, datum, across, few=False)
+    return every if every is not None and every[1] >= LEAST else None
 
 
 def _without(
-    pole: int,
     recorded: Recorded,
     adjusted: Adjusted,
+    datum: Datum,
     across: Sequence[frozenset[int]],
     *,
     few: bool,
 ) -> tuple[Adjusted, float] | None:
-    """Adjust without a pole, and count how many more patches coincide; None where it is refused."""
+    """Adjust what is left, and count how many more patches coincide; None where it is refused."""
     try:
-        rest = adjust(recorded, without_poles(adjusted.datum, {pole}), few=few)
+        rest = adjust(recorded, datum, few=few)
     except Refusal:
         return None
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)
