@@ -14,10 +14,11 @@ from retropole.base.errors import Refusal
 from retropole.pipeline import calibrate
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site import one_pole
+from retropole.site import contradiction, one_pole
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.choice import choose_poses
+from retropole.site.contradiction import check_poles_of_hanging
 from retropole.site.datum import find_datum, without_poles
 from retropole.site.hanging import (
     Hanging,
@@ -133,6 +134,38 @@ def test_the_frame_of_the_lidar_that_hangs_may_be_that_of_the_site(
 def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
     moved = with_pole_moved(hidden, 2, np.array([0.3, 0.2, 0.0]))
     assert calibrate_site(moved.as_site()).status == "refused"
+
+
+@pytest.mark.parametrize("step", [(0.05, 0.0, 0.0), (0.0, 0.05, 0.0)])
+def test_a_pole_that_was_pushed_a_little_is_told(
+    hidden: SimulatedSite, step: tuple[float, ...]
+) -> None:
+    """Where it alone holds a part of the pose that is `not_checked`, where not it is refused."""
+    pushed = with_pole_moved(hidden, 2, np.array(step))
+    assert calibrate_site(pushed.as_site()).status != "ok"
+
+
+def test_what_the_surroundings_alone_do_not_hold_is_not_checked(
+    steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hanging = (Hanging(0, 2, steps.adjusted.end.T[2], frozenset({2})),)
+    adjusted = replace(steps.adjusted, datum=replace(steps.datum, hanging=hanging))
+    assert list(check_poles_of_hanging(steps.recorded, adjusted)) == []
+    monkeypatch.setattr(contradiction, "is_held", lambda covariance: False)
+    (reason,) = check_poles_of_hanging(steps.recorded, adjusted)
+    assert reason.code == "not_checked"
+    assert reason.values["lidar"] == steps.site.lidars[2].name
+
+
+def test_a_parted_pole_is_seen_by_one_side_each(steps: Steps) -> None:
+    hanging = Hanging(0, 2, np.eye(4), frozenset({2}))
+    poles = steps.datum.poles
+    across = hanging.across(poles)
+    parted = hanging.parted(poles)
+    assert len(parted) == len(poles) + len(across)
+    assert not hanging.across(parted)
+    for k, other in zip(across, parted[len(poles) :], strict=True):
+        assert {**parted[k].seen, **other.seen} == poles[k].seen
 
 
 def test_another_place_links_nothing(hidden: SimulatedSite) -> None:

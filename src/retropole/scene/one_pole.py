@@ -142,6 +142,12 @@ def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) ->
     check_held_by_scene(refined.pose.covariance)
 
 
+def is_held(covariance: Array) -> bool:
+    """Whether a pose (6, 6) is known far better than the place was taken to give it."""
+    by_place = covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
+    return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
+
+
 def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
     """Refuse a pose that the scene holds little better than the place was taken to give it.
 
@@ -157,8 +163,7 @@ def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
     Refusal
         ``degenerate_poles``.
     """
-    by_place = covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
-    if float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2:
+    if is_held(covariance):
         return
     rotation, translation = (
         float(np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]))

@@ -107,7 +107,7 @@ def calibrate_site(
                 # Whatever is refused from here on, a radius that the returns deny may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
-                check_poles_of_hanging(recorded, adjusted)
+                unchecked = list(check_poles_of_hanging(recorded, adjusted))
                 adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):
                 check_contradiction(adjusted.refined)
@@ -117,7 +117,7 @@ def calibrate_site(
             return state_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
             unusable = list_unusable(site, scans)
-            found = [*unusable, *adjusted.datum.unmet, *blunders, *unconfirmed]
+            found = [*unusable, *adjusted.datum.unmet, *blunders, *unchecked, *unconfirmed]
             return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
 
 

@@ -16,12 +16,14 @@ import numpy as np
 
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.errors import Refusal
+from ..base.errors import Reason, Refusal
 from ..scene.descent import End
+from ..scene.one_pole import LEAN_ANOTHER, is_held
 from ..scene.patch_pairs import pair_patches
 from ..scene.terms import FEW, SceneTerm
 from .adjustment import Adjusted, Recorded, adjust
 from .datum import Datum, without_poles
+from .hanging import Hanging
 from .links import find_links
 
 CLOSE = 0.02
@@ -122,11 +124,18 @@ def conflicting_poles(
             yield k, *found
 
 
-def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> None:
+def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
     """Refuse what hangs on poles without which far more of the surroundings coincides.
 
     One pole conflicts with nothing across itself, where it alone decides and surfaces look for
-    their partners no farther than it allows. Without it the place holds the pose.
+    their partners no farther than it allows. So it is parted: each side has it at a place of its
+    own, and the place holds the pose.
+
+    Yields
+    ------
+    Reason
+        ``not_checked`` where the surroundings alone do not hold the pose, and no push of the pole
+        would show.
 
     Raises
     ------
@@ -137,18 +146,31 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> None:
     for each in datum.hanging:
         across = each.across(datum.poles)
         others = tuple(one for one in datum.hanging if one is not each)
-        # Where the place puts what hangs stays known.
-        rest = without_poles(replace(datum, hanging=others), set(across))
-        found = _conflicting(recorded, adjusted, rest, [each.lidars])
-        if found is not None:
-            names = ", ".join(datum.poles[k].name(site) for k in across)
+        parted = replace(datum, hanging=others, poles=each.parted(datum.poles))
+        some = _without(recorded, adjusted, parted, [each.lidars], few=True)
+        if some is not None and some[1] < LEAST / FEW and _is_held(each, some[0]):
+            continue
+        every = _without(recorded, adjusted, parted, [each.lidars], few=False)
+        names = ", ".join(datum.poles[k].name(site) for k in across)
+        if every is not None and every[1] >= LEAST:
             raise Refusal(
                 "site_inconsistent",
                 f"{names} moved between the recordings of {each.names(site)}, which nothing else "
-                f"links: without it {found[1]:.0f} more patches of their surroundings coincide; "
+                f"links: without it {every[1]:.0f} more patches of their surroundings coincide; "
                 "record the placement again",
-                {"poles": names, "more": found[1], "allowed": LEAST},
+                {"poles": names, "more": every[1], "allowed": LEAST},
             )
+        if every is None or not _is_held(each, every[0]):
+            yield Reason(
+                "not_checked",
+                f"{names} alone holds a part of the pose between {each.names(site)}, and the "
+                f"surroundings do not check it: a push of it would not show; {LEAN_ANOTHER}",
+                {"lidar": site.lidars[each.far].name, "poles": names},
+            )
+
+
+def _is_held(hanging: Hanging, found: Adjusted) -> bool:
+    return is_held(hanging.covariance(found.end.T, found.covariance))
 
 
 def _conflicting(

@@ -5,7 +5,7 @@ are asked, and must be held by the scene in the end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..alignment.adjustment import PLACE_SIGMA
 from ..alignment.survey import KnownPose
@@ -46,6 +46,22 @@ class Hanging:
             for k, pole in enumerate(poles)
             if self.lidars & pole.seen.keys() and pole.seen.keys() - self.lidars
         ]
+
+    def parted(self, poles: Sequence[SharedPole]) -> list[SharedPole]:
+        """The same poles, those across as one on each side: then they tell nothing of the link."""
+        own, others = list(poles), []
+        for k in self.across(poles):
+            seen = poles[k].seen
+            here = {i: pole for i, pole in seen.items() if i not in self.lidars}
+            there = {i: pole for i, pole in seen.items() if i in self.lidars}
+            own[k] = replace(poles[k], seen=here)
+            others.append(replace(poles[k], seen=there, surveyed=None))
+        return own + others
+
+    def covariance(self, T: Array, covariance: Array) -> Array:
+        """(6, 6) of the pose between the two LiDARs, by poses (L, 4, 4) and (6 L, 6 L) of all."""
+        joint = joint_of(covariance, self.near, self.far)
+        return relative(T[self.near], T[self.far], joint).covariance
 
     def names(self, site: Site) -> str:
         """What the two LiDARs of the link are called."""
@@ -149,6 +165,4 @@ def check_hanging(site: Site, hanging: Sequence[Hanging], T: Array, covariance: 
         ``degenerate_poles``.
     """
     for each in hanging:
-        joint = joint_of(covariance, each.near, each.far)
-        held = relative(T[each.near], T[each.far], joint).covariance
-        check_held_by_scene(held, each.names(site))
+        check_held_by_scene(each.covariance(T, covariance), each.names(site))
