@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..alignment.adjustment import PLACE_SIGMA
-from ..base.datatypes import Hypothesis, Placement
+from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..matching.placements import (
@@ -36,6 +36,10 @@ HELD = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
 taken to give before (`alignment.adjustment.PLACE_SIGMA`): 0.5° and 5 cm. With twice that, an answer
 between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
+
+
+LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
+"""What to do where the place does not tell."""
 
 
 def choose_by_place(
@@ -128,8 +132,7 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
         "both LiDARs see one pole only, or parallel ones, and the place around does not tell the "
         f"rest of the pose: off the ground {found.counts}, and the pose leads others by {lead:.1f} "
         f"σ (chance of a wrong pose {found.chance_words}; {MIN_TOTAL} patches and "
-        f"{100 * MAX_WRONG:.0f} % are needed). Lean a second pole by 15° or more against the first "
-        "where both LiDARs see it",
+        f"{100 * MAX_WRONG:.0f} % are needed); {LEAN_ANOTHER}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,
@@ -152,26 +155,48 @@ def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) ->
     """
     if not is_by_place(paired):
         return
-    told = "lean a second pole by 15° or more against the first where both LiDARs see it"
     if refined is None:
         raise Refusal(
             "degenerate_poles",
             f"one pole leaves a turn about it and a slide along it open, and too few surfaces that "
-            f"both LiDARs see tell them; {told}",
+            f"both LiDARs see tell them; {LEAN_ANOTHER}",
             {"poles": 1},
         )
     assert refined.pose.covariance is not None
-    covariance = refined.pose.covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
-    share = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-    if share > HELD:
-        rotation, translation = (
-            float(np.sqrt(np.linalg.eigvalsh(refined.pose.covariance[part, part])[-1]))
-            for part in (slice(3), slice(3, 6))
-        )
-        raise Refusal(
-            "degenerate_poles",
-            "one pole leaves a turn about it and a slide along it open, and the surfaces that both "
-            f"LiDARs see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
-            f"(1 σ); {told}",
-            {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
-        )
+    check_held_by_scene(refined.pose.covariance)
+
+
+def is_held(covariance: Array) -> bool:
+    """Whether a pose (6, 6) is known far better than the place was taken to give it."""
+    by_place = covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
+    return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
+
+
+def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
+    """Refuse a pose that the scene holds little better than the place was taken to give it.
+
+    Parameters
+    ----------
+    covariance
+        (6, 6) of the pose of one LiDAR in the frame of the other, over ``[φ, δ]``, rad and m.
+    lidars
+        What they are called.
+
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles``.
+    """
+    if is_held(covariance):
+        return
+    rotation, translation = (
+        float(np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]))
+        for part in (slice(3), slice(3, 6))
+    )
+    raise Refusal(
+        "degenerate_poles",
+        "one pole leaves a turn about it and a slide along it open, and the surfaces that "
+        f"{lidars} see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
+        f"(1 σ); {LEAN_ANOTHER}",
+        {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
+    )

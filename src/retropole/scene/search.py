@@ -6,8 +6,9 @@ share too few for a pose, by one and the place about it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Refusal
@@ -84,13 +85,52 @@ def choose_with_candidates(
                 ):
                     return attempt
     if by_place and first.refusal.code in BY_PLACE:
-        for found in (placements,) if last is placements else (placements, last):
-            with step("place"):
-                chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
-            if chosen is not None:
-                return chosen
+        looks = (placements,) if last is placements else (placements, last)
+        chosen = _first_by_place(looks, radius, step, count, prior)
+        if chosen is not None:
+            return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
     return replace(first, refusal=state_what_was_tried(first.refusal, tried))
+
+
+def choose_about_one_pole(
+    placements: Sequence[Placement], radius: float, step: Step
+) -> Chosen | None:
+    """Choose by one pole and the place about it alone: by confirmed poles, then by candidates.
+
+    Parameters
+    ----------
+    placements
+        With what was found in each of their clouds.
+    radius
+        Of the poles, metres.
+    step
+        Names a step that starts, and times it.
+
+    Returns
+    -------
+    Chosen or None
+        None where nothing lies on each other so.
+    """
+    return _first_by_place(
+        chain([placements], _looks(placements, radius, step)), radius, step, None, None
+    )
+
+
+def _first_by_place(
+    looks: Iterable[Sequence[Placement]],
+    radius: float,
+    step: Step,
+    count: int | None,
+    prior: RotationPrior | None,
+) -> Chosen | None:
+    """Choose by the place with the first poles that lie on each other."""
+    for found in looks:
+        with step("place"):
+            chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
+        if chosen is not None:
+            return chosen
+    return None
 
 
 def _looks(

@@ -37,6 +37,7 @@ from .answer import Test
 from .axes import maximise_from_lines
 from .datum import Datum, without_poles
 from .description import Site
+from .hanging import check_hanging, check_poles_left
 from .outliers import find_outlying
 from .scans import SiteScans
 from .shared import sights_of
@@ -134,6 +135,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
     """
     site = recorded.site
+    check_poles_left(site, datum.hanging, datum.poles)
     sights = sights_of(recorded.scans, datum.poles)
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
     none = np.zeros(0, dtype=np.int64)
@@ -152,7 +154,9 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     problem = RefinementProblem(factor, tuple(recorded.scenes), groups, known)
     end = minimise(problem, few=few)
     parts = parts_of(problem, end, POLES_AND_SURVEY)
-    check_held(site, joint_covariance(parts), is_surveyed=bool(site.poles or site.points))
+    covariance = joint_covariance(parts)
+    check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
+    check_hanging(site, datum.hanging, end.T, covariance)
     return _tested(recorded, datum, aligned, problem, end, parts)
 
 

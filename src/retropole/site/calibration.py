@@ -23,9 +23,12 @@ from .blunders import without_blunders, worst_test
 from .candidates import link_by_candidates, with_own_candidates
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
+from .contradiction import check_poles_of_hanging
 from .datum import find_datum
 from .description import Site
+from .hanging import Hanging, find_hanging
 from .linked import check_linked
+from .one_pole import link_by_place
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import SharedPole, same_poles, shared_poles
@@ -68,6 +71,7 @@ def calibrate_site(
                 check_places(site, views)
                 pairs = find_pairs(scans, views)
                 scans, pairs = link_by_candidates(scans, pairs, site.radius)
+                scans, pairs = link_by_place(scans, pairs, site.radius)
                 groups = linked_groups(count, pairs)
             with step("choose"):
                 at = [poles_of(scans, lidar) for lidar in range(count)]
@@ -82,7 +86,8 @@ def calibrate_site(
                 check_decided(site, choices, pairs, at)
             with step("adjust"):
                 poles = shared_poles(scans, choices.best.poses, site.radius)
-                datum = find_datum(site, scans.origins, choices.best.poses, poles)
+                hanging = find_hanging(pairs, choices.best.poses)
+                datum = find_datum(site, scans.origins, choices.best.poses, poles, hanging)
                 patches = patches_of(scans)
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
@@ -92,15 +97,17 @@ def calibrate_site(
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
-                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles)
+                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles, hanging)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
                 if misfit or adjusted.datum.unmet or not same_poles(again, poles):
-                    adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
+                    datum = find_datum(site, scans.origins, poses, again, hanging)
+                    adjusted = adjust(recorded, datum)
             with step("test"):
                 # Whatever is refused from here on, a radius that the returns deny may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
+                unchecked = list(check_poles_of_hanging(recorded, adjusted))
                 adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):
                 check_contradiction(adjusted.refined)
@@ -110,16 +117,19 @@ def calibrate_site(
             return state_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
             unusable = list_unusable(site, scans)
-            found = [*unusable, *adjusted.datum.unmet, *blunders, *unconfirmed]
+            found = [*unusable, *adjusted.datum.unmet, *blunders, *unchecked, *unconfirmed]
             return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
 
 
 def adjust_without_survey(
-    recorded: Recorded, poses: dict[int, Array], poles: Sequence[SharedPole]
+    recorded: Recorded,
+    poses: dict[int, Array],
+    poles: Sequence[SharedPole],
+    hanging: Sequence[Hanging],
 ) -> Adjusted:
     """Adjust all poses by poles and scenes alone, in the frame of a LiDAR."""
     bare = replace(recorded.site, poles=(), points=())
-    datum = find_datum(bare, recorded.scans.origins, poses, poles)
+    datum = find_datum(bare, recorded.scans.origins, poses, poles, hanging)
     return adjust(replace(recorded, site=bare), datum)
 
 
@@ -134,6 +144,9 @@ def decide_by_candidates(
     """Count candidate poles, too, where with them one choice alone goes together."""
     more = with_own_candidates(scans, radius)
     found = find_pairs(more, views)
+    if not set(group) <= set(linked_groups(len(more.by_lidar), found)[0]):
+        # What links some of them is not found among pairs of poles.
+        return scans, pairs, choices
     at = [poles_of(more, lidar) for lidar in range(len(more.by_lidar))]
     again = choose_poses(group, found, at, group[0])
     if again.rivals or again.best.count <= choices.best.count:

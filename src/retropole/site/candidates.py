@@ -114,9 +114,11 @@ def _linked(
         if target is None or source is None:
             continue
         placement = Placement(target, source)
-        chosen = choose_with_candidates([placement], radius, lambda step: nullcontext())
+        chosen = choose_with_candidates(
+            [placement], radius, lambda step: nullcontext(), by_place=False
+        )
         if chosen.refusal is None:
-            return _with_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
+            return with_chosen_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
     return None
 
 
@@ -134,10 +136,10 @@ def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
     return Pair(lidars, (hypothesis,), True)
 
 
-def _with_poles(
+def with_chosen_poles(
     scans: SiteScans, lidars: tuple[int, int], placement: int, chosen: Chosen
 ) -> SiteScans:
-    """Count the poles that a choice pairs among those of both LiDARs."""
+    """Count the poles that a choice pairs among those of both LiDARs in a placement."""
     rows = [list(row) for row in scans.by_lidar]
     paired = chosen.paired[0]
     for lidar, poles in zip(lidars, (paired.target_poles, paired.source_poles), strict=True):

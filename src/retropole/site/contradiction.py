@@ -16,12 +16,14 @@ import numpy as np
 
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.errors import Refusal
+from ..base.errors import Reason, Refusal
+from ..scene.by_place import LEAN_ANOTHER, is_held
 from ..scene.descent import End
 from ..scene.patch_pairs import pair_patches
 from ..scene.terms import FEW, SceneTerm
 from .adjustment import Adjusted, Recorded, adjust
-from .datum import without_poles
+from .datum import Datum, without_poles
+from .hanging import Hanging
 from .links import find_links
 
 CLOSE = 0.02
@@ -117,26 +119,83 @@ def conflicting_poles(
     weak = [link for link in find_links(adjusted) if len(link.poles) == 2]
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
-        # A part of the patches is enough to see that nothing moved, but may hold too little.
-        some = _without(k, recorded, adjusted, across, few=True)
-        if some is not None and some[1] < LEAST / FEW:
+        found = _conflicting(recorded, adjusted, without_poles(adjusted.datum, {k}), across)
+        if found is not None:
+            yield k, *found
+
+
+def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
+    """Refuse what hangs on poles without which far more of the surroundings coincides.
+
+    One pole conflicts with nothing across itself, where it alone decides and surfaces look for
+    their partners no farther than it allows. So it is parted: each side has it at a place of its
+    own, and the place holds the pose.
+
+    Yields
+    ------
+    Reason
+        ``not_checked`` where the surroundings alone do not hold the pose, and no push of the pole
+        would show.
+
+    Raises
+    ------
+    Refusal
+        ``site_inconsistent``.
+    """
+    datum, site = adjusted.datum, recorded.site
+    for each in datum.hanging:
+        across = each.across(datum.poles)
+        others = tuple(one for one in datum.hanging if one is not each)
+        parted = replace(datum, hanging=others, poles=each.parted(datum.poles))
+        some = _without(recorded, adjusted, parted, [each.lidars], few=True)
+        if some is not None and some[1] < LEAST / FEW and _is_held(each, some[0]):
             continue
-        every = _without(k, recorded, adjusted, across, few=False)
+        every = _without(recorded, adjusted, parted, [each.lidars], few=False)
+        names = ", ".join(datum.poles[k].name(site) for k in across)
         if every is not None and every[1] >= LEAST:
-            yield k, *every
+            raise Refusal(
+                "site_inconsistent",
+                f"{names} moved between the recordings of {each.names(site)}, which nothing else "
+                f"links: without it {every[1]:.0f} more patches of their surroundings coincide; "
+                "record the placement again",
+                {"poles": names, "more": every[1], "allowed": LEAST},
+            )
+        if every is None or not _is_held(each, every[0]):
+            yield Reason(
+                "not_checked",
+                f"{names} alone holds a part of the pose between {each.names(site)}, and the "
+                f"surroundings do not check it: a push of it would not show; {LEAN_ANOTHER}",
+                {"lidar": site.lidars[each.far].name, "poles": names},
+            )
+
+
+def _is_held(hanging: Hanging, found: Adjusted) -> bool:
+    return is_held(hanging.covariance(found.end.T, found.covariance))
+
+
+def _conflicting(
+    recorded: Recorded, adjusted: Adjusted, datum: Datum, across: Sequence[frozenset[int]]
+) -> tuple[Adjusted, float] | None:
+    """Adjust without some poles, and count how many more patches coincide; None where few do."""
+    # A part of the patches is enough to see that nothing moved, but may hold too little.
+    some = _without(recorded, adjusted, datum, across, few=True)
+    if some is not None and some[1] < LEAST / FEW:
+        return None
+    every = _without(recorded, adjusted, datum, across, few=False)
+    return every if every is not None and every[1] >= LEAST else None
 
 
 def _without(
-    pole: int,
     recorded: Recorded,
     adjusted: Adjusted,
+    datum: Datum,
     across: Sequence[frozenset[int]],
     *,
     few: bool,
 ) -> tuple[Adjusted, float] | None:
-    """Adjust without a pole, and count how many more patches coincide; None where it is refused."""
+    """Adjust what is left, and count how many more patches coincide; None where it is refused."""
     try:
-        rest = adjust(recorded, without_poles(adjusted.datum, {pole}), few=few)
+        rest = adjust(recorded, datum, few=few)
     except Refusal:
         return None
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)

@@ -17,6 +17,7 @@ from ..base.datatypes import Array, BoolArray
 from ..base.errors import Reason
 from ..base.quantities import counted
 from .description import Site
+from .hanging import Hanging, hanging_off, known_poses
 from .onto_survey import Fit, pole_at, transformed
 from .shared import SharedPole
 from .survey_check import lay_on_survey, list_unmet
@@ -40,6 +41,8 @@ class Datum:
         What fixes the frame.
     unmet
         What was surveyed and nothing that the LiDARs see meets.
+    hanging
+        What hangs on a link that the place gives a part of, off what the frame is laid on.
     """
 
     poses: dict[int, Array]
@@ -48,10 +51,15 @@ class Datum:
     free: BoolArray
     words: str
     unmet: tuple[Reason, ...] = ()
+    hanging: tuple[Hanging, ...] = ()
 
 
 def find_datum(
-    site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
+    site: Site,
+    origins: Array,
+    poses: dict[int, Array],
+    poles: Sequence[SharedPole],
+    hanging: Sequence[Hanging] = (),
 ) -> Datum:
     """Lay the frame of the site on what was surveyed; without, level it, or leave it a LiDAR's.
 
@@ -63,6 +71,8 @@ def find_datum(
         (L, 3) where the beams of each LiDAR start in its own frame.
     poses, poles
         In the frame of the first of the linked LiDARs.
+    hanging
+        By `find_hanging`: what the place gives a part of is held there (`Surveyed.poses`).
 
     Raises
     ------
@@ -87,10 +97,12 @@ def find_datum(
         marked = [_marked(pole, site) for pole in found]
         marked = [each for each in marked if len(each.seen) > 1 or each.surveyed is not None]
         surveyed = replace(_known(site, origins, marked, moved, fit), up=up)
+        off = tuple(hanging_off(hanging, _most_surveyed(marked, surveyed, moved), frozenset(moved)))
+        surveyed = replace(surveyed, poses=known_poses(off, moved))
         what = " and ".join(_counts(surveyed))
         words = f"{site.frame.name}, by {what}"
         unmet = tuple(list_unmet(site, origins, poses, poles, fit))
-        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet)
+        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet, off)
     reference = site.reference if site.reference in poses else next(iter(poses))
     name = site.lidars[reference].name
     kept = [pole for pole in poles if len(pole.seen) > 1]
@@ -106,13 +118,27 @@ def find_datum(
         T = se3.from_rt(np.eye(3), origins[reference]) @ T
         free[reference] = False
         words = f"frame of {name}; nothing was surveyed"
+    moved = {i: T @ pose for i, pose in poses.items()}
+    off = tuple(hanging_off(hanging, reference, frozenset(moved)))
     return Datum(
-        {i: T @ pose for i, pose in poses.items()},
+        moved,
         [transformed(pole, T) for pole in kept],
-        Surveyed(up=up),
+        Surveyed(up=up, poses=known_poses(off, moved)),
         free.reshape(-1),
         words,
+        hanging=off,
     )
+
+
+def _most_surveyed(poles: Sequence[SharedPole], surveyed: Surveyed, poses: dict[int, Array]) -> int:
+    """The LiDAR that sees most of what was surveyed: what it sees does not hang on the others."""
+    counts = dict.fromkeys(poses, 0)
+    for end in surveyed.ends:
+        for i in poles[end.axis].seen:
+            counts[i] += 1
+    for sight in surveyed.seen:
+        counts[sight.lidar] += 1
+    return max(counts, key=lambda i: counts[i])
 
 
 def _unturned(T: Array) -> Array:

@@ -85,6 +85,8 @@ class Pair:
         Why there is no hypothesis; None where there is one.
     no_overlap
         What the scenes say where they do not overlap.
+    by_place
+        Whether the place gives a part of the pose that one pole, or parallel ones, leave open.
     """
 
     lidars: tuple[int, int]
@@ -92,6 +94,7 @@ class Pair:
     overlaps: bool
     refusal: Reason | None = None
     no_overlap: Refusal | None = None
+    by_place: bool = False
 
     @property
     def standing(self) -> tuple[PairHypothesis, ...]:

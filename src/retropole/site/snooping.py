@@ -129,6 +129,9 @@ def all_tests(
     for k in range(len(poles)):
         yield from _pole_tests(at, poles[k].name(site), k, poles[k].placement, names, astray)
     for one in at.network.observations:
+        # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it.
+        if one.kind == "pose":
+            continue
         if one.poles is None:
             error = value_wrong(at, one)
             assert one.by_value is not None

@@ -12,6 +12,7 @@ from ..base.errors import Reason, Refusal
 from ..base.quantities import at_most
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
+from ..matching.correspondence import MIN_ANGLE, widest_angle
 from ..matching.placements import PairedPlacement
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from ..scene.choice import ambiguous
@@ -116,9 +117,10 @@ def confirm_links(
             raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
         if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
+            poles = "two poles alone link" if len(link.poles) > 1 else "one pole alone links"
             yield Reason(
                 "not_confirmed",
-                f"two poles alone link {names}, and their surroundings do not tell (chance of a "
+                f"{poles} {names}, and their surroundings do not tell (chance of a "
                 f"wrong pose {100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
@@ -145,7 +147,11 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
     # What does not recur in all placements is no rival.
     most = max((len(each.placements) for each in pair.hypotheses), default=0)
     recurring = [each for each in pair.hypotheses if len(each.placements) == most]
-    others = [_hypothesis(each.T, ()) for each in recurring[:4] if _is_other(each.T, T)]
+    # All other angles about a pole are asked, where the place gives that.
+    rivals = recurring if pair.by_place else recurring[:4]
+    others = [
+        _hypothesis(each.T, (), by_place=pair.by_place) for each in rivals if _is_other(each.T, T)
+    ]
     return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
 
 
@@ -158,8 +164,10 @@ def _is_other(T: Array, answer: Array) -> bool:
     return apart.rotation > 0.2 or apart.translation > 1.0
 
 
-def _hypothesis(T: Array, pairs: tuple[tuple[int, int], ...]) -> Hypothesis:
-    match = Match(pairs, T, 0.0, True, True, np.eye(6))
+def _hypothesis(
+    T: Array, pairs: tuple[tuple[int, int], ...], *, by_place: bool = False
+) -> Hypothesis:
+    match = Match(pairs, T, 0.0, True, True, np.eye(6), by_place=by_place)
     return Hypothesis(match, None, None, 0.0, 0.0, 0.0)
 
 
@@ -204,11 +212,38 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
         if seen:
             yield from check_returns(lidar.name, seen)
             yield from check_noise(lidar.name, lidar.sensor, float(noise[i]))
+    told = list(_by_place(site, adjusted))
+    by_place = {link for link, _ in told}
     for link in find_links(adjusted):
         names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
-        if len(link.poles) > 1:
+        # Of poles that leave some of a pose to the place the note below says so.
+        if len(link.poles) > 1 and link.lidars not in by_place:
             yield from check_angles([poles[k].direction for k in link.poles], names)
+    yield from (reason for _, reason in told)
     yield from _doubtful(site, scans, adjusted)
+
+
+def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int], Reason]]:
+    """Say of which pairs the poles leave a part of the pose to the place."""
+    poles = adjusted.datum.poles
+    for each in adjusted.datum.hanging:
+        across = each.across(poles)
+        if len(across) > 1 and widest_angle([poles[k].direction for k in across]) >= MIN_ANGLE:
+            # With what other LiDARs see the poles tell all of it.
+            continue
+        hang = ", ".join(site.lidars[i].name for i in sorted(each.lidars))
+        link = "one pole links" if len(across) == 1 else f"{len(across)} poles, all parallel, link"
+        i, j = sorted((each.near, each.far))
+        yield (
+            (i, j),
+            Reason(
+                "by_place",
+                f"{link} {hang} to the others, by {each.names(site)}: a part of the pose is open, "
+                "which the place around gives; a second pole that leans by 15° or more against "
+                "the first checks it",
+                {"lidars": hang, "poles": len(across)},
+            ),
+        )
 
 
 def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
