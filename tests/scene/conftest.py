@@ -5,6 +5,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
+from retropole.simulation import SimulatedPair, simulate_pair
 from tests.site.conftest import (  # noqa: F401
     pair_site,
     pair_steps,
@@ -43,3 +44,9 @@ def views() -> tuple[PointCloud, PointCloud, Array]:
 def flipped(T: Array) -> Array:
     """Turn the source by half a turn about a vertical axis through the target."""
     return se3.from_rt(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ T
+
+
+@pytest.fixture(scope="session")
+def one_pole() -> SimulatedPair:
+    """A street with one pole."""
+    return simulate_pair("street", np.random.default_rng(1), poles=1)

@@ -1,0 +1,122 @@
+"""One pole that both LiDARs see: the place gives the rest of the pose, or there is no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.alignment.adjustment import PLACE_SIGMA
+from retropole.base import se3
+from retropole.base.datatypes import PoseEstimate
+from retropole.base.errors import Refusal
+from retropole.matching.placements import PairedPlacement
+from retropole.pipeline import calibrate
+from retropole.scene.by_place import HELD, check_held
+from retropole.scene.disambiguation import score_hypotheses
+from retropole.scene.refinement import refine
+from retropole.simulation import SimulatedPair, simulate_pair
+from tests.scene.test_one_pole import MOVED, assert_near, found_in, poses_in
+
+SCENES = {"corridor": 3, "street": 1, "harbor": 2}
+
+
+@pytest.fixture(scope="module", params=sorted(SCENES))
+def pair(request: pytest.FixtureRequest) -> SimulatedPair:
+    return simulate_pair(request.param, np.random.default_rng(SCENES[request.param]), poles=1)
+
+
+def test_one_pole_gives_the_truth_where_the_place_tells(pair: SimulatedPair) -> None:
+    answer = calibrate(pair.target, pair.source)
+    assert answer.status == "ok", answer.reasons
+    assert_near(answer.T_target_source, pair.T_target_source)
+    assert answer.covariance is not None
+    off = se3.local(answer.T_target_source, pair.T_target_source)
+    assert off @ np.linalg.solve(answer.covariance, off) < 22.5
+    assert [len(h.match.pairs) for h in answer.hypotheses[:1]] == [1]
+    (note,) = [note for note in answer.notes if note.code == "by_place"]
+    assert note.values["poles"] == 1
+    assert "nearly_parallel_poles" not in {each.code for each in answer.notes}
+
+
+def test_swapping_the_clouds_inverts_the_answer(pair: SimulatedPair) -> None:
+    there, back = calibrate(pair.target, pair.source), calibrate(pair.source, pair.target)
+    assert there.T_target_source is not None
+    assert_near(back.T_target_source, se3.inverse(there.T_target_source), 0.05, 0.02)
+
+
+def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
+    moved = calibrate(one_pole.target.transformed(MOVED), one_pole.source)
+    assert_near(moved.T_target_source, MOVED @ one_pole.T_target_source)
+    moved = calibrate(one_pole.target, one_pole.source.transformed(MOVED))
+    assert_near(moved.T_target_source, one_pole.T_target_source @ se3.inverse(MOVED))
+
+
+def test_bare_ground_gives_no_answer() -> None:
+    bare = simulate_pair("bare", np.random.default_rng(0), poles=1)
+    answer = calibrate(bare.target, bare.source)
+    assert answer.status == "refused"
+    assert answer.T_target_source is None
+
+
+def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer(
+    one_pole: SimulatedPair,
+) -> None:
+    """The place and its like, turned by half a turn about the pole, in both clouds."""
+    (pole,) = one_pole.poles
+    about = se3.from_rt(
+        se3.exp_so3(np.pi * pole.axis), pole.centre - se3.exp_so3(np.pi * pole.axis) @ pole.centre
+    )
+    clouds = []
+    for cloud, pose in (
+        (one_pole.target, one_pole.T_world_target),
+        (one_pole.source, one_pole.T_world_source),
+    ):
+        turn = se3.inverse(pose) @ about @ pose
+        number = np.tile(np.arange(len(cloud)), 2)
+        xyz = np.concatenate([cloud.xyz, se3.apply(turn, cloud.xyz)])
+        clouds.append(replace(cloud.select(number), xyz=xyz))
+    answer = calibrate(clouds[0], clouds[1])
+    assert answer.status == "refused"
+
+
+def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
+    other = simulate_pair("harbor", np.random.default_rng(2), poles=1)
+    assert calibrate(one_pole.target, other.source).status == "refused"
+
+
+def test_the_number_of_poles_that_was_asked_for_counts(one_pole: SimulatedPair) -> None:
+    assert calibrate(one_pole.target, one_pole.source, poles=1).status == "ok"
+    refused = calibrate(one_pole.target, one_pole.source, poles=2)
+    assert refused.status == "refused"
+    assert refused.reasons[0].code == "too_few_poles"
+
+
+def test_without_the_scene_two_poles_are_needed(one_pole: SimulatedPair) -> None:
+    refused = calibrate(one_pole.target, one_pole.source, scene=False)
+    assert refused.reasons[0].code == "too_few_poles"
+
+
+def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
+    one_pole: SimulatedPair,
+) -> None:
+    placement = found_in(one_pole)
+    scans = placement.target.cloud, placement.source.cloud
+    (hypothesis, *_) = score_hypotheses(*scans, poses_in(placement))
+    paired = [PairedPlacement(placement, hypothesis)]
+    with pytest.raises(Refusal, match="too few surfaces") as refused:
+        check_held(paired, None)
+    assert refused.value.code == "degenerate_poles"
+    T = hypothesis.match.T_target_source
+    refined = refine(*scans, PoseEstimate(T, np.diag(PLACE_SIGMA**2), 0.01))
+    check_held(paired, refined)
+    assert refined is not None
+    for k in range(6):
+        variance = np.diag(refined.pose.covariance).copy()
+        variance[k] = (1.1 * HELD * PLACE_SIGMA[k]) ** 2
+        loose = PoseEstimate(T, np.diag(variance), 0.01)
+        with pytest.raises(Refusal, match="hold the pose to"):
+            check_held(paired, replace(refined, pose=loose))
+    two = replace(hypothesis, match=replace(hypothesis.match, by_place=False))
+    check_held([PairedPlacement(placement, two)], None)
