@@ -126,7 +126,7 @@ def test_every_mark_is_read() -> None:
     marks = sum(page.read_text(encoding="utf-8").count("figures: python ") for page in pages)
     done = figures()
     assert done.returncode == 0, done.stderr
-    assert f"{marks} tables, " in done.stdout
+    assert f"{marks} marks, " in done.stdout
     scripts = set(re.findall(r"python (benchmarks/\w+\.py)", done.stdout))
     assert scripts
     assert all((ROOT / script).is_file() for script in scripts)

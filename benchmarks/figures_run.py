@@ -1,0 +1,115 @@
+"""Run the commands of the documents again, wholly or for some of their draws."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import random
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).resolve().parents[1]
+
+COUNTS = (
+    *("--seeds", "--runs", "--draws", "--sites", "--setups", "--scenes"),
+    *("--easy", "--hard", "--wrong", "--right"),
+)
+"""Options that say how many seeds a command draws, where they are followed by a number."""
+
+LEAST = 5
+"""Draws of each command: fewer hardly tell anything."""
+
+
+def draws(command: str) -> int:
+    """How many draws of each kind a command makes, at the least; 0 where it has no seeds."""
+    words = shlex.split(command)
+    numbers = []
+    for option, value in pairwise(words):
+        if option in COUNTS and value.isdigit():
+            numbers.append(int(value))
+        elif option == "--seeds":
+            numbers.append(len(range(*map(int, value.split(":")))))
+    return min(numbers, default=0)
+
+
+def one_draw(command: str, number: int) -> list[str]:
+    """Words of the same command for one of its draws alone."""
+    words = shlex.split(command)
+    for i, (option, value) in enumerate(pairwise(words), start=1):
+        if option in COUNTS and value.isdigit():
+            words[i] = "1"
+        elif option == "--seeds":
+            first, _, *step = map(int, value.split(":"))
+            seed = first + number * (step[0] if step else 1)
+            words[i] = f"{seed}:{seed + 1}"
+        elif option == "--first":
+            words[i] = str(int(value) + number)
+        elif option in ("--processes", "--jobs"):
+            words[i] = "1"
+        elif option == "--hopeless":
+            words[i] = "0"
+    return words
+
+
+def module_of(words: Sequence[str]) -> tuple[ModuleType, list[str]]:
+    """The module of a command, and the words that are its options."""
+    _, script, *rest = words
+    if script == "-m":
+        package, *rest = rest
+        folder, name = ROOT, f"{package}.__main__"
+    else:
+        path = ROOT / script
+        folder, name = path.parent, path.stem
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    return importlib.import_module(name), rest
+
+
+def printed(words: Sequence[str], data: Path | None = None) -> str:
+    """What a command prints, run in this process; the files that it writes are forgotten."""
+    module, rest = module_of(words)
+    if data is not None:
+        rest = [str(data.resolve()) if word == "data" else word for word in rest]
+    # A pool of processes would start anew for every draw.
+    if hasattr(module, "ProcessPoolExecutor"):
+        module.ProcessPoolExecutor = lambda *_, **__: ThreadPoolExecutor(1)
+    before, out = sys.argv, io.StringIO()
+    sys.argv = [words[1], *rest]
+    try:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(io.StringIO()),
+            contextlib.suppress(SystemExit),
+        ):
+            module.main()
+    finally:
+        sys.argv = before
+    return out.getvalue()
+
+
+def drawn(
+    command: str, share: float, seconds: float, data: Path | None, whole: Collection[str]
+) -> tuple[list[str], float]:
+    """What a share of the draws of a command print, one by one, and the seconds that it took."""
+    start = time.perf_counter()
+    runs = 0 if command in whole else draws(command)
+    if runs == 0:
+        texts = [printed(shlex.split(command), data)]
+    else:
+        count = min(runs, max(LEAST, round(share * runs)))
+        texts = []
+        for number in random.Random(command).sample(range(runs), count):
+            texts.append(printed(one_draw(command, number), data))
+            if time.perf_counter() - start > seconds:
+                break
+    return texts, time.perf_counter() - start
