@@ -366,9 +366,9 @@ def run(what: str, seed: int) -> Row | None:
 
 
 HEADER = (
-    "| sites | answered | beyond 1° or 0.15 m | refused | 95 % region holds: poses | pairs | median "
-    "χ² of a pose (5.3 is ideal) | median error at 30 m, mm | chained pairs: poses reached | median "
-    "of these, mm | of all, mm |"
+    "| sites | answered | beyond 1° or 0.15 m | refused | 95 % region holds: poses | pairs | "
+    "median χ² of a pose (5.3 is ideal) | median error at 30 m, mm | chained: poses reached | "
+    "median of these, mm | of all, mm |"
 )
 
 
