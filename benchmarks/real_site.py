@@ -4,8 +4,8 @@ Placements of poles are ray-cast into the recordings of the three LiDARs of one 
 all of them. The poles stand where the references say, or else (`--placed scene`) where the
 recordings themselves have the LiDARs, to which GICP registers the references first. Prints how the
 references and the scene differ, then a Markdown table, one line a seed, a line of all of them, and
-what each was warned of. `data` is the folder with the recordings. Seeds below 1000 are for tuning, those from 1000 on
-for figures to state.
+what each was warned of. `data` is the folder with the recordings. Seeds below 1000 are for tuning,
+those from 1000 on for figures to state.
 
     python benchmarks/real_site.py data --draws 20 --first 1000
 """
