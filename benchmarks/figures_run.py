@@ -28,12 +28,17 @@ LEAST = 5
 """Draws of each command: fewer hardly tell anything."""
 
 
+def is_count(option: str, value: str) -> bool:
+    """Whether a word says how many seeds an option draws: of none there is no share."""
+    return option in COUNTS and value.isdigit() and int(value) > 0
+
+
 def draws(command: str) -> int:
     """How many draws of each kind a command makes, at the least; 0 where it has no seeds."""
     words = shlex.split(command)
     numbers = []
     for option, value in pairwise(words):
-        if option in COUNTS and value.isdigit():
+        if is_count(option, value):
             numbers.append(int(value))
         elif option == "--seeds":
             numbers.append(len(range(*map(int, value.split(":")))))
@@ -44,7 +49,7 @@ def one_draw(command: str, number: int) -> list[str]:
     """Words of the same command for one of its draws alone."""
     words = shlex.split(command)
     for i, (option, value) in enumerate(pairwise(words), start=1):
-        if option in COUNTS and value.isdigit():
+        if is_count(option, value):
             words[i] = "1"
         elif option == "--seeds":
             first, _, *step = map(int, value.split(":"))
