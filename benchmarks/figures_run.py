@@ -6,15 +6,16 @@ import contextlib
 import importlib
 import io
 import random
+import runpy
 import shlex
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -64,30 +65,29 @@ def one_draw(command: str, number: int) -> list[str]:
     return words
 
 
-def module_of(words: Sequence[str]) -> tuple[ModuleType, list[str]]:
-    """The module of a command, and the words that are its options."""
-    _, script, *rest = words
-    if script == "-m":
-        package, *rest = rest
-        folder, name = ROOT, f"{package}.__main__"
-    else:
-        path = ROOT / script
-        folder, name = path.parent, path.stem
+def runnable(script: str) -> Callable[[], object]:
+    """What a script does, or a package after `-m`; what scripts import stays for the next draw."""
+    path, is_file = ROOT / script, script.endswith(".py")
+    if path.parent.name == "examples":
+        return partial(runpy.run_path, str(path), run_name="__main__")
+    folder, name = (path.parent, path.stem) if is_file else (ROOT, f"{script}.__main__")
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
-    return importlib.import_module(name), rest
+    module = importlib.import_module(name)
+    # A pool of processes would start anew for every draw.
+    if hasattr(module, "ProcessPoolExecutor"):
+        module.ProcessPoolExecutor = lambda *_, **__: ThreadPoolExecutor(1)
+    return module.main  # type: ignore[no-any-return]
 
 
 def printed(words: Sequence[str], data: Path | None = None) -> str:
     """What a command prints, run in this process; the files that it writes are forgotten."""
-    module, rest = module_of(words)
+    script, *rest = [word for word in words[1:] if word != "-m"]
+    run = runnable(script)
     if data is not None:
         rest = [str(data.resolve()) if word == "data" else word for word in rest]
-    # A pool of processes would start anew for every draw.
-    if hasattr(module, "ProcessPoolExecutor"):
-        module.ProcessPoolExecutor = lambda *_, **__: ThreadPoolExecutor(1)
     before, out = sys.argv, io.StringIO()
-    sys.argv = [words[1], *rest]
+    sys.argv = [script, *rest]
     try:
         with (
             tempfile.TemporaryDirectory() as folder,
@@ -96,7 +96,7 @@ def printed(words: Sequence[str], data: Path | None = None) -> str:
             contextlib.redirect_stderr(io.StringIO()),
             contextlib.suppress(SystemExit),
         ):
-            module.main()
+            run()
     finally:
         sys.argv = before
     return out.getvalue()
