@@ -39,7 +39,7 @@ TIME = re.compile(r"CPU|wall|peak|\bseconds\b|time|killed")
 """A column of what depends on the machine."""
 
 UNCOMPARED = re.compile(
-    r"mean|ratio|share of|score|by model|predicted|, %|σ of a check|memory|answers with it"
+    r"mean|ratio|share of|score|predicted|, %|σ of a check|memory|answers with it"
 )
 """Columns of what is neither count nor quantile."""
 
