@@ -57,7 +57,7 @@ COMPARED = ("slow", TIMES, WHOLE)
 """Words for which a table is compared, but on no day of its own."""
 
 SECONDS = 45.0
-"""After so long no further draw of a command is begun: all take ten minutes on two cores."""
+"""After so long no further draw of a command is begun."""
 
 
 def wanted(
