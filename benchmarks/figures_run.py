@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
+import importlib.util
 import io
 import random
 import runpy
@@ -70,9 +70,16 @@ def runnable(script: str) -> Callable[[], object]:
     path, is_file = ROOT / script, script.endswith(".py")
     if path.parent.name == "examples":
         return partial(runpy.run_path, str(path), run_name="__main__")
-    folder, name = (path.parent, path.stem) if is_file else (ROOT, f"{script}.__main__")
+    folder, name = (path.parent, f"run_{path.stem}") if is_file else (ROOT, f"{script}.__main__")
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
+    if is_file and name not in sys.modules:
+        # Not by its own name: Python has a `site` too.
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
     module = importlib.import_module(name)
     # A pool of processes would start anew for every draw.
     if hasattr(module, "ProcessPoolExecutor"):
