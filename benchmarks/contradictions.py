@@ -343,7 +343,8 @@ def table(rows: Sequence[Row]) -> None:
         words = ", ".join(f"`{code}` {count}" for code, count in said.most_common())
         print(
             f"| {WRONG.get(wrong, 'all of these')} | {len(own)} | {len(checked)} |"
-            f" {sum(row.named for row in checked)} | {lost} | {wider} | {sum(row.named for row in own if not row.checkable)} |"
+            f" {sum(row.named for row in checked)} | {lost} | {wider} |"
+            f" {sum(row.named for row in own if not row.checkable)} |"
             f" {sum(row.status == 'ok' for row in own)} | {sum(not row.right for row in own)} |"
             f" {sum(row.status == 'ok' and not row.right for row in own)} |"
             f" {sum(row.status == 'refused' for row in own)} | {words} |"
