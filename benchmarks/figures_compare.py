@@ -158,11 +158,13 @@ def compare(
     Returns
     -------
     list of Cell
-        The cells that could be compared; None where a text has no such table, or none its rows.
+        The cells that could be compared; None where a text has no such table, or all other rows.
     """
     found: list[Cell] = []
     fresh = [rows for text in texts if (rows := fresh_cells(said, text)) is not None]
-    if len(fresh) < len(texts) or not any(key in rows for key in keys(said) for rows in fresh):
+    printed = set().union(*fresh)
+    # A table without rows is one of which these draws have nothing.
+    if len(fresh) < len(texts) or (printed and printed.isdisjoint(keys(said))):
         return None
     for key, row in keys(said).items():
         drawn = [rows[key] for rows in fresh if key in rows]
