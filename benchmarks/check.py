@@ -320,7 +320,7 @@ def summary(rows: list[Row], wheres: list[str]) -> None:
             f"{turned.count('moved')} of {len(turned)}; moved by more than *same* was said within: "
             f"{len(less)} of {len(moved)}"
         )
-    print("\n| CPU seconds of a check | runs | median | largest |\n| --- | --- | --- | --- |")
+    print("\n| check | runs | CPU s, median | CPU s, largest |\n| --- | --- | --- | --- |")
     for where in (*wheres, "itself"):
         for words, gone in (("with poles", False), ("without", True)):
             cpu = [
@@ -372,7 +372,11 @@ def main() -> None:
 
     refused = Counter(r.where for r in rows if r.answer.status == "refused")
     print("not calibrated in the first place:", dict(refused))
-    groups = [*arguments.noise, "pandaset, stored with poles", "pandaset, stored with no poles"]
+    groups = [
+        *arguments.noise,
+        *(f"pandaset, stored with {what}" for what in ("poles", "no poles")),
+    ]
+    groups.append("pandaset")
     wheres = [f"{noise} {scene}" for noise in arguments.noise for scene in SCENES]
     table(rows, groups)
     table(rows, wheres)

@@ -62,19 +62,19 @@ SURVEYS = (
     Survey(placements=(0, 1)),
     Survey(points=5),
 )
-WRONG = (
-    "item",
-    "end",
-    "placement",
-    "mirrored",
-    "axes",
-    "unit",
-    "radius",
-    "lidar",
-    "pole",
-    "files",
-    "none",
-)
+WRONG = {
+    "item": "a surveyed point or pole off by 0.1 to 10 m",
+    "end": "one end of a surveyed pole, by up to 1 m",
+    "placement": "a surveyed pole in the wrong placement",
+    "mirrored": "survey, or a part of it, mirrored",
+    "axes": "x and y exchanged",
+    "unit": "in feet or millimetres",
+    "radius": "the diameter for the radius",
+    "lidar": "a LiDAR turned by 1 to 5° between placements",
+    "pole": "a pole bumped",
+    "files": "two recordings swapped",
+    "none": "nothing",
+}
 CODES = {
     "item": ("survey_unmet", "survey_outlier", "misfit"),
     "end": ("survey_unmet", "survey_outlier", "misfit"),
@@ -185,7 +185,7 @@ def _offset(rng: np.random.Generator, low: float, high: float) -> Array:
 def one(seed: int) -> Row | None:
     """Calibrate one site; None where it cannot be simulated."""
     rng = np.random.default_rng(seed)
-    wrong, kind = WRONG[seed % len(WRONG)], KINDS[int(rng.integers(len(KINDS)))]
+    wrong, kind = list(WRONG)[seed % len(WRONG)], KINDS[int(rng.integers(len(KINDS)))]
     survey: Survey | None = SURVEYS[int(rng.integers(len(SURVEYS)))]
     if wrong in ("end", "placement") and survey == SURVEYS[2]:
         survey = SURVEYS[0]
@@ -342,8 +342,9 @@ def table(rows: Sequence[Row]) -> None:
         said = Counter(code for row in own for code in {*row.codes} & {*CODES[row.wrong], *WIDER})
         words = ", ".join(f"`{code}` {count}" for code, count in said.most_common())
         print(
-            f"| {wrong} | {len(own)} | {len(checked)} | {sum(row.named for row in checked)} |"
-            f" {lost} | {wider} | {sum(row.named for row in own if not row.checkable)} |"
+            f"| {WRONG.get(wrong, 'all of these')} | {len(own)} | {len(checked)} |"
+            f" {sum(row.named for row in checked)} | {lost} | {wider} |"
+            f" {sum(row.named for row in own if not row.checkable)} |"
             f" {sum(row.status == 'ok' for row in own)} | {sum(not row.right for row in own)} |"
             f" {sum(row.status == 'ok' and not row.right for row in own)} |"
             f" {sum(row.status == 'refused' for row in own)} | {words} |"

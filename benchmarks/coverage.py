@@ -207,17 +207,17 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(run, jobs, chunksize=4):
             outcomes.setdefault(outcome.family, []).append(outcome)
-    print(
-        "| family | answered | poles: 95 % region | refined: 95 % region | median χ², poles | "
-        "refined | stated / actual at 30 m, poles | refined | median e_rt m, poles | refined | "
-        "off by > 0.3 m at 30 m |"
-    )
-    print("| --- " * 11 + "|")
+    head = ["family", "places", "sensors", "answered", "poles: 95 % region", "refined: 95 % region"]
+    for what in ("χ²", "stated / actual at 30 m", "e_rt m"):
+        head += [f"median {what}, {of}" for of in ("poles", "refined")]
+    head.append("off by > 0.3 m at 30 m")
+    print("| " + " | ".join(head) + " |\n" + "| --- " * len(head) + "|")
     limit = chi2.ppf(0.95, 6)
     for family, group in outcomes.items():
+        name = f"| {family} | {', '.join(arguments.scenes)} | {arguments.named} |"
         there = [o for o in group if np.isfinite(o.chi2[0])]
         if not there:
-            print(f"| {family} | 0 of {len(group)} |")
+            print(f"{name} 0 of {len(group)} |")
             continue
         cells = [f"{len(there)} of {len(group)}"]
         for values in (
@@ -228,7 +228,7 @@ def main() -> None:
         ):
             cells += values
         cells.append(str(sum(o.status != "refused" and o.actual[1] > 0.3 for o in there)))
-        print(f"| {family} | " + " | ".join(cells) + " |", flush=True)
+        print(f"{name} " + " | ".join(cells) + " |", flush=True)
     codes = Counter(code for group in outcomes.values() for o in group for code in o.codes)
     print("\n" + ", ".join(f"{code} {count}" for code, count in codes.most_common()))
     if arguments.verbose:

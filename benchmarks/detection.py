@@ -113,10 +113,10 @@ def run(job: Job) -> list[Outcome]:
     return outcomes
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(clouds: str, outcomes: Sequence[Outcome]) -> str:
     lines = [
-        "| scene | sensor | scans | poles seen | recall | precision | scans with a false pole "
-        "| angle, median / 95 % | to the axis, median | time, median / most |",
+        "| scene | sensor | clouds | scans | poles seen | found | false | angle, median / 95 % | "
+        "to the axis, median | time, median / most |",
         "| --- |" + " --- |" * 9,
     ]
     keys = sorted({(o.scene, o.sensor) for o in outcomes})
@@ -129,11 +129,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
         seconds = [1000 * o.seconds for o in group]
         cells = [
             *key,
-            str(len(group)),
-            str(visible),
-            f"{found / max(visible, 1):.2%}",
-            f"{found / max(found + false, 1):.2%}",
-            f"{sum(o.score.false > 0 for o in group) / len(group):.2%}",
+            clouds,
+            *map(str, (len(group), visible, found, false)),
             f"{np.median(angles):.2f}° / {np.quantile(angles, 0.95):.2f}°" if found else "–",
             f"{np.median(offsets):.1f} mm" if found else "–",
             f"{np.median(seconds):.0f} / {max(seconds):.0f} ms",
@@ -312,7 +309,8 @@ def main() -> None:
         for o in outcomes:
             for fault in o.score.faults:
                 print(f"{o.name}: {fault}")
-    print(table(outcomes))
+    clouds = "transformed, rings and origin forgotten" if arguments.moved else "as recorded"
+    print(table(clouds, outcomes))
 
 
 if __name__ == "__main__":

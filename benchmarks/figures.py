@@ -7,7 +7,15 @@ run, and the commit:
     | ... |
     <!-- end of figures -->
 
-Words after the commit say why a table is not compared; `slow`, that no part of a day has it.
+Where several commands make the rows of a table, each has a comment of its own, and is held against
+the rows that it prints. Words after the commit say why a table is not compared, but for three:
+
+- `slow`: no part of a day has it;
+- `times`: nor this. Its times are named only where a fresh one is more than three times as long or
+  less than a third, of a largest only where it is longer: they are of another machine;
+- `whole`: nor this. A share of its runs would say nothing, so all are run, and every cell must have
+  the same digits. So it is without the word where a command has no seeds.
+
 Without options this lists the tables.
 
     python benchmarks/figures.py
@@ -31,148 +39,25 @@ runs end otherwise than on that day, and the page is of another version, or anot
 from __future__ import annotations
 
 import argparse
-import contextlib
-import importlib
-import io
-import random
-import re
 import shlex
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
-from datetime import date
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from figures_compare import Cell, Table, compare, fresh_cells, keys, tables
+from figures_compare import Cell, compare
+from figures_marks import Stated, rewrite, stated
+from figures_run import ROOT, drawn, draws
 
-ROOT = Path(__file__).resolve().parents[1]
-
-MARKED = re.compile(
-    r"<!-- figures: (?P<command>.+?) · (?P<day>\d{4}-\d\d-\d\d) · (?P<commit>\w+)"
-    r"(?: · (?P<why>.+?))? -->\n(?P<table>(?:\|.*\n)+)<!-- end of figures -->"
-)
-COUNTS = (
-    *("--seeds", "--runs", "--draws", "--sites", "--setups", "--scenes"),
-    *("--easy", "--hard", "--wrong", "--right"),
-)
-"""Options that say how many seeds a command draws, where they are followed by a number."""
-
-SLOW = "slow"
-"""Why a table is compared, but on no day of its own."""
-
-LEAST = 5
-"""Draws of each command: fewer hardly tell anything."""
+WHOLE, TIMES = "whole", "times"
+COMPARED = ("slow", TIMES, WHOLE)
+"""Words for which a table is compared, but on no day of its own."""
 
 SECONDS = 45.0
-"""After so long no further draw of a command is begun: all take ten minutes on two cores."""
-
-
-@dataclass(frozen=True)
-class Stated:
-    """A table of a page: where it stands, what printed it and when; why it is not compared."""
-
-    page: str
-    line: int
-    command: str
-    day: str
-    commit: str
-    why: str
-    table: Table
-
-
-def stated(root: Path) -> list[Stated]:
-    """All marked tables of the documents, in their order."""
-    found = []
-    for path in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
-        text = path.read_text(encoding="utf-8")
-        for match in MARKED.finditer(text):
-            found.append(
-                Stated(
-                    str(path.relative_to(root)),
-                    text.count("\n", 0, match.start()) + 1,
-                    match["command"],
-                    match["day"],
-                    match["commit"],
-                    match["why"] or "",
-                    tables(match["table"])[0],
-                )
-            )
-    return found
-
-
-def draws(command: str) -> int:
-    """How many draws of each kind a command makes, at the least; 0 where it has no seeds."""
-    words = shlex.split(command)
-    numbers = []
-    for option, value in pairwise(words):
-        if option in COUNTS and value.isdigit():
-            numbers.append(int(value))
-        elif option == "--seeds":
-            numbers.append(len(range(*map(int, value.split(":")))))
-    return min(numbers, default=0)
-
-
-def one_draw(command: str, number: int) -> list[str]:
-    """Words of the same command for one of its draws alone."""
-    words = shlex.split(command)
-    for i, (option, value) in enumerate(pairwise(words), start=1):
-        if option in COUNTS and value.isdigit():
-            words[i] = "1"
-        elif option == "--seeds":
-            first, _, *step = map(int, value.split(":"))
-            seed = first + number * (step[0] if step else 1)
-            words[i] = f"{seed}:{seed + 1}"
-        elif option == "--first":
-            words[i] = str(int(value) + number)
-        elif option in ("--processes", "--jobs"):
-            words[i] = "1"
-        elif option == "--hopeless":
-            words[i] = "0"
-    return words
-
-
-def printed(words: Sequence[str], data: Path | None = None) -> str:
-    """What a command prints, run in this process."""
-    _, script, *rest = words
-    if data is not None:
-        rest = [str(data) if word == "data" else word for word in rest]
-    module = importlib.import_module(Path(script).stem)
-    # A pool of processes would start anew for every draw.
-    if hasattr(module, "ProcessPoolExecutor"):
-        module.ProcessPoolExecutor = lambda *_, **__: ThreadPoolExecutor(1)
-    before, out = sys.argv, io.StringIO()
-    sys.argv = [script, *rest]
-    try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-            module.main()
-    finally:
-        sys.argv = before
-    return out.getvalue()
-
-
-def drawn(
-    command: str, share: float, seconds: float, data: Path | None = None
-) -> tuple[list[str], float]:
-    """What a share of the draws of a command print, one by one, and the seconds that it took."""
-    start = time.perf_counter()
-    runs = draws(command)
-    if runs == 0:
-        texts = [printed(shlex.split(command), data)]
-    else:
-        count = min(runs, max(LEAST, round(share * runs)))
-        texts = []
-        for number in random.Random(command).sample(range(runs), count):
-            texts.append(printed(one_draw(command, number), data))
-            if time.perf_counter() - start > seconds:
-                break
-    return texts, time.perf_counter() - start
+"""After so long no further draw of a command is begun."""
 
 
 def wanted(
@@ -181,7 +66,7 @@ def wanted(
     """The tables that can be compared, by their commands; without data not those of recordings."""
     chosen: dict[str, list[Stated]] = {}
     for one in found:
-        able = not one.why or (slow and one.why == SLOW)
+        able = not one.why or (slow and one.why in COMPARED)
         able = able and (data is not None or "data" not in shlex.split(one.command))
         if able and (only in one.page or only in one.command):
             chosen.setdefault(one.command, []).append(one)
@@ -206,13 +91,14 @@ def differences(
 
 
 def say(found: Sequence[Stated]) -> None:
-    """List the tables and their commands."""
+    """List the commands and their tables."""
     for one in found:
         print(f"{one.page}:{one.line}  {one.command}  ({one.day}, {one.commit})")
         if one.why:
-            print(f"    {one.why}" if one.why == SLOW else f"    not compared: {one.why}")
-    left = sum(one.why not in ("", SLOW) for one in found)
-    print(f"{len(found)} tables, {len(found) - left} of them compared")
+            print(f"    {one.why}" if one.why in COMPARED else f"    not compared: {one.why}")
+    every = {(one.page, one.first) for one in found}
+    compared = {(one.page, one.first) for one in found if one.why in ("", *COMPARED)}
+    print(f"{len(found)} marks, {len(every)} tables, {len(compared)} of them compared")
 
 
 def two_at_a_time(
@@ -231,13 +117,15 @@ def check(
 ) -> int:
     """Run the commands again, and print what differs; return the exit code."""
     compared, broken = [], 0
-    run = partial(drawn, share=share, seconds=seconds, data=data)
+    whole = {command for command, own in chosen.items() if any(o.why == WHOLE for o in own)}
+    run = partial(drawn, share=share, seconds=seconds, data=data, whole=whole)
     for (command, own), (texts, took) in zip(
         chosen.items(), two_at_a_time(run, chosen), strict=True
     ):
         print(f"{command}: {len(texts)} draws, {took:.0f} s", flush=True)
         for one in own:
-            cells = compare(one.table, texts, draws(command))
+            runs = 0 if command in whole else draws(command)
+            cells = compare(one.table, texts, runs, is_shared=one.is_shared, times=one.why == TIMES)
             if cells is None:
                 broken += 1
                 print(f"    {one.page}:{one.line}: no such table is printed")
@@ -254,45 +142,6 @@ def check(
             )
     print(f"{sum(len(cells) for _, cells in compared)} figures, {len(differ)} differ")
     return int(bool(differ) or bool(broken))
-
-
-def rewrite(root: Path, chosen: dict[str, list[Stated]], data: Path | None) -> None:
-    """Run whole commands, and put what they print in the place of the tables.
-
-    A page keeps its columns and its rows; what it does not show is left out.
-    """
-    git = ["git", "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(git, cwd=root, capture_output=True, text=True, check=True).stdout
-    for command, own in chosen.items():
-        text = printed(shlex.split(command), data)
-        for one in own:
-            fresh = fresh_cells(one.table, text, kept=True)
-            if fresh is None:
-                raise SystemExit(f"{command} prints no such table as {one.page}:{one.line}")
-            path = root / one.page
-            page = "".join(replaced(path.read_text(encoding="utf-8"), one, fresh, commit.strip()))
-            path.write_text(page, encoding="utf-8")
-            print(f"{one.page}:{one.line}: written")
-
-
-def replaced(
-    text: str, one: Stated, fresh: dict[tuple[str, ...], tuple[str, ...]], commit: str
-) -> Iterator[str]:
-    """A page with the fresh rows in the place of those of a table."""
-    match = next(m for m in MARKED.finditer(text) if text.count("\n", 0, m.start()) + 1 == one.line)
-    lines = match["table"].splitlines(keepends=True)
-    yield text[: match.start()]
-    why = f" · {one.why}" if one.why else ""
-    yield f"<!-- figures: {one.command} · {date.today()} · {commit}{why} -->\n"
-    yield from lines[:2]
-    for key, line in zip(keys(one.table), lines[2:], strict=True):
-        if key not in fresh:
-            raise SystemExit(f"{one.command} prints no row {', '.join(key)}")
-        # The cells that name a row keep their emphasis.
-        kept = line.strip().strip("|").split("|")[: len(key)]
-        yield "| " + " | ".join([*map(str.strip, kept), *fresh[key][len(key) :]]) + " |\n"
-    yield "<!-- end of figures -->"
-    yield text[match.end() :]
 
 
 def main() -> None:

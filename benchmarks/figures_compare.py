@@ -7,9 +7,10 @@ errors is assumed:
 - a count of n, or a share of n runs: Fisher's exact test against the count of the fresh runs;
 - a median, a 95 % quantile, the largest or the least of n values: how many fresh values lie below
   it is beta-binomial, whatever the values' distribution;
-- a table without seeds: the same digits.
+- a table without seeds: the same digits;
+- a time, where it is asked for: within a factor of three.
 
-What is none of these (a time, a mean, a range, words) is not compared.
+What is none of these (a mean, a range, words) is not compared.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import NamedTuple
 
 from scipy.stats import betabinom, fisher_exact
 
 OF = re.compile(r"(\d+)(?: of |/)(\d+)\b")
-SHARE = re.compile(r"(\d+(?:\.\d+)?) ?%")
+SHARE = re.compile(r"(\d+(?:\.\d+)?) ?%(?! of \d)")
+"""That of several things of one run is no count of runs: they hang together."""
+FIGURE = re.compile(r"\d+(?:\.\d+)?")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?: [a-zµ°]+)?$|inf$")
 CODES = re.compile(r"([A-Za-z_][^,]*) (\d+)(?:, |$)")
 RUNS = re.compile(
@@ -31,11 +35,16 @@ RUNS = re.compile(
 )
 """A column that says how many runs a row has."""
 
+TIME = re.compile(r"CPU|wall|peak|\bseconds\b|time|killed")
+"""A column of what depends on the machine."""
+
 UNCOMPARED = re.compile(
-    r"CPU|wall|peak|\bseconds\b|time|mean|ratio|share of|score|by model|predicted|, %|σ of a check"
-    r"|answers with it"
+    r"mean|ratio|share of|score|predicted|, %|σ of a check|memory|answers with it"
 )
-"""Columns of what depends on the machine, or is neither count nor quantile."""
+"""Columns of what is neither count nor quantile."""
+
+FACTOR = 3.0
+"""A time that differs by more is named."""
 
 QUANTILES = {
     "median": 0.5,
@@ -123,7 +132,14 @@ def fresh_cells(
     return None
 
 
-def compare(said: Table, texts: Sequence[str], runs: int) -> list[Cell] | None:
+def compare(
+    said: Table,
+    texts: Sequence[str],
+    runs: int,
+    *,
+    is_shared: bool = False,
+    times: bool = False,
+) -> list[Cell] | None:
     """Compare the cells of a page's table with fresh runs.
 
     Parameters
@@ -134,19 +150,27 @@ def compare(said: Table, texts: Sequence[str], runs: int) -> list[Cell] | None:
         What the command printed for one draw each; for all that the page states if `runs` is 0.
     runs
         How many draws the page's command has; 0 for a command without seeds.
+    is_shared
+        Whether another command prints the rows that this does not.
+    times
+        Whether times are compared as well.
 
     Returns
     -------
     list of Cell
-        The cells that could be compared; None where a text has no such table, or none its rows.
+        The cells that could be compared; None where a text has no such table, or all other rows.
     """
     found: list[Cell] = []
     fresh = [rows for text in texts if (rows := fresh_cells(said, text)) is not None]
-    if len(fresh) < len(texts) or not any(key in rows for key in keys(said) for rows in fresh):
+    printed = set().union(*fresh)
+    # A table without rows is one of which these draws have nothing.
+    if len(fresh) < len(texts) or (printed and printed.isdisjoint(keys(said))):
         return None
     for key, row in keys(said).items():
         drawn = [rows[key] for rows in fresh if key in rows]
-        if runs == 0:
+        if times and drawn:
+            found += by_time(said.head, key, row, drawn)
+        if runs == 0 and (drawn or not is_shared):
             found += exactly(said.head, key, row, drawn)
         # A row that sums up others says nothing that they do not.
         elif drawn and not key[0].startswith("all"):
@@ -160,7 +184,25 @@ def exactly(
     """Hold each cell against the same digits."""
     fresh = drawn[0] if drawn else ("no such row",) * len(row)
     for column, said, measured in list(zip(head, row, fresh, strict=True))[len(key) :]:
-        yield Cell(", ".join(key), column, said, measured, float(said == measured))
+        if not TIME.search(column):
+            yield Cell(", ".join(key), column, said, measured, float(said == measured))
+
+
+def by_time(
+    head: Sequence[str], key: Sequence[str], row: Sequence[str], drawn: Sequence[Sequence[str]]
+) -> Iterator[Cell]:
+    """Hold the times of a row against the median of those of single draws."""
+    for i in range(len(key), len(head)):
+        if not TIME.search(head[i]):
+            continue
+        # The largest of few is less than that of many.
+        least = 0.0 if quantile_of(head[i], None) == 1.0 else 1.0 / FACTOR
+        fresh = [float(found[0]) for other in drawn if (found := FIGURE.match(other[i]))]
+        if fresh and (stated := FIGURE.match(row[i])):
+            ratio = median(fresh) / float(stated[0])
+            shown = f"{median(fresh):g}"
+            alike = float(least <= ratio <= FACTOR)
+            yield Cell(", ".join(key), head[i], row[i], shown, alike)
 
 
 def by_chance(
@@ -175,7 +217,7 @@ def by_chance(
     quantile = quantile_of(", ".join(key), None)
     for i in range(len(key), len(head)):
         quantile = quantile_of(head[i], quantile)
-        if i in counted or UNCOMPARED.search(head[i]):
+        if i in counted or TIME.search(head[i]) or UNCOMPARED.search(head[i]):
             continue
         before = [k for k in counted if k < i] or [k for k in range(i) if OF.match(row[k])]
         # Without a column that says of how many runs a row is, it is of all.

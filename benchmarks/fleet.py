@@ -134,9 +134,15 @@ def run_here(pairs: Path, out: Path, workers: int) -> float:
     return seconds
 
 
+SPEED = (
+    "| workers | pairs | pairs per wall second | of each pair: seconds of calibration | wall ms of "
+    "hashing and writing rows | wall ms between |"
+)
+
+
 def speed(pairs: Path, folder: Path) -> None:
     """Compare one worker with two."""
-    rates = []
+    rows = []
     for workers in (1, 2):
         out = folder / f"out-{workers}"
         run_here(pairs, out, workers)
@@ -145,17 +151,13 @@ def speed(pairs: Path, folder: Path) -> None:
         span = max(end for _, end in times) - min(start for start, _ in times)
         steps = sum(step.seconds for run in runs for step in run.steps)
         inside = sum(run.seconds for run in runs)
-        rates.append(len(runs) / span)
-        print(
-            f"  {rates[-1]:.2f} pairs/s; for each pair {steps / len(runs):.3f} s of calibration, "
-            f"{1e3 * (inside - steps) / len(runs):.1f} ms of hashing and writing rows, "
-            f"{1e3 * (workers * span - inside) / len(runs):.1f} ms between"
+        rows.append(
+            f"| {workers} | {len(runs)} | {len(runs) / span:.2f} | {steps / len(runs):.3f} | "
+            f"{1e3 * (inside - steps) / len(runs):.1f} | "
+            f"{1e3 * (workers * span - inside) / len(runs):.1f} |"
         )
-        if workers == 1:
-            print(f"overhead for each pair: {1e3 * (span - steps) / len(runs):.1f} ms")
     same = bytes_of(folder / "out-1") == bytes_of(folder / "out-2")
-    print(f"two workers against one: {rates[1] / rates[0]:.2f} times the throughput")
-    print(f"same bytes: {same}")
+    print(f"same bytes: {same}\n\n{SPEED}\n" + "| --- " * 6 + "|", *rows, sep="\n")
 
 
 class OwnCluster:
@@ -234,14 +236,21 @@ def kills(pairs: Path, folder: Path, count: int, seed: int) -> None:
         run.kill()
         cluster.end()
     print(f"with kills: exit {run.returncode}, {time.perf_counter() - start:.1f} s")
-    print(f"  killed: {done}; processes started again: {cluster.started}")
+    print(f"  processes started again: {cluster.started}")
     again = sum(run.attempts > 1 for run in runs_of(out))
     print(f"  pairs of which the process died, and that were tried again: {again}")
-    print(f"same bytes: {bytes_of(out) == bytes_of(folder / 'calm')}")
+    same = bytes_of(out) == bytes_of(folder / "calm")
     times = [path.stat().st_mtime_ns for path in sorted(out.rglob("*.parquet"))]
     run_here(pairs, out, 2)
-    same = times == [path.stat().st_mtime_ns for path in sorted(out.rglob("*.parquet"))]
-    print(f"a further run writes nothing: {same}")
+    nothing = times == [path.stat().st_mtime_ns for path in sorted(out.rglob("*.parquet"))]
+    print("\n| pairs | kills | seed | killed | the same bytes | a further run writes nothing |")
+    print("| --- " * 6 + "|")
+    killed = ", ".join(f"{name} {number}" for name, number in done.items())
+    print(f"| {len(runs_of(out))} | {count} | {seed} | {killed} | {said(same)} | {said(nothing)} |")
+
+
+def said(holds: bool) -> str:
+    return "yes" if holds else "no"
 
 
 def main() -> None:

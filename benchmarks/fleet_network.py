@@ -27,6 +27,7 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -165,6 +166,36 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
     )
 
 
+HEADER = (
+    *("S", "LiDARs", "edges", "cities", "CPU s, median", "CPU s, largest", "memory GiB"),
+    *("rounds: median", "largest", "coverage of poses: median", "least", "largest"),
+    *("of relative poses: median", "least", "largest"),
+    *("named of detectable", "left out themselves", "sound edges lost"),
+)
+
+
+def summary(rows: Sequence[Row], shared: float) -> list[str]:
+    """Give what came of all cities, as the cells of a row."""
+    cpu, rounds = [row.cpu for row in rows], [row.rounds for row in rows]
+    detectable = sum(row.detectable for row in rows)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    covered = []
+    for some in ([row.poses for row in rows], [row.relative for row in rows]):
+        covered += [f"{value:.3f}" for value in (np.median(some), min(some), max(some))]
+    return [
+        f"{shared:g}",
+        str(rows[0].nodes),
+        f"{np.median([row.edges for row in rows]):.0f}",
+        str(len(rows)),
+        *(f"{np.median(cpu):.1f}", f"{max(cpu):.1f}", f"{memory:.2f}"),
+        *(f"{np.median(rounds):g}", str(max(rounds))),
+        *covered,
+        f"{sum(row.named for row in rows)} of {detectable}",
+        f"{sum(row.left_out for row in rows)} of {detectable}",
+        f"{sum(row.good_lost for row in rows)} of {sum(row.good for row in rows)}",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--nodes", type=int, default=10_000)
@@ -188,21 +219,8 @@ def main() -> None:
         )
         if row.missed:
             print("   not named:", ", ".join(f"χ² {each:.1f}" for each in row.missed))
-    detectable, good = sum(row.detectable for row in rows), sum(row.good for row in rows)
-    left_out, named = sum(row.left_out for row in rows), sum(row.named for row in rows)
-    lost = sum(row.good_lost for row in rows)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    poses = 100 * np.mean([row.poses for row in rows])
-    relative = 100 * np.mean([row.relative for row in rows])
-    print(
-        f"all: coverage of poses {poses:.1f} %, of relative poses {relative:.1f} %; "
-        f"of {detectable} detectable {100 * left_out / detectable:.2f} % left out, "
-        f"{100 * named / detectable:.2f} % named; "
-        f"of {good} sound ones {100 * lost / good:.4f} % lost; "
-        f"CPU median {np.median([row.cpu for row in rows]):.1f} s, "
-        f"at most {max(row.cpu for row in rows):.1f} s, "
-        f"{max(row.wall for row in rows):.1f} s on the clock; peak {memory:.2f} GiB"
-    )
+    print("\n| " + " | ".join(HEADER) + " |\n" + "| --- " * len(HEADER) + "|")
+    print("| " + " | ".join(summary(rows, options.shared)) + " |")
 
 
 if __name__ == "__main__":

@@ -182,8 +182,10 @@ def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
 def compare_frames(answers: Answers) -> None:
     """Print how far frames of the standing vehicle are apart, in units of what is stated."""
     frames = [each for each in answers.items() if each[0][0].startswith("pandaset")]
-    print("\n| poles stand | pairs of answers | apart, by the random parts | largest | by both |")
-    print("| --- " * 5 + "|")
+    print(
+        "\n| poles stand | pairs of answers | apart by the random parts: median | largest | "
+        "by both: median |\n" + "| --- " * 5 + "|"
+    )
     for where, elsewhere in (("in the same places", False), ("elsewhere", True)):
         random, whole = [], []
         for ((name, seed), a), ((other, other_seed), b) in combinations(frames, 2):

@@ -3,9 +3,9 @@
 Placements of poles are ray-cast into the recordings of the three LiDARs of one vehicle. All see
 all of them. The poles stand where the references say, or else (`--placed scene`) where the
 recordings themselves have the LiDARs, to which GICP registers the references first. Prints how the
-references and the scene differ, then a Markdown table, one line a seed, and what each was warned
-of. `data` is the folder with the recordings. Seeds below 1000 are for tuning, those from 1000 on
-for figures to state.
+references and the scene differ, then a Markdown table, one line a seed, a line of all of them, and
+what each was warned of. `data` is the folder with the recordings. Seeds below 1000 are for tuning,
+those from 1000 on for figures to state.
 
     python benchmarks/real_site.py data --draws 20 --first 1000
 """
@@ -195,33 +195,33 @@ def row(one: Outcome) -> str:
     return "| " + " | ".join([*cells, ", ".join(one.codes)]) + " |"
 
 
-def summary(outcomes: Sequence[Outcome]) -> list[str]:
-    """Count what was answered, closed, held and wrong."""
+HEADER = (
+    *("poles placed by", "answered", "beyond 1° or 0.15 m", "left °, median", "left mm, median"),
+    *("right °, median", "right mm, median", "loop: χ², median (6 to expect)", "within 5 %", "1 %"),
+    *("0.001 %", "by poles alone: χ², median", "95 % region has the placing poses: alone"),
+    *("with the references'", "warned of"),
+)
+
+
+def summary(placed: str, outcomes: Sequence[Outcome]) -> list[str]:
+    """Count what was answered, closed, held and wrong, as the cells of a row."""
     drawn = [one for one in outcomes if one.status != "no place"]
     answered = [one for one in drawn if one.off]
-    closing = [one.loop for one in answered if np.isfinite(one.loop[4])]
-    squares = np.array([one.squares for one in answered]).reshape(-1, 2)
-    held = (squares < chi2.ppf(0.95, 12)).sum(axis=0)
     wrong = sum(any(d > WRONG_DEG or mm > 1e3 * WRONG_M for d, mm in one.off) for one in answered)
-    codes = Counter(code for one in drawn for code in one.codes)
-    said = ", ".join(f"{code} {n}" for code, n in codes.most_common())
-    lines = [
-        f"- {len(answered)} of {len(drawn)} answered, {wrong} wrong; {said or 'nothing warned of'}"
-    ]
-    if closing:
-        chi2s = np.array([each[2] for each in closing])
-        within = [sum(each[4] > least for each in closing) for least in (0.05, 0.01, 1e-5)]
-        lines.append(
-            f"- loops: median χ² {np.median(chi2s):.1f}, mean {chi2s.mean():.1f} (6 to expect); "
-            f"probability above 5 % in {within[0]}, above 1 % in {within[1]}, above 0.001 % in "
-            f"{within[2]} of {len(closing)}; by poles alone: median χ² "
-            f"{np.nanmedian([one.by_poles for one in answered]):.1f}"
-        )
-        lines.append(
-            f"- 95 % region of both poses together: holds where the poles were placed by in "
-            f"{held[0]} of {len(answered)}, with the references' uncertainty in {held[1]}"
-        )
-    return lines
+    cells = [f"the {placed}", f"{len(answered)} of {len(drawn)}", str(wrong)]
+    if answered:
+        off = np.array([one.off for one in answered])
+        cells += [f"{x:.{2 - 2 * k}f}" for one in np.median(off, axis=0) for k, x in enumerate(one)]
+        loops = np.array([one.loop for one in answered])
+        cells.append(f"{np.nanmedian(loops[:, 2]):.1f}")
+        closing = int(np.isfinite(loops[:, 4]).sum())
+        cells += [f"{(loops[:, 4] > least).sum()} of {closing}" for least in (0.05, 0.01, 1e-5)]
+        cells.append(f"{np.nanmedian([one.by_poles for one in answered]):.1f}")
+        held = (np.array([one.squares for one in answered]) < chi2.ppf(0.95, 12)).sum(axis=0)
+        cells += [f"{count} of {len(answered)}" for count in held]
+        codes = Counter(code for one in drawn for code in one.codes)
+        cells.append(", ".join(f"{code} {n}" for code, n in codes.most_common()))
+    return cells
 
 
 def main() -> None:
@@ -253,7 +253,8 @@ def main() -> None:
     columns += ["left", "right", "distance, alone", "with the references'", "reasons"]
     print("| " + " | ".join(columns) + " |\n" + "| --- " * len(columns) + "|")
     print("\n".join(map(row, outcomes)))
-    print("\n".join(["", *summary(outcomes), ""]))
+    print("\n| " + " | ".join(HEADER) + " |\n" + "| --- " * len(HEADER) + "|")
+    print("| " + " | ".join(summary(arguments.placed, outcomes)) + " |\n")
     for one in outcomes:
         for code, message in zip(one.codes, one.messages, strict=False):
             print(f"{one.seed}: {code}: {message}")

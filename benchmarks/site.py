@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -364,85 +365,57 @@ def run(what: str, seed: int) -> Row | None:
         return Row(seed, f"not simulated: {error}", "none")
 
 
-def report(rows: list[Row]) -> None:
-    """Print what came of all."""
-    rows = [row for row in rows if row.status != "none"]
-    answered = [row for row in rows if row.status in ("ok", "warn")]
-    wrong = [row for row in answered if not row.right]
-    count = len(rows)
-    print(f"\n{count} sites, {len(answered)} answered, {len(wrong)} beyond 1° or 0.15 m")
-    codes = sorted({code for row in rows for code in row.codes})
-    for code in codes:
-        found = [row for row in rows if code in row.codes]
-        refused = sum(row.status == "refused" for row in found)
-        print(f"  {code}: {len(found)}, {refused} of them refused")
-    if any(row.named for row in rows):
-        for blunder in (*BLUNDERS, "slide"):
-            some = [row for row in rows if f": {blunder}" in row.words]
-            if not some:
-                continue
-            named = sum(row.named for row in some)
-            absorbed = [row for row in some if row.status == "ok"]
-            once = sum(row.seen_once for row in absorbed)
-            print(
-                f"  {blunder}: named {named} of {len(some)}, under ok {len(absorbed)}, of which "
-                f"{once} at one place alone for all LiDARs that found it"
-            )
-    families = dict.fromkeys(row.family for row in rows if row.family)
-    if families:
-        print(FAMILY_HEADER + "\n|" + " --- |" * (FAMILY_HEADER.count("|") - 1))
-    for family in families:
-        report_family([row for row in rows if row.family == family])
-    if not answered:
-        return
-    poses = np.concatenate([row.poses for row in answered])
-    pairs = np.concatenate([row.pairs for row in answered])
-    errors = np.concatenate([row.errors for row in answered])
-    print(
-        f"95 % regions hold the truth: poses {np.mean(poses < CHI2_95):.1%} of {len(poses)}, pairs "
-        f"{np.mean(pairs < CHI2_95):.1%} of {len(pairs)}; median d² {np.median(poses):.1f} (5.3 is "
-        "ideal)"
-    )
-    print(f"error at {AT:g} m: median {1000 * np.median(errors):.1f} mm")
-    alike = [row for row in answered if row.chained]
-    if alike:
-        ours = np.concatenate([row.errors for row in alike])
-        chain = np.concatenate([row.chained for row in alike])
-        share = np.median(ours) / np.median(chain)
-        every = np.r_[chain, np.full(len(ours) - len(chain), np.inf)]
-        print(
-            f"chained pairs: median {1000 * np.median(chain):.1f} mm ({len(chain)} of {len(ours)} "
-            f"poses); ours is {share:.2f} of it, {np.median(ours) / np.median(every):.2f} of it "
-            "where a pose that no chain reaches counts as farther off than any"
-        )
-    print(
-        f"largest w {max(row.w for row in answered):.1f}; least probability of a loop "
-        f"{min(row.loop for row in answered):.1e}; seconds: median "
-        f"{np.median([row.seconds for row in answered]):.1f}, most "
-        f"{max(row.seconds for row in answered):.1f}; {max(row.gigabytes for row in rows):.2f} GiB"
-    )
-
-
-FAMILY_HEADER = (
-    "| family | answered | beyond 1° or 0.15 m | 95 % region holds: poses | pairs | median χ² of a "
-    "pose (5.3 is ideal) | median error at 30 m, mm |"
+HEADER = (
+    "| kind | answered | beyond 1° or 0.15 m | refused | 95 % region holds: poses | relative | "
+    "median χ² of a pose (5.3 is ideal) | median error at 30 m, mm | chained: poses reached | "
+    "median of these, mm | of all, mm |"
 )
 
 
-def report_family(rows: list[Row]) -> None:
-    """Print what came of one family of errors, as a row of a table."""
+def counted(rows: list[Row], status: str) -> str:
+    """Say of which codes the rows of a verdict are, and how many have each."""
+    found = Counter(code for row in rows if row.status == status for code in set(row.codes))
+    return ", ".join(f"{code} {count}" for code, count in found.most_common())
+
+
+def report(name: str, rows: list[Row]) -> None:
+    """Print what came of some sites, as a row of a table."""
     answered = [row for row in rows if row.status in ("ok", "warn")]
     wrong = sum(not row.right for row in answered)
-    said = f"| {rows[0].family} | {len(answered)} of {len(rows)} | {wrong} |"
+    cells = [name, f"{len(answered)} of {len(rows)}", str(wrong), counted(rows, "refused")]
     if answered:
         poses, pairs, errors = (
             np.concatenate([getattr(row, name) for row in answered])
             for name in ("poses", "pairs", "errors")
         )
-        said += f" {np.mean(poses < CHI2_95):.1%} of {len(poses)} |"
-        said += f" {np.mean(pairs < CHI2_95):.1%} of {len(pairs)} |"
-        said += f" {np.median(poses):.1f} | {1000 * np.median(errors):.1f} |"
-    print(said)
+        for squares in (poses, pairs):
+            cells.append(f"{np.mean(squares < CHI2_95):.1%} of {len(squares)}")
+        cells += [f"{np.median(poses):.1f}", f"{1000 * np.median(errors):.1f}"]
+    chains = [row.chained for row in answered if row.chained]
+    if chains:
+        reached = np.concatenate(chains)
+        ours = sum(len(row.errors) for row in answered if row.chained)
+        # A pose that no chain reaches counts as farther off than any.
+        every = np.r_[reached, np.full(ours - len(reached), np.inf)]
+        middles = [f"{1000 * np.median(some):.1f}" for some in (reached, every)]
+        cells += [f"{len(reached)} of {ours}", *middles]
+    print("| " + " | ".join(cells) + " |")
+
+
+def report_blunders(rows: list[Row]) -> None:
+    """Print how many blunders of each kind were named."""
+    print(
+        "\n| blunder | sites | named | under ok | of these seen at one place alone | refused for |"
+    )
+    print("| --- " * 6 + "|")
+    for blunder in (*BLUNDERS, "slide"):
+        some = [row for row in rows if f": {blunder}" in row.words]
+        if some:
+            absorbed = [row for row in some if row.status == "ok"]
+            others = [row for row in some if not row.named]
+            cells = [blunder, len(some), sum(row.named for row in some), len(absorbed)]
+            cells += [sum(row.seen_once for row in absorbed), counted(others, "refused")]
+            print("| " + " | ".join(map(str, cells)) + " |")
 
 
 def main() -> None:
@@ -470,7 +443,18 @@ def main() -> None:
                 f"{row.seconds:.1f} s" + (", named" if row.named else ""),
                 flush=True,
             )
-    report(rows)
+    rows = [row for row in rows if row.status != "none"]
+    print(f"\nwarned of: {counted(rows, 'warn')}\n\n{HEADER}")
+    print("|" + " --- |" * (HEADER.count("|") - 1))
+    for name in dict.fromkeys(row.family or options.what for row in rows):
+        report(name, [row for row in rows if (row.family or options.what) == name])
+    if options.what in ("blunders", "slides"):
+        report_blunders(rows)
+    if any(row.seconds for row in rows):
+        print(
+            f"\nseconds: median {np.median([row.seconds for row in rows]):.1f}, most "
+            f"{max(row.seconds for row in rows):.1f}; {max(row.gigabytes for row in rows):.2f} GiB"
+        )
 
 
 if __name__ == "__main__":

@@ -283,7 +283,8 @@ def wrong_groups(outcomes: Sequence[Wrong]) -> list[tuple[str, Sequence[Wrong]]]
     groups: list[tuple[str, Sequence[Wrong]]] = [
         (" ← ".join(each), [o for o in outcomes if o.places == each]) for each in places
     ]
-    groups.append(("all of one rig", [o for o in outcomes if o.is_rig]))
+    groups.append(("two of one rig", [o for o in outcomes if o.is_rig]))
+    groups.append(("two of different rigs", [o for o in outcomes if not o.is_rig]))
     return [*groups, ("all", outcomes)]
 
 
@@ -294,8 +295,9 @@ def right_groups(
         (pair.name, [o for o in outcomes if o.pair == pair.name]) for pair in PAIRS
     ]
     composed = {pair.name for pair in PAIRS if pair.is_composed}
-    groups.append((DIRECT, [o for o in outcomes if o.pair not in composed]))
-    groups.append((COMPOSED, [o for o in outcomes if o.pair in composed]))
+    for name, own in ((DIRECT, False), (COMPOSED, True)):
+        group = [o for o in outcomes if (o.pair in composed) == own]
+        groups.append((name.removeprefix("all "), group))
     return [*groups, ("all", outcomes)]
 
 

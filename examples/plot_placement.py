@@ -53,8 +53,8 @@ if __name__ == "__main__":
     for k, (name, placements) in enumerate(SWEEPS.items()):
         jobs = [(*p, n, options.sensor) for p in placements for n in range(options.draws)]
         cm = 100 * np.median(np.reshape([sigma_at_10_m(*j) for j in jobs], (-1, options.draws)), 1)
-        words = (f"{p[k]:g}: {c:.1f} cm" for p, c in zip(placements, cm, strict=True))
-        print(f"{name:<30}", *words, sep="  ")
+        at, said = (" | ".join(f"{x:.1f}" for x in row) for row in ([p[k] for p in placements], cm))
+        print(f"| {name} | {at} |\n{'| --- ' * (1 + len(cm))}|\n| {options.sensor} | {said} |\n")
         axes = figure.add_subplot(1, 3, k + 1, xlabel=name, ylabel="1 σ at 10 m, cm", ylim=(0, 14))
         axes.plot([p[k] for p in placements], cm, "o-")
     save_figure(figure, options.out / "placement.png")

@@ -31,8 +31,8 @@ COMMAND = "python -m studies.paper"
     "--only",
     metavar="NAME",
     multiple=True,
-    help="Make only the tables and figures whose file name contains it, and no index.md; several "
-    "may be given.  [default: all]",
+    help="Make only the tables and figures whose file name contains it, and print the tables "
+    "instead of index.md; several may be given.  [default: all]",
 )
 @click.option(
     "--seeds",
@@ -65,6 +65,8 @@ def paper(out: Path, only: tuple[str, ...], seeds: int, data: Path | None, quiet
         progress("write")
         written = [path for exhibit in exhibits for path in write_exhibit(exhibit, out)]
     if only:
+        if not quiet:
+            show("\n".join(exhibit.markdown() for exhibit in exhibits))
         place = f"{len(written)} tables and figures in {printable(str(out))}"
     else:
         index = out / "index.md"

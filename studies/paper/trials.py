@@ -87,15 +87,15 @@ def ten_trials(setups: int) -> Exhibit:
         for seed, each in errors.items():
             answered = each[np.isfinite(each[:, k, 2]), k] * (np.degrees(1.0), 1.0, 1.0)
             if len(answered) < 2:
-                rows.append((name, seed, *[None] * 6, len(answered)))
+                rows.append((seed, name, *[None] * 6, len(answered)))
                 continue
             mean, sd = answered.mean(axis=0), answered.std(axis=0, ddof=1)
             spread.append(np.stack([mean, sd], axis=1).ravel())
-            rows.append((name, seed, *map(float, spread[-1]), len(answered)))
+            rows.append((seed, name, *map(float, spread[-1]), len(answered)))
         if spread:
             middle = map(float, np.median(spread, axis=0))
-            rows.append((name, "median of set-ups", *middle, None))
-    rows.sort(key=lambda row: isinstance(row[1], int))
+            rows.append(("median of set-ups", name, *middle, None))
+    rows.sort(key=lambda row: isinstance(row[0], int))
     means = np.array([each[:, 0, 2].mean() for each in errors.values()])
     within = np.array([each[:, 0, 2].std(ddof=1) for each in errors.values()])
     words = "There is no such set-up."
@@ -106,7 +106,7 @@ def ten_trials(setups: int) -> Exhibit:
             f"in {np.count_nonzero(means < PAPER_E_RT)} of {len(means)}; within a set-up it "
             f"scatters by {np.median(within):.3f} m, 1 σ, in the median."
         )
-    header = ("estimator", "set-up")
+    header = ("set-up", "estimator")
     figures = ("rotation °", "translation m", "e_rt m")
     return Exhibit(
         "simulated_trials",

@@ -22,6 +22,17 @@ def figures(*options: str, timeout: float | None = None) -> subprocess.Completed
     return subprocess.run(words, capture_output=True, text=True, timeout=timeout)
 
 
+def written(folder: Path, text: str) -> Path:
+    """A folder with one page, of a commit."""
+    (folder / "docs").mkdir()
+    (folder / "README.md").write_text(text, encoding="utf-8")
+    identity = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    commit = ("commit", "-q", "--allow-empty", "-m", "a")
+    subprocess.run(["git", *identity, *commit], cwd=folder, check=True)
+    return folder
+
+
 def copied(folder: Path, old: str = "", new: str = "") -> Path:
     """A copy of a page whose table has no chance, one cell of it altered."""
     (folder / "docs").mkdir()
@@ -55,15 +66,84 @@ def test_a_page_as_it_is_passes(tmp_path: Path) -> None:
 
 
 def test_written_tables_hold_what_is_printed(tmp_path: Path) -> None:
-    root = copied(tmp_path, "| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
-    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
-    identity = ("-c", "user.name=a", "-c", "user.email=a@example.org")
-    commit = ("commit", "-q", "--allow-empty", "-m", "a")
-    subprocess.run(["git", *identity, *commit], cwd=root, check=True)
-    assert figures("--write", "--root", str(root)).returncode == 0
+    root = written(tmp_path, "")
     page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
-    written = (root / "docs/lamppost.md").read_text(encoding="utf-8")
-    assert tables(written) == tables(page)
+    stale = page.replace("| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
+    assert stale != page
+    (root / "docs/lamppost.md").write_text(stale, encoding="utf-8")
+    assert figures("--write", "--root", str(root)).returncode == 0
+    fresh = (root / "docs/lamppost.md").read_text(encoding="utf-8")
+    assert tables(fresh) == tables(page)
+
+
+SHARED = """\
+<!-- figures: python -m studies.paper --only table1 · 2026-11-25 · abc1234 -->
+<!-- figures: python benchmarks/none.py · 2026-11-25 · abc1234 · an hour -->
+| sensor | paper | ours |
+| --- | --- | --- |
+| **VLP-16** | 230 | {ours} |
+| made up | 7 | 7 |
+<!-- end of figures -->
+"""
+
+
+def test_each_command_is_held_against_its_own_rows(tmp_path: Path) -> None:
+    root = written(tmp_path, SHARED.format(ours="231"))
+    done = figures("--share", "0.05", "--root", str(root))
+    assert "row 'VLP-16', column 'ours': said 231, measured 230" in done.stdout, done.stderr
+    assert "2 figures, 1 differ" in done.stdout
+    assert "2 marks, 1 tables, 1 of them compared" in figures("--root", str(root)).stdout
+
+
+def test_a_command_writes_its_own_rows(tmp_path: Path) -> None:
+    root = written(tmp_path, SHARED.format(ours="231"))
+    done = figures("--write", "--root", str(root))
+    assert done.returncode == 0, done.stderr
+    page = (root / "README.md").read_text(encoding="utf-8").splitlines()
+    before = SHARED.format(ours="230").splitlines()
+    assert page[1:] == before[1:]
+    assert page[0].startswith("<!-- figures: python -m studies.paper --only table1 · ")
+
+
+def test_a_whole_run_has_the_same_digits(tmp_path: Path) -> None:
+    command = "python benchmarks/fleet_network.py --nodes 200 --seeds 0:2"
+    page = f"<!-- figures: {command} · 2026-11-25 · abc1234 · whole -->\n"
+    page += "| S | cities | CPU s, median | sound edges lost |\n| --- | --- | --- | --- |\n"
+    page += "| 0 | 2 | 1000 | {} |\n<!-- end of figures -->\n"
+    root = written(tmp_path, page.format("LOST"))
+    done = figures("--share", "0.05", "--root", str(root))
+    assert done.returncode == 1
+    (lost,) = re.findall(r"said LOST, measured (\d+ of \d+)", done.stdout)
+    (root / "README.md").write_text(page.format(lost), encoding="utf-8")
+    done = figures("--share", "0.05", "--root", str(root))
+    assert done.returncode == 0, done.stdout
+    assert "2 figures, 0 differ" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("median", "largest", "named"),
+    [
+        *(("2.0", "9.0", []), ("2.0", "99.0", []), ("2.0", "0.5", ["CPU s, largest"])),
+        *(("7.0", "9.0", ["CPU s, median"]), ("0.6", "9.0", ["CPU s, median"])),
+    ],
+)
+def test_times_are_held_within_a_factor_of_three(
+    median: str, largest: str, named: list[str]
+) -> None:
+    head = "| size | CPU s, median | CPU s, largest |\n| --- | --- | --- |\n"
+    (said,) = tables(f"{head}| a | {median} | {largest} |\n")
+    cells = compare(said, [f"{head}| a | {time} | {time} |\n" for time in (2, 2, 3)], 9, times=True)
+    assert cells is not None
+    assert [cell.column for cell in cells if cell.probability < 0.5] == named
+    assert compare(said, [f"{head}| a | 99 | 99 |\n"], 9) == []
+
+
+def test_shares_of_things_that_hang_together_are_not_counted() -> None:
+    head = "| sites | answered | region holds: poses |\n| --- | --- | --- |\n"
+    (said,) = tables(f"{head}| a | 20 of 20 | 60.0% of 90 |\n")
+    cells = compare(said, [f"{head}| a | 1 of 1 | 100.0% of 5 |\n"] * 9, 20)
+    assert cells is not None
+    assert [cell.column for cell in cells] == ["answered"]
 
 
 def test_draws_of_the_same_process_are_rarely_beyond_chance() -> None:
@@ -126,7 +206,7 @@ def test_every_mark_is_read() -> None:
     marks = sum(page.read_text(encoding="utf-8").count("figures: python ") for page in pages)
     done = figures()
     assert done.returncode == 0, done.stderr
-    assert f"{marks} tables, " in done.stdout
+    assert f"{marks} marks, " in done.stdout
     scripts = set(re.findall(r"python (benchmarks/\w+\.py)", done.stdout))
     assert scripts
     assert all((ROOT / script).is_file() for script in scripts)

@@ -73,7 +73,8 @@ def test_the_command_makes_those_asked_for(tmp_path: Path) -> None:
     words = ["-m", "studies.paper", "--only", "table1", "--out", str(tmp_path)]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"written: 2 tables and figures in {tmp_path}\n"
+    table, said = (tmp_path / "table1_sensors.md").read_text(), f"in {tmp_path}\n"
+    assert done.stdout == f"{table}written: 2 tables and figures {said}"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["table1_sensors.csv", "table1_sensors.md"]
 
 

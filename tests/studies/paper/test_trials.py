@@ -51,7 +51,7 @@ def test_mean_and_standard_deviation_are_over_ten_trials() -> None:
     for k, name in enumerate(("the paper's estimator", "beam model")):
         mean, sd = errors[:, k].mean(axis=0), errors[:, k].std(axis=0, ddof=1)
         expected = np.stack([mean, sd], axis=1) * np.array([[np.degrees(1.0)], [1.0], [1.0]])
-        np.testing.assert_allclose([number(c) for c in rows[name, 0][:6]], expected.ravel())
+        np.testing.assert_allclose([number(c) for c in rows[0, name][:6]], expected.ravel())
 
 
 @pytest.mark.slow
