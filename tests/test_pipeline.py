@@ -186,10 +186,22 @@ def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
 
 
 @pytest.mark.parametrize("which", [(0,), (0, 1)])
-def test_a_hidden_pole_is_refused(corridor: SimulatedPair, which: tuple[int, ...]) -> None:
-    answer = calibrate(corridor.target, without_poles(corridor, which))
+def test_a_hidden_pole_is_refused_where_two_are_asked_for(
+    corridor: SimulatedPair, which: tuple[int, ...]
+) -> None:
+    source = without_poles(corridor, which)
+    answer = calibrate(corridor.target, source, poles=2)
     assert_refused(answer, "too_few_poles")
     assert answer.reasons[0].values["lidar"] == "source"
+    answer = calibrate(corridor.target, source)
+    if len(which) == 2:
+        assert_refused(answer, "too_few_poles")
+        return
+    assert answer.T_target_source is not None
+    assert "by_place" in {note.code for note in answer.notes}
+    degrees, metres = off_by(answer.T_target_source, corridor.T_target_source, np.zeros((1, 3)))
+    assert degrees < 0.5
+    assert metres < 0.1
 
 
 def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
@@ -199,7 +211,7 @@ def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_parallel_poles_are_refused(seed: int) -> None:
+def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
     pair = simulate_pair(
         "street",
         np.random.default_rng(seed),
@@ -208,7 +220,14 @@ def test_parallel_poles_are_refused(seed: int) -> None:
         sensor_target="VLP-16",
         sensor_source="VLP-16",
     )
-    assert_refused(calibrate(pair.target, pair.source), "parallel_poles", "no_match", "no_overlap")
+    by_poles = calibrate(pair.target, pair.source, scene=False)
+    assert_refused(by_poles, "parallel_poles", "no_match", "no_overlap")
+    answer = calibrate(pair.target, pair.source)
+    if answer.T_target_source is not None:
+        assert "by_place" in {note.code for note in answer.notes}
+        degrees, metres = off_by(answer.T_target_source, pair.T_target_source, np.zeros((1, 3)))
+        assert degrees < 0.5
+        assert metres < 0.1
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -262,7 +281,7 @@ def test_every_second_is_in_a_step(poles: int) -> None:
         first = calibrate(pair.target, pair.source).placements[0].target.poles[0]
         target = target.select(np.setdiff1d(np.arange(len(target)), first.index))
     start = time.perf_counter()
-    answer = calibrate(target, pair.source)
+    answer = calibrate(target, pair.source, poles=2)
     seconds = time.perf_counter() - start
     assert (answer.status == "refused") == (poles == 1)
     assert sum(answer.seconds.values()) == pytest.approx(seconds, rel=0.1)

@@ -55,7 +55,7 @@ def test_sure_poles_need_no_doubtful_ones(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_bands_of_a_vest_are_no_second_pole(seed: int) -> None:
-    answer = answer_of(recorded([FREE, *vest((4.0, -1.0))], seed))
+    answer = answer_of(recorded([FREE, *vest((4.0, -1.0))], seed), poles=2)
     assert answer.status == "refused"
     assert [reason.code for reason in answer.reasons] == ["too_few_poles"]
     assert len(answer.placements[0].target.poles) == 1, "what was sure, and no more"
@@ -66,7 +66,7 @@ def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     target, source = recorded([FREE, AT_THE_WALL], seed)
     elsewhere = replace(AT_THE_WALL, centre=AT_THE_WALL.centre + np.array([0, 0.9, 0]))
     for other in (recorded([FREE], seed)[1], recorded([FREE, elsewhere], seed)[1]):
-        assert answer_of((target, other)).status == "refused"
+        assert answer_of((target, other), poles=2).status == "refused"
     assert answer_of((target, source)).status == "ok"
 
 
@@ -285,4 +285,4 @@ def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user
 @pytest.mark.parametrize("seed", range(2))
 def test_dim_clouds_with_one_pole_are_refused(seed: int) -> None:
     target, source = map(dimmed, recorded([FREE, *vest((4.0, -1.0))], seed))
-    assert calibrate(target, source, sensors=(SENSOR, SENSOR)).status == "refused"
+    assert calibrate(target, source, sensors=(SENSOR, SENSOR), poles=2).status == "refused"

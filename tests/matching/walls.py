@@ -42,8 +42,10 @@ def recorded(things: list[Surface], seed: int = 0) -> tuple[PointCloud, PointClo
     return target, source
 
 
-def answer_of(clouds: tuple[PointCloud, PointCloud], radius: float = 0.02) -> Calibration:
-    return calibrate(*clouds, sensors=(SENSOR, SENSOR), radius=radius)
+def answer_of(
+    clouds: tuple[PointCloud, PointCloud], radius: float = 0.02, poles: int | None = None
+) -> Calibration:
+    return calibrate(*clouds, sensors=(SENSOR, SENSOR), radius=radius, poles=poles)
 
 
 def assert_right(T: Array | None) -> None:

@@ -49,6 +49,7 @@ def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
 
         monkeypatch.setattr(search, "choose", lambda *_, ask=ask, **__: ask("match"))
         monkeypatch.setattr(search, "choose_after_icp", lambda *_, ask=ask: ask("settle"))
+        monkeypatch.setattr(search, "choose_by_place", lambda *_, **__: None)
         chosen = choose_with_candidates(answer.placements, 0.02, untimed)
         assert chosen.refusal is answers[-1].refusal
         assert chosen.paired == answers[-1].paired

@@ -12,6 +12,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
 from retropole.pipeline import calibrate
+from retropole.scene.by_place import HELD
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site import contradiction, one_pole
@@ -286,7 +287,7 @@ def test_without_the_pole_of_its_link_a_lidar_is_refused(steps: Steps) -> None:
 def test_a_pose_that_the_scene_holds_little_better_than_the_place_is_refused(steps: Steps) -> None:
     hanging = (Hanging(0, 1, np.eye(4), frozenset({1})),)
     T = np.stack([np.eye(4)] * 3)
-    for share, is_held in ((0.4, True), (0.6, False)):
+    for share, is_held in ((0.9 * HELD, True), (1.1 * HELD, False)):
         covariance = np.zeros((18, 18))
         covariance[6:12, 6:12] = np.diag((share * PLACE_SIGMA) ** 2)
         if is_held:
