@@ -16,7 +16,11 @@ from retropole.pipeline import calibrate
 from retropole.scene.by_place import HELD, check_held
 from retropole.scene.disambiguation import score_hypotheses
 from retropole.scene.refinement import refine
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import Cylinder, SimulatedPair
+from retropole.simulation.arrangement import rotated_by_180
+from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.scenes import TAPE
+from tests.scene.conftest import simulated_with_one_pole
 from tests.scene.test_one_pole import MOVED, assert_near, found_in, poses_in
 
 SCENES = {"corridor": 3, "street": 1, "harbor": 2}
@@ -24,7 +28,7 @@ SCENES = {"corridor": 3, "street": 1, "harbor": 2}
 
 @pytest.fixture(scope="module", params=sorted(SCENES))
 def pair(request: pytest.FixtureRequest) -> SimulatedPair:
-    return simulate_pair(request.param, np.random.default_rng(SCENES[request.param]), poles=1)
+    return simulated_with_one_pole(request.param, SCENES[request.param])
 
 
 def test_one_pole_gives_the_truth_where_the_place_tells(pair: SimulatedPair) -> None:
@@ -54,35 +58,26 @@ def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
 
 
 def test_bare_ground_gives_no_answer() -> None:
-    bare = simulate_pair("bare", np.random.default_rng(0), poles=1)
+    bare = simulated_with_one_pole("bare", 0)
     answer = calibrate(bare.target, bare.source)
     assert answer.status == "refused"
     assert answer.T_target_source is None
 
 
-def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer(
-    one_pole: SimulatedPair,
-) -> None:
-    """The place and its like, turned by half a turn about the pole, in both clouds."""
-    (pole,) = one_pole.poles
-    about = se3.from_rt(
-        se3.exp_so3(np.pi * pole.axis), pole.centre - se3.exp_so3(np.pi * pole.axis) @ pole.centre
-    )
-    clouds = []
-    for cloud, pose in (
-        (one_pole.target, one_pole.T_world_target),
-        (one_pole.source, one_pole.T_world_source),
-    ):
-        turn = se3.inverse(pose) @ about @ pose
-        number = np.tile(np.arange(len(cloud)), 2)
-        xyz = np.concatenate([cloud.xyz, se3.apply(turn, cloud.xyz)])
-        clouds.append(replace(cloud.select(number), xyz=xyz))
-    answer = calibrate(clouds[0], clouds[1])
-    assert answer.status == "refused"
+def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer() -> None:
+    quay = simulated_with_one_pole("harbor", 2)
+    surroundings = [*quay.surroundings, *rotated_by_180(list(quay.surroundings))]
+    upright = Cylinder(np.array([0.0, 0.0, 1.02]), np.array([0.0, 0.0, 1.0]), 0.02, 2.0, TAPE)
+    poses = quay.T_world_target, quay.T_world_source
+    at = Arrangement(surroundings, [upright], poses, quay.clear)
+    recorders = Recorders(quay.sensors, quay.devices, quay.noise, 1)
+    pair = record(at, recorders, np.random.default_rng(0))
+    assert pair.sees_every_pole
+    assert calibrate(pair.target, pair.source).status == "refused"
 
 
 def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
-    other = simulate_pair("harbor", np.random.default_rng(2), poles=1)
+    other = simulated_with_one_pole("harbor", 2)
     assert calibrate(one_pole.target, other.source).status == "refused"
 
 
