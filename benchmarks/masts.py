@@ -152,18 +152,16 @@ def row(name: Sequence[str], own: Sequence[Outcome]) -> str:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     lines = [
-        "| tube | from the masts | runs | answered | ok | wrong | answered of those with 8 returns "
-        "on one pole from both | off, mm, median |",
+        "| masts | from the poles | runs | answered | ok | wrong | answered of those with 8 "
+        "returns on one pole from both | off, mm, median |",
         "| --- |" + " --- |" * 7,
     ]
+    for height, distance in product(HEIGHTS, DISTANCES):
+        own = [o for o in outcomes if (o.case.height, o.case.distance) == (height, distance)]
+        lines.append(row((f"{height:.0f} m up", f"{distance:.0f} m"), own))
     for tube, length in TUBES.items():
-        for distance in DISTANCES:
-            name = f"{100 * tube:.0f} cm, {length:g} m", f"{distance:.0f} m"
-            own = [o for o in outcomes if (o.case.tube, o.case.distance) == (tube, distance)]
-            lines.append(row(name, own))
-    for height in HEIGHTS:
-        own = [o for o in outcomes if o.case.height == height]
-        lines.append(row((f"masts of {height:.0f} m", "all"), own))
+        own = [o for o in outcomes if o.case.tube == tube]
+        lines.append(row((f"tubes of {100 * tube:.0f} cm and {length:g} m", "all"), own))
     for model in MODELS:
         lines.append(row((f"two {model}", "all"), [o for o in outcomes if o.case.model == model]))
     return "\n".join([*lines, row(("all", "all"), outcomes)])
