@@ -35,6 +35,7 @@ def test_one_pole_gives_the_truth_where_the_place_tells(pair: SimulatedPair) -> 
     answer = calibrate(pair.target, pair.source)
     assert answer.status == "ok", answer.reasons
     assert_near(answer.T_target_source, pair.T_target_source)
+    assert answer.T_target_source is not None
     assert answer.covariance is not None
     off = se3.local(answer.T_target_source, pair.T_target_source)
     assert off @ np.linalg.solve(answer.covariance, off) < 22.5
@@ -107,6 +108,7 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     refined = refine(*scans, PoseEstimate(T, np.diag(PLACE_SIGMA**2), 0.01))
     check_held(paired, refined)
     assert refined is not None
+    assert refined.pose.covariance is not None
     for k in range(6):
         variance = np.diag(refined.pose.covariance).copy()
         variance[k] = (1.1 * HELD * PLACE_SIGMA[k]) ** 2
