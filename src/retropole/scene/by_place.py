@@ -37,7 +37,6 @@ HELD = 0.25
 taken to give before (`alignment.adjustment.PLACE_SIGMA`): 0.5° and 5 cm. With twice that, an answer
 between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
 
-
 LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
 """What to do where the place does not tell."""
 

@@ -3,8 +3,7 @@
 A line laid on a line leaves a rotation about it, a slide along it, and which end is up. What stands
 off the ground in each cloud is sorted into cells about the pole, by distance, angle and height, and
 all rotations and slides are compared at once: the cross-correlation over angle and height, summed
-over the distances (by FFT, as in `shifts`). The best few settle on the scene. What stands off the
-ground then chooses, and must confirm the pose; surfaces must hold it.
+over the distances (by FFT, as in `shifts`). The best few settle on the scene.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def link_by_candidates(
     """
     found = {pair.lidars: pair for pair in pairs}
     tried = 0
-    for lidars in _between_groups(scans, pairs):
+    for lidars in between_groups(scans, pairs):
         groups = linked_groups(len(scans.by_lidar), list(found.values()))
         if len(groups) == 1 or tried >= MOST_TRIED:
             break
@@ -75,9 +75,12 @@ def _with_own_candidates(scan: Scan, radius: float) -> Scan:
     return count_candidates(replace(scan, detection=found))
 
 
-def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
+def between_groups(
+    scans: SiteScans, pairs: Sequence[Pair], *, by_two: bool = True
+) -> Iterator[tuple[int, int]]:
     """Pairs of LiDARs of different groups: those first whose recordings have most poles of either
-    kind. Where one has two confirmed ones, a lower threshold may show those of the other.
+    kind. Where one has two confirmed ones, and two are asked for, a lower threshold may show those
+    of the other.
     """
     groups = linked_groups(len(scans.by_lidar), pairs)
     of = {i: k for k, group in enumerate(groups) for i in group}
@@ -86,7 +89,9 @@ def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[i
         i, j = pair.lidars
         if of[i] != of[j]:
             both = list(_both(scans, i, j))
-            sure = any(max(len(a.poles), len(b.poles)) >= ENOUGH_CONFIRMED for a, b in both)
+            sure = by_two and any(
+                max(len(a.poles), len(b.poles)) >= ENOUGH_CONFIRMED for a, b in both
+            )
             most = max((min(_candidates(a), _candidates(b)) for a, b in both), default=0)
             if most or sure:
                 counts[i, j] = most

@@ -7,24 +7,20 @@ that all others are answered as without.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 
 import numpy as np
 
-from ..base.datatypes import Placement, Scan
+from ..base.datatypes import Placement
 from ..base.errors import Refusal
 from ..matching.placements import Chosen
 from ..scene.by_place import check_told
 from ..scene.confirmation import check_confirmation, confirm
 from ..scene.search import choose_about_one_pole
-from .candidates import with_chosen_poles
-from .choice import linked_groups
+from .candidates import MOST_TRIED, between_groups, with_chosen_poles
 from .pairs import Pair, PairHypothesis
 from .scans import SiteScans
-
-MOST_TRIED = 12
-"""So many pairs are tried at most: each takes about a second for each placement."""
 
 
 def link_by_place(
@@ -49,32 +45,11 @@ def link_by_place(
         links, `Pair.by_place`.
     """
     found = {pair.lidars: pair for pair in pairs}
-    for lidars in list(_between_groups(scans, pairs))[:MOST_TRIED]:
+    for lidars in list(between_groups(scans, pairs, by_two=False))[:MOST_TRIED]:
         linked = _linked(scans, lidars, radius)
         if linked is not None:
             scans, found[lidars] = linked
     return scans, tuple(found.values())
-
-
-def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
-    """Pairs of LiDARs of different groups, those first that see most poles."""
-    groups = linked_groups(len(scans.by_lidar), pairs)
-    of = {i: k for k, group in enumerate(groups) for i in group}
-    apart = [pair.lidars for pair in pairs if of[pair.lidars[0]] != of[pair.lidars[1]]]
-
-    def seen(lidars: tuple[int, int]) -> int:
-        i, j = lidars
-        both = zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)
-        return max((min(_poles(a), _poles(b)) for a, b in both), default=0)
-
-    yield from sorted((lidars for lidars in apart if seen(lidars)), key=lambda each: -seen(each))
-
-
-def _poles(scan: Scan | None) -> int:
-    """How many clusters are poles, or may be."""
-    if scan is None or scan.detection is None:
-        return 0
-    return len(scan.detection.poles) + len(scan.detection.rejected)
 
 
 def _linked(
