@@ -70,13 +70,13 @@ def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -
     Raises
     ------
     Refusal
-        ``prior_contradicted`` where none does.
+        ``prior_contradicted`` where some fit exactly and none of these agrees.
     """
     if prior is None:
         return list(matches)
     kept = [match for match in matches if prior.allows(match.T_target_source)]
-    if not any(match.exact for match in kept):
-        misfits = [prior.misfit(match.T_target_source) for match in matches if match.exact]
+    misfits = [prior.misfit(match.T_target_source) for match in matches if match.exact]
+    if misfits and not any(match.exact for match in kept):
         least, count = min(misfits), len(misfits)
         raise Refusal(
             "prior_contradicted",

@@ -124,11 +124,14 @@ def _first_by_place(
     count: int | None,
     prior: RotationPrior | None,
 ) -> Chosen | None:
-    """Choose by the place with the first poles that lie on each other."""
+    """Choose by the place with the first poles that lie on each other.
+
+    That the place does not tell where a candidate pole stands refuses nothing: it may be no pole.
+    """
     for found in looks:
         with step("place"):
             chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
-        if chosen is not None:
+        if chosen is not None and (chosen.refusal is None or not _candidate_returns(found)):
             return chosen
     return None
 
