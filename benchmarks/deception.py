@@ -204,6 +204,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=300, help="of each row")
     parser.add_argument("--first", type=int, default=FIRST_STATED_SEED, help="first seed")
     parser.add_argument("--times", action="store_true", help="clouds say when they were recorded")
+    parser.add_argument("--poles", type=int, help="as of retropole calibrate; 0: by the place")
     parser.add_argument("--rows", nargs="*", help="only those whose name has one of these parts")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--save", type=Path, help="JSON file for a record of every draw")
@@ -213,6 +214,7 @@ def main() -> None:
     names = [name for name in KINDS if not parts or any(part in name for part in parts)]
     seeds = range(arguments.first, arguments.first + arguments.draws)
     jobs = [(name, seed) for name in names for seed in seeds]
+    asked = partial(run, times=arguments.times, poles=arguments.poles)
     outcomes = []
     with ProcessPoolExecutor(
         arguments.processes,
@@ -220,7 +222,7 @@ def main() -> None:
         initializer=threadpool_limits,
         initargs=(1,),
     ) as pool:
-        for job, o in zip(jobs, pool.map(partial(run, times=arguments.times), jobs), strict=True):
+        for job, o in zip(jobs, pool.map(asked, jobs), strict=True):
             if o is not None:
                 outcomes.append(o)
             if arguments.verbose:

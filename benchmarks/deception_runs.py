@@ -139,7 +139,7 @@ def draw(
     return None
 
 
-def run(job: tuple[str, int], times: bool = False) -> Outcome | None:
+def run(job: tuple[str, int], times: bool = False, poles: int | None = None) -> Outcome | None:
     """Draw, record and calibrate; with ``times`` of recording, which overlap where they may."""
     name, seed = job
     kind, start = KINDS[name], time.process_time()
@@ -165,7 +165,8 @@ def run(job: tuple[str, int], times: bool = False) -> Outcome | None:
         later = 0.0 if kind.at_once else BETWEEN
         clouds = [(timed(target, 0.0), timed(source, later)) for target, source in clouds]
     ready = time.process_time()
-    answer = calibrate(*map(list, zip(*clouds, strict=True)), sensors=(first, second))
+    given = map(list, zip(*clouds, strict=True))
+    answer = calibrate(*given, sensors=(first, second), poles=poles)
     done = time.process_time()
     T = answer.T_target_source
     rotation, translation = np.nan, np.nan

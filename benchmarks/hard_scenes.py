@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -70,14 +71,14 @@ class Outcome:
         return self.answered and far
 
 
-def outcome_of(seed: int) -> Outcome | None:
+def outcome_of(seed: int, poles: int | None = None) -> Outcome | None:
     start = time.process_time()
     drawn = draw_pair(seed)
     if drawn is None:
         return None
     scene, pair = drawn
     ready = time.process_time()
-    found = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    found = calibrate(pair.target, pair.source, sensors=pair.sensors, poles=poles)
     seconds = ready - start, time.process_time() - ready
     off = np.full(6, np.nan)
     squared = error = np.nan
@@ -144,6 +145,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--first", type=int, default=FIRST_STATED_SEED)
+    parser.add_argument("--poles", type=int, help="as of retropole calibrate; 0: by the place")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="print every scene as it ends")
     arguments = parser.parse_args()
@@ -155,7 +157,8 @@ def main() -> None:
         initializer=threadpool_limits,
         initargs=(1,),
     ) as pool:
-        for seed, o in zip(seeds, pool.map(outcome_of, seeds), strict=True):
+        run = partial(outcome_of, poles=arguments.poles)
+        for seed, o in zip(seeds, pool.map(run, seeds), strict=True):
             if o is not None:
                 outcomes.append(o)
             if arguments.verbose:

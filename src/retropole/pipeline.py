@@ -19,13 +19,13 @@ from .base.datatypes import (
     Placement,
     PointCloud,
 )
-from .base.errors import Refusal, warnings_and_notes
+from .base.errors import Refusal, UsageError, warnings_and_notes
 from .base.sensors import Sensor
 from .base.timing import timed
 from .base.uncertainty import predicted_error, weakest_direction
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
-from .matching.placements import Chosen, PairedPlacement, align, leave_one_out
+from .matching.placements import Chosen, PairedPlacement, align, has_no_poles, leave_one_out
 from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
 from .scene.by_place import check_held, check_told
@@ -74,7 +74,8 @@ def calibrate(
         Intensity from which a return counts as retro-reflective, in each cloud; None asks the
         sensor, or else the cloud itself.
     poles
-        Exact number of poles that both LiDARs see; None takes any number from one up.
+        Exact number of poles that both LiDARs see; None takes any number from one up. Without any,
+        0, the scene gives all of the pose, and the clouds need no intensity.
     scene
         Whether the scene refines the pose that the poles give.
     prior
@@ -104,11 +105,15 @@ def calibrate(
     Raises
     ------
     UsageError
-        Where no hypothesis that fits the poles has the name `by_hand`.
+        Where no hypothesis that fits the poles has the name `by_hand`, and where neither poles nor
+        the scene may give the pose.
     """
+    if poles == 0 and not scene:
+        raise UsageError("without poles the scene must give the pose: leave out --no-refine")
     known = {"radius": radius, "radius_sigma": radius_sigma}
     seconds: dict[str, float] = {}
     step = partial(timed, seconds, progress)
+    find = partial(find_poles, radius=radius, search=poles != 0)
     chosen = Chosen((), ())
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None
@@ -119,8 +124,8 @@ def calibrate(
             limits.enter_context(threadpool_limits(1, user_api="blas"))
             found = tuple(
                 Placement(
-                    find_poles(t, sensor=sensors[0], threshold=thresholds[0], radius=radius),
-                    find_poles(s, sensor=sensors[1], threshold=thresholds[1], radius=radius),
+                    find(t, sensor=sensors[0], threshold=thresholds[0]),
+                    find(s, sensor=sensors[1], threshold=thresholds[1]),
                 )
                 for t, s in zip(_each(target), _each(source), strict=True)
             )
@@ -131,7 +136,7 @@ def calibrate(
                 check_poles(placements)
             search = (
                 partial(choose_with_candidates, radius=radius, by_place=scene)
-                if candidates
+                if candidates or poles == 0
                 else choose
             )
             chosen = search(placements, step=step, count=poles, prior=prior)
@@ -188,6 +193,7 @@ def state_answer(
     """State the answer: its pose, what error to expect, and what makes it weak."""
     pose = aligned.pose if refined is None else refined.pose
     assert pose.covariance is not None
+    without_poles = has_no_poles(paired)
     weakest = weakest_direction(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
@@ -198,7 +204,7 @@ def state_answer(
         reasons=reasons,
         T_target_source=pose.T_target_source,
         covariance=pose.covariance,
-        poles=aligned.pose,
+        poles=None if without_poles else aligned.pose,
         refined=None if refined is None else refined.pose,
         hypotheses=hypotheses,
         margin=margin_of(hypotheses),
@@ -207,7 +213,7 @@ def state_answer(
         placements=placements,
         seconds=seconds,
         uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
-        radius=aligned.radius,
+        radius=None if without_poles else aligned.radius,
         confirmation=confirmation,
         notes=notes,
     )

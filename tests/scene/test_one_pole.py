@@ -12,7 +12,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Match, Placement, Pole
 from retropole.scene import one_pole as about
 from retropole.scene.confirmation import scenes_of
-from retropole.scene.one_pole import CELL, SLIDE, matches_about
+from retropole.scene.one_pole import ANGLES, CELL, LAYERS, SLIDE, matches_about
 from retropole.scene.scans import find_poles
 from retropole.simulation import SimulatedPair
 
@@ -89,7 +89,7 @@ def test_the_highest_peak_is_where_the_points_are(
     T = about._screw(np.radians(turn), slide, is_flipped)
     target, source = (about._spectrum(points) for points in (WOOD, se3.apply(se3.inverse(T), WOOD)))
     other = source if is_flipped else np.conj(source)
-    spectrum = np.sum(about._spread(target) * other, axis=0)
+    spectrum = np.sum(about.spread(target, (ANGLES, LAYERS)) * other, axis=0)
     total = fft.irfft2(spectrum, s=(about.ANGLES, about.LAYERS))
     found = list(about._highest(total[:, np.r_[-SLIDE : SLIDE + 1]]))
     assert abs((np.degrees(found[0][0]) - turn + 180) % 360 - 180) <= 1.0

@@ -31,7 +31,7 @@ from .certainty import (
     uncertainty_of_pair,
 )
 from .error_sizes import WORKING_SHARE, considered, group_scales, prior_precision, working_sigma
-from .factor import OF_SOURCE, PoleFactor, poses_of_pair
+from .factor import OF_SOURCE, PoleFactor, gaussian_factor, poses_of_pair
 from .joint import JointPriors, Sight, maximise_joint, noise_of_start
 from .maximum import lines_of
 from .network import Network, bands_of, factor_of, observe
@@ -178,6 +178,26 @@ def align_beams(
     model = ErrorModel(sizes, given_sigma)
     found = align_all(state, sights, model, stood, OF_SOURCE, surveyed=Surveyed(poses=known))
     return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma))
+
+
+def without_poles(T: Array, radius: float) -> BeamAlignment:
+    """State a pose (4, 4) that the place alone gives, as poles would that know no more of it."""
+    covariance = np.diag(PLACE_SIGMA**2)
+    pose = PoseEstimate(T, covariance, 0.0)
+    nothing = np.zeros((0, 3))
+    return BeamAlignment(
+        pose,
+        Uncertainty(covariance, np.zeros_like(covariance), ()),
+        gaussian_factor(pose),
+        covariance,
+        nothing,
+        nothing,
+        RadiusEstimate(radius, 0.0, radius, 0.0),
+        0.0,
+        AxesTest(0.0, 1, np.zeros(0)),
+        (0.0, 0.0),
+        (0.0, 0.0),
+    )
 
 
 def align_all(

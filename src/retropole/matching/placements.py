@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.adjustment import BeamAlignment, align_beams
+from ..alignment.adjustment import BeamAlignment, align_beams, without_poles
 from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
@@ -108,7 +108,8 @@ def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     """
     choices = []
     first, *others = scored
-    at = np.array([pole.point for each in scored for pole in each.placement.source.poles])
+    poles = [pole.point for each in scored for pole in each.placement.source.poles]
+    at = np.array(poles or [np.zeros(3)])
     nearest = np.inf
     for hypothesis in first.hypotheses:
         if not hypothesis.match.exact:
@@ -177,6 +178,8 @@ def align(
 
     Where those of every placement leave a part of the pose to the place, `T_start` is held there.
     """
+    if has_no_poles(paired):
+        return without_poles(T_start, radius)
     target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
     source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
     first, second = paired[0].placement.scans
@@ -195,6 +198,11 @@ def align(
 def is_by_place(paired: Sequence[PairedPlacement]) -> bool:
     """Whether the place gives a part of the pose that the poles of every placement leave open."""
     return all(each.hypothesis.match.by_place for each in paired)
+
+
+def has_no_poles(paired: Sequence[PairedPlacement]) -> bool:
+    """Whether the place gives all of the pose."""
+    return not any(each.hypothesis.match.pairs for each in paired)
 
 
 def leave_one_out(

@@ -140,8 +140,10 @@ def hypotheses(result: ResultDoc | None) -> Html:
     )
     is_clear, decided = result.status == "ok", margin_words(result)
     count = counted(len(result.hypotheses), "hypothesis", "hypotheses")
+    has_poles = any(each.pairs for each in result.hypotheses)
     return fill(
         "hypotheses",
+        open=fill("poles-leave-open" if has_poles else "without-poles"),
         decided=f" {decided}." if decided else "",
         body=folded(f"Compare {count}", compared) if is_clear else compared,
     )

@@ -26,7 +26,7 @@ UNITS = get_args(Unit)
 LARGEST_WHOLE = 2**53
 """Of a whole number: JSON of other programs holds none beyond."""
 
-MIN_POLES = 1
+MIN_POLES = 0
 """Of one pole the place around gives what it leaves open (docs/hypotheses.md, One pole)."""
 
 MaxPoints = Annotated[int, Meta(ge=LEAST_POINTS, le=LARGEST_WHOLE)]
@@ -141,7 +141,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     poles: Annotated[
         Poles | None,
-        told("Exact number of poles that both see.  [default: any]"),
+        told("Exact number of poles that both see; 0: the place gives the pose.  [default: any]"),
     ] = None
     refine: Annotated[bool, told("Use the poles only.")] = True
     trust_poles: Annotated[

@@ -1,8 +1,8 @@
 """Poles that leave a part of the pose open, and the place that gives it: chosen, or refused.
 
 One pole that both LiDARs see, or parallel ones, are laid on each other in all ways in which the
-place lies on itself (`one_pole`). What stands off the ground chooses, rules the others out, and
-must confirm the pose; surfaces must hold it.
+place lies on itself (`one_pole`); without any, ground is laid on ground (`from_above`). What stands
+off the ground chooses, rules the others out, and must confirm the pose; surfaces must hold it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from ..matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
     find_recurring,
+    has_no_poles,
     is_by_place,
     rank_joint_hypotheses,
 )
 from ..matching.prior import RotationPrior, agreeing_with_prior
-from .choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, ambiguous
-from .confirmation import MAX_WRONG, MIN_TOTAL, lifts, scenes_of
+from .choice import NOT_SYMMETRIC, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, ambiguous
+from .confirmation import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
 from .confirmation import count as agreement
 from .consistency import Standing
 from .disambiguation import score_hypotheses
+from .from_above import matches_from_above
 from .one_pole import matches_about
 from .refinement import Refinement
 
@@ -36,6 +38,12 @@ HELD = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
 taken to give before (`alignment.adjustment.PLACE_SIGMA`): 0.5° and 5 cm. With twice that, an answer
 between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
+
+LEAVES = "one pole, or parallel ones, leave a part of the pose open"
+"""What the poles do not tell."""
+
+STAND_TWO = "set up two poles that both LiDARs see, one of them leaning by 15° or more"
+"""What to do where it does not without any pole."""
 
 LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
 """What to do where the place does not tell."""
@@ -68,11 +76,16 @@ def choose_by_place(
         None where nothing lies on each other so.
     """
     # The same recordings give the same answer.
-    scenes = scenes_of(placements, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    grounds = [grounds_of(placement, rng) for placement in placements]
     try:
         scored = []
-        for placement, standing in zip(placements, scenes, strict=True):
-            found = agreeing_with_prior(matches_about(placement, standing, radius), prior)
+        for placement, standing in zip(placements, grounds, strict=True):
+            if count == 0:
+                found = matches_from_above(placement, standing)
+            else:
+                found = matches_about(placement, (standing[0][0], standing[1][0]), radius)
+            found = agreeing_with_prior(found, prior)
             own = [match for match in found if count in (None, len(match.pairs))]
             if not any(match.exact for match in own):
                 return None
@@ -81,19 +94,27 @@ def choose_by_place(
         choices = find_recurring(scored)
     except Refusal:
         return None
-    told = [agreement(scenes, choice.joint.match.T_target_source) for choice in choices]
+    told = [_told(grounds, choice.joint.match.T_target_source) for choice in choices]
     order = np.argsort([each.conflicting - each.agreeing for each in told], kind="stable")
     choices = [choices[k] for k in order]
     hypotheses = rank_joint_hypotheses(choices, scored)
-    rivals = _rivals(scenes, hypotheses)
-    refusal = ambiguous(hypotheses[0], rivals) if rivals else None
+    rivals = _rivals(grounds, hypotheses)
+    advice = STAND_TWO if count == 0 else NOT_SYMMETRIC
+    refusal = ambiguous(hypotheses[0], rivals, advice) if rivals else None
     paired = () if rivals else choices[0].paired
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
 
 
-def _rivals(
-    scenes: Sequence[tuple[Standing, Standing]], hypotheses: Sequence[Hypothesis]
-) -> list[Hypothesis]:
+Grounds = Sequence[tuple[Sequence[Standing], Sequence[Standing]]]
+"""What stands off each plane that may be the ground, in both clouds of every placement."""
+
+
+def _told(grounds: Grounds, T: Array) -> Confirmation:
+    """Count what agrees with a pose (4, 4), and what conflicts with it."""
+    return agreement([under(each, T) for each in grounds], T)
+
+
+def _rivals(grounds: Grounds, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Find the hypotheses that what stands off the ground does not rule out beside the first.
 
     That more agrees with one rules out no other: near each other LiDARs see the same things. The
@@ -101,15 +122,20 @@ def _rivals(
     """
     best, *others = hypotheses
     T = best.match.T_target_source
-    own, lifted = agreement(scenes, T), lifts(scenes, T)
+    own, lifted = _told(grounds, T), _lifts(grounds, T)
     found = []
     for other in others:
-        told = agreement(scenes, other.match.T_target_source)
+        T = other.match.T_target_source
+        told = _told(grounds, T)
         stands = told.agreeing >= RIVAL_OVERLAP * own.agreeing
         stands &= told.contradicted <= own.contradicted + RIVAL_FREE_SPACE_VIOLATION
-        if stands and (lifted or not lifts(scenes, other.match.T_target_source)):
+        if stands and (lifted or not _lifts(grounds, T)):
             found.append(other)
     return found
+
+
+def _lifts(grounds: Grounds, T: Array) -> bool:
+    return lifts([under(each, T) for each in grounds], T)
 
 
 def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
@@ -126,12 +152,13 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
     if found.total >= MIN_TOTAL and wrong <= MAX_WRONG:
         return
     lead = found.z_margin or 0.0
+    left, advice = _left_open(paired)
     raise Refusal(
         "too_few_poles",
-        "both LiDARs see one pole only, or parallel ones, and the place around does not tell the "
-        f"rest of the pose: off the ground {found.counts}, and the pose leads others by {lead:.1f} "
-        f"σ (chance of a wrong pose {found.chance_words}; {MIN_TOTAL} patches and "
-        f"{100 * MAX_WRONG:.0f} % are needed); {LEAN_ANOTHER}",
+        f"{left}, and the place does not tell it: off the ground {found.counts}, and the "
+        f"pose leads others by {lead:.1f} σ "
+        f"(chance of a wrong pose {found.chance_words}; {MIN_TOTAL} patches and "
+        f"{100 * MAX_WRONG:.0f} % are needed); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,
@@ -144,6 +171,13 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
     )
 
 
+def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
+    """Say what the poles leave to the place, and what to do where it does not tell."""
+    if has_no_poles(paired):
+        return "without poles all of the pose is open", STAND_TWO
+    return LEAVES, LEAN_ANOTHER
+
+
 def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) -> None:
     """Refuse a pose that the poles leave open, and the scene as well.
 
@@ -154,15 +188,15 @@ def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) ->
     """
     if not is_by_place(paired):
         return
+    left, advice = _left_open(paired)
     if refined is None:
         raise Refusal(
             "degenerate_poles",
-            f"one pole leaves a turn about it and a slide along it open, and too few surfaces that "
-            f"both LiDARs see tell them; {LEAN_ANOTHER}",
-            {"poles": 1},
+            f"{left}, and too few surfaces that both LiDARs see tell it; {advice}",
+            {"poles": max(len(each.target_poles) for each in paired)},
         )
     assert refined.pose.covariance is not None
-    check_held_by_scene(refined.pose.covariance)
+    check_held_by_scene(refined.pose.covariance, left=left, advice=advice)
 
 
 def is_held(covariance: Array) -> bool:
@@ -171,7 +205,13 @@ def is_held(covariance: Array) -> bool:
     return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
 
 
-def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
+def check_held_by_scene(
+    covariance: Array,
+    lidars: str = "both LiDARs",
+    *,
+    left: str = LEAVES,
+    advice: str = LEAN_ANOTHER,
+) -> None:
     """Refuse a pose that the scene holds little better than the place was taken to give it.
 
     Parameters
@@ -180,6 +220,8 @@ def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
         (6, 6) of the pose of one LiDAR in the frame of the other, over ``[φ, δ]``, rad and m.
     lidars
         What they are called.
+    left, advice
+        What the poles leave open, and what to do.
 
     Raises
     ------
@@ -194,8 +236,7 @@ def check_held_by_scene(covariance: Array, lidars: str = "both LiDARs") -> None:
     )
     raise Refusal(
         "degenerate_poles",
-        "one pole leaves a turn about it and a slide along it open, and the surfaces that "
-        f"{lidars} see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
-        f"(1 σ); {LEAN_ANOTHER}",
+        f"{left}, and the surfaces that {lidars} see hold the pose to "
+        f"{np.degrees(rotation):.2f}° and {translation:.2f} m only (1 σ); {advice}",
         {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
     )

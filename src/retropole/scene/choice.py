@@ -117,16 +117,21 @@ class Scored(Protocol):
         """The one less the other."""
 
 
-def ambiguous(best: Scored, rivals: Sequence[Scored]) -> Refusal:
+NOT_SYMMETRIC = (
+    "add a third pole, or move the poles, a car or a box so that the surroundings are not "
+    "symmetric about the poles"
+)
+"""What tells hypotheses apart."""
+
+
+def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRIC) -> Refusal:
     """Say that the scene does not tell some hypotheses apart from the best."""
     rival = max(rivals, key=lambda h: h.score)
     return Refusal(
         "ambiguous",
         f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
         f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
-        f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): add a third "
-        "pole, or move the poles, a car or a box so that the surroundings are not symmetric "
-        "about the poles",
+        f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): {advice}",
         {
             "rivals": len(rivals),
             "overlap": best.overlap,

@@ -11,7 +11,7 @@ simulation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from msgspec.structs import replace
@@ -22,7 +22,7 @@ from ..base.errors import Reason, Refusal
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
 from ..matching.correspondence import are_alike
 from ..matching.placements import PairedPlacement, is_by_place
-from .consistency import Standing, consistency, standing_in
+from .consistency import Standing, consistency, grounds_in, is_ground_on_ground, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
 from .times import recorded_together
 
@@ -74,7 +74,10 @@ def confirm(
     deceiving
         Share of recordings like these that deceive; None takes what the times of both allow.
     """
-    scenes = scenes_of([each.placement for each in paired], rng)
+    if is_by_place(paired):
+        scenes = [under(grounds_of(each.placement, rng), T) for each in paired]
+    else:
+        scenes = scenes_of([each.placement for each in paired], rng)
     here = count(scenes, T)
     exact = [other.match for other in others if other.match.exact]
     angles = [other.match for other in others if other.match.by_place]
@@ -121,6 +124,22 @@ def scenes_of(
         )
         for placement in placements
     ]
+
+
+def grounds_of(
+    placement: Placement, rng: np.random.Generator
+) -> tuple[tuple[Standing, ...], tuple[Standing, ...]]:
+    """Prepare both clouds of a placement for each plane that may be the ground."""
+    target, source = (grounds_in(scan.cloud, rng, scan.poles) for scan in placement.scans)
+    return target, source
+
+
+def under(
+    grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array
+) -> tuple[Standing, Standing]:
+    """Choose the planes that a pose (4, 4) lays on each other; the first of each, where it none."""
+    every = list(product(*grounds))
+    return next((pair for pair in every if is_ground_on_ground(*pair, T)), every[0])
 
 
 def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation:

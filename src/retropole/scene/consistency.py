@@ -51,6 +51,9 @@ vote, and how often the best is fitted to the points near it."""
 MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 """LiDARs are tilted by less, as a rule, rad; of a steeper plane every vote counts this much."""
 
+OTHER_GROUND = np.radians(10.0)
+"""Planes tilted against each other by more than this are not one ground, rad."""
+
 MIN_AREA = 0.1
 """Least area that the three points span, twice, m²: fewer than three span no plane."""
 
@@ -112,15 +115,20 @@ class Standing:
 
 
 def standing_in(
-    cloud: PointCloud, rng: np.random.Generator, poles: Sequence[Line] = ()
+    cloud: PointCloud,
+    rng: np.random.Generator,
+    poles: Sequence[Line] = (),
+    *,
+    max_tilt: float = MAX_TILT,
 ) -> Standing:
     """Prepare a cloud, without what is its poles'.
 
-    The random numbers choose the planes that are tried for the ground.
+    The random numbers choose the planes that are tried for the ground. Those tilted by less than
+    `max_tilt` against the LiDAR, rad, go before the others.
     """
     points = voxel_downsample(cloud.xyz, VOXEL)
     ranges = se3.lengths(points - cloud.origin)
-    on_ground, ground, up = _ground(points, ranges, cloud.axis, rng)
+    on_ground, ground, up = _ground(points, ranges, cloud.axis, rng, max_tilt)
     standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
@@ -128,10 +136,28 @@ def standing_in(
     return Standing(standing, voxel, tree_of(points), range_image(cloud), ground, up)
 
 
+def grounds_in(
+    cloud: PointCloud, rng: np.random.Generator, poles: Sequence[Line] = ()
+) -> tuple[Standing, ...]:
+    """Prepare a cloud for each plane that may be the ground: as usual, and off the largest."""
+    usual = standing_in(cloud, rng, poles)
+    largest = standing_in(cloud, rng, poles, max_tilt=np.pi)
+    return (usual,) if _is_one_plane(usual.up, largest.up) else (usual, largest)
+
+
+def is_ground_on_ground(target: Standing, source: Standing, T: Array) -> bool:
+    """Whether a pose (4, 4) lays the ground of one LiDAR along that of the other."""
+    return _is_one_plane(target.up, T[:3, :3] @ source.up)
+
+
+def _is_one_plane(normal: Array, other: Array) -> bool:
+    return bool(abs(normal @ other) > np.cos(OTHER_GROUND))
+
+
 def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
     """Find the normal (3,) of the plane that most of a cloud's points off walls lie on."""
     points = voxel_downsample(cloud.xyz, VOXEL)
-    return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng)[2]
+    return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng, MAX_TILT)[2]
 
 
 def _is_near(points: Array, pole: Line) -> BoolArray:
@@ -144,7 +170,7 @@ def _is_near(points: Array, pole: Line) -> BoolArray:
 
 
 def _ground(
-    points: Array, ranges: Array, axis: Array, rng: np.random.Generator
+    points: Array, ranges: Array, axis: Array, rng: np.random.Generator, max_tilt: float
 ) -> tuple[BoolArray, Array, Array]:
     """Which points lie on the plane that most of a sample lies on, its middle and normal (3,).
 
@@ -158,7 +184,7 @@ def _ground(
     normals = np.cross(b - a, c - a)
     area = se3.lengths(normals)
     normals /= np.maximum(area, MIN_AREA)[:, None]
-    is_level = np.abs(normals @ axis) > np.cos(MAX_TILT)
+    is_level = np.abs(normals @ axis) > np.cos(max_tilt)
     tried = np.argsort(~(is_level & (area > MIN_AREA)), kind="stable")[:GROUND_TRIALS]
     a, normals, area, is_level = (each[tried] for each in (a, normals, area, is_level))
     # In single precision, which is exact to a hundredth of a millimetre, in half the time.

@@ -144,11 +144,11 @@ def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> I
     for scan, seen in zip((target, source), standing, strict=True):
         frames.append([_about(pole) for pole in scan.poles[:MOST_POLES]])
         spectra.append([_spectrum(se3.apply(frame, seen.points)) for frame in frames[-1]])
-    for i, spread in enumerate(map(_spread, spectra[0])):
+    for i, near in enumerate(spread(each, (ANGLES, LAYERS)) for each in spectra[0]):
         for j, is_flipped in product(range(len(spectra[1])), (False, True)):
             # Upside down, angle and height run the other way.
             other = spectra[1][j] if is_flipped else np.conj(spectra[1][j])
-            total = fft.irfft2(np.einsum("rak,rak->ak", spread, other), s=(ANGLES, LAYERS))
+            total = fft.irfft2(np.einsum("rak,rak->ak", near, other), s=(ANGLES, LAYERS))
             for turn, slide, height in _highest(total[:, np.r_[-SLIDE : SLIDE + 1]]):
                 T = se3.inverse(frames[0][i]) @ _screw(turn, slide, is_flipped) @ frames[1][j]
                 yield Peak((i, j), is_flipped, T, height)
@@ -183,15 +183,23 @@ def _spectrum(points: Array) -> NDArray[np.complex64]:
     return np.asarray(fft.rfft2(grid))
 
 
-def _spread(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """Let every cell count half in its neighbours, too: surfaces are sampled at other points."""
+def spread(spectrum: NDArray[np.complex64], sizes: tuple[int, int]) -> NDArray[np.complex64]:
+    """Let every cell count half in its neighbours, too: surfaces are sampled at other points.
+
+    Parameters
+    ----------
+    spectrum
+        (L, A, B) of layers of cells, each transformed by a real FFT.
+    sizes
+        Of a layer, in cells.
+    """
     over = [
         1 + np.cos(2 * np.pi * np.arange(n) / size)
-        for n, size in zip(spectrum.shape[1:], (ANGLES, LAYERS), strict=True)
+        for n, size in zip(spectrum.shape[1:], sizes, strict=True)
     ]
-    spread = spectrum * np.outer(*over).astype(np.float32)
-    spread[1:] += spread[:-1] / 2
-    return spread
+    wider = spectrum * np.outer(*over).astype(np.float32)
+    wider[1:] += wider[:-1] / 2
+    return wider
 
 
 def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]:

@@ -51,7 +51,7 @@ def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) 
     Refusal
         ``scene_contradicts``.
     """
-    if aligned is None or refined is None:
+    if aligned is None or refined is None or not len(aligned.axis_points):
         return
     T, T_poles = refined.pose.T_target_source, aligned.pose.T_target_source
     tree = cKDTree(aligned.axis_points)

@@ -12,15 +12,22 @@ from .static import remove_dynamic_points
 
 
 def find_poles(
-    cloud: PointCloud, *, sensor: Sensor | None, threshold: float | None, radius: float
+    cloud: PointCloud,
+    *,
+    sensor: Sensor | None,
+    threshold: float | None,
+    radius: float,
+    search: bool = True,
 ) -> Scan:
-    """Find the poles in a cloud; of several frames, without what moved.
+    """Find the poles in a cloud, if asked to; of several frames, without what moved.
 
     Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
     found elsewhere is not lost.
     """
     try:
         cloud = remove_dynamic_points(located(without_copies(cloud), radius))
+        if not search:
+            return Scan(cloud, sensor)
         detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
         return Scan(cloud, sensor, None, refusal)

@@ -21,7 +21,7 @@ from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confi
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
 from . import disambiguation, icp_refinement
-from .by_place import choose_by_place
+from .by_place import STAND_TWO, choose_by_place
 from .choice import choose_best
 
 RESCUED = {
@@ -71,6 +71,8 @@ def choose_with_candidates(
         With the first refusal where the candidate poles are not confirmed, and with what was not
         tried.
     """
+    if count == 0:
+        return _choose_without_poles(placements, radius, step, prior)
     first = choose(placements, step, count=count, prior=prior)
     if first.refusal is None:
         return first
@@ -91,6 +93,21 @@ def choose_with_candidates(
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
     return replace(first, refusal=state_what_was_tried(first.refusal, tried))
+
+
+def _choose_without_poles(
+    placements: Sequence[Placement], radius: float, step: Step, prior: RotationPrior | None
+) -> Chosen:
+    chosen = _first_by_place([placements], radius, step, 0, prior)
+    if chosen is not None:
+        return chosen
+    refusal = Refusal(
+        "no_overlap",
+        "without poles the place must give the pose, and there is none that lays ground on ground "
+        f"and what stands off it on each other; {STAND_TWO}",
+        {"poles": 0},
+    )
+    return Chosen((), (), refusal)
 
 
 def choose_about_one_pole(

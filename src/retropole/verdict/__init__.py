@@ -19,6 +19,7 @@ from ..matching.correspondence import widest_angle
 from ..matching.extension import left_out
 from ..matching.placements import PairedPlacement, is_by_place
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..scene.by_place import LEAN_ANOTHER, STAND_TWO
 from ..scene.choice import WARN_MARGIN, margin_of
 from ..scene.confirmation import check_unconfirmed
 from ..scene.refinement import Refinement
@@ -99,12 +100,14 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
         yield from check_angles([pole.direction for pole in poles])
         return
     lead = confirmation.z_margin or 0.0
-    are = "one pole leaves" if len(poles) == 1 else f"{len(poles)} poles, all parallel, leave"
+    are, advice = {
+        0: ("without poles all of the pose is", STAND_TWO),
+        1: ("one pole leaves a part of the pose", LEAN_ANOTHER),
+    }.get(len(poles), (f"{len(poles)} poles, all parallel, leave a part of the pose", LEAN_ANOTHER))
     yield Reason(
         "by_place",
-        f"{are} a part of the pose open, which the place around gives: it leads other angles and "
-        f"shifts by {lead:.1f} σ; a second pole that leans by 15° or more against the first "
-        "checks it",
+        f"{are} open, which the place around gives: it leads other angles and shifts by "
+        f"{lead:.1f} σ; to check it, {advice}",
         {"poles": len(poles), "lead": lead},
     )
 
@@ -158,6 +161,8 @@ def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reas
 
 def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
     """Say that a LiDAR has little to tell of its poles; two hold a pose: the second best counts."""
+    if not poles:
+        return
     points, rings = (
         sorted(of_poles)[-2:][0]
         for of_poles in ([len(p.xyz) for p in poles], [p.rings for p in poles])

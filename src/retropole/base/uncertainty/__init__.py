@@ -217,6 +217,8 @@ def weakest_direction(
 ) -> WeakDirection:
     """Name the direction in which it is least certain where the poles are.
 
+    Without any, where the source is.
+
     Parameters
     ----------
     T, covariance
@@ -224,15 +226,17 @@ def weakest_direction(
     axis_points, axis_directions
         (K, 3) the axes of the poles, target frame.
     """
-    middle = axis_points.mean(axis=0)
+    middle = axis_points.mean(axis=0) if len(axis_points) else T[:3, 3]
     at = covariance_at(covariance, T, middle)
     values, vectors = np.linalg.eigh(at[3:, 3:])
     direction, sigma = vectors[:, 2], float(np.sqrt(max(values[2], 0.0)))
-    # Poles have no sign: their mean direction is that of their scatter.
-    mean = np.linalg.eigh(axis_directions.T @ axis_directions)[1][:, 2]
-    between = axis_points[-1] - axis_points[0]
-    between = between - (between @ mean) * mean
-    between = between / max(float(np.linalg.norm(between)), 1e-9)
+    mean, between = np.zeros(3), np.zeros(3)
+    if len(axis_points):
+        # Poles have no sign: their mean direction is that of their scatter.
+        mean = np.linalg.eigh(axis_directions.T @ axis_directions)[1][:, 2]
+        between = axis_points[-1] - axis_points[0]
+        between = between - (between @ mean) * mean
+        between = between / max(float(np.linalg.norm(between)), 1e-9)
     if abs(float(direction @ mean)) > ALONG:
         name = "height along the poles"
     elif abs(float(direction @ between)) > ALONG:

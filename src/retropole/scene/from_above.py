@@ -1,0 +1,142 @@
+"""No pole: what stands off the ground, seen from above, gives the pose.
+
+The ground that both LiDARs see leaves a rotation about its normal and a shift along it. What stands
+off it in each cloud is sorted into cells by place and height, and all rotations and shifts are
+compared at once: the cross-correlation over the ground, summed over the heights (by FFT, as in
+`one_pole`). The best few settle on the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from ..base import se3
+from ..base.datatypes import Array, Match, Placement
+from ..matching.distinct import same_pose
+from .consistency import Standing, is_ground_on_ground
+from .disambiguation import SCORING_VOXEL
+from .icp_refinement import registered
+from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, spread
+from .registration import prepare, voxel_downsample
+from .visibility import tree_of
+
+CELL, TURNS = 0.5, 240
+"""Side of a cell, metres, and rotations that are tried: 1.5° apart, 0.8 m at `REACH`."""
+
+CELLS, REACH = 256, 32.0
+"""Cells along a side, and how far from its LiDAR a point counts, metres. LiDARs up to
+``CELLS * CELL - 2 * REACH`` apart see no point beside one that lies there only since FFTs wrap."""
+
+HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
+"""Limits of the layers, metres above the ground: thin where cars, fences and people are."""
+
+PER_TURN = 3
+"""Shifts that are looked at for each rotation, where most cells coincide."""
+
+APART = np.radians(8.0), 1.2
+"""Peaks nearer to each other than this are one, rad and m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A pose (4, 4), and how much of the place coincides."""
+
+    T: Array
+    height: float
+
+
+def matches_from_above(
+    placement: Placement, grounds: tuple[Sequence[Standing], Sequence[Standing]]
+) -> list[Match]:
+    """Find the poses that lay the ground on the ground and the place on the place.
+
+    Parameters
+    ----------
+    placement
+        With both clouds.
+    grounds
+        What stands off each plane that may be the ground, in either cloud.
+
+    Returns
+    -------
+    list of Match
+        Without any pair of poles, in the order of how much of the place coincides: where the scenes
+        lie on each other, `exact`; as they were laid, and not `exact`, where they do not.
+    """
+    target, source = (scan.cloud for scan in placement.scans)
+    surface = prepare(target.xyz, SCORING_VOXEL)
+    tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
+    found: list[tuple[float, Match]] = []
+    for standing in product(*grounds):
+        peaks = _peaks(*standing)
+        for peak in peaks:
+            is_low = peak.height < LOW * peaks[0].height
+            T = None if is_low else registered(surface, tree, points, peak.T)
+            settled = T is not None and is_ground_on_ground(*standing, T)
+            pose = T if T is not None and settled else peak.T
+            match = Match(
+                (), pose, 0.0, settled, True, NOTHING_SAID, icp_refined=settled, by_place=True
+            )
+            if not any(same_pose(match, other, np.zeros((1, 3))) for _, other in found):
+                found.append((peak.height, match))
+    found.sort(key=lambda each: (not each[1].exact, -each[0]))
+    return [match for _, match in found]
+
+
+def _peaks(target: Standing, source: Standing) -> list[Peak]:
+    """Find the rotations and shifts at which most cells coincide, the best first."""
+    levels = _level(target), _level(source)
+    above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
+    over = spread(fft.rfft2(_cells(above[0])), (CELLS, CELLS))
+    found = []
+    for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
+        R = se3.exp_so3(np.array([0.0, 0.0, turn]))
+        cells = np.conj(fft.rfft2(_cells(above[1] @ R.T)))
+        total = fft.irfft2(np.einsum("hij,hij->ij", over, cells), s=(CELLS, CELLS))
+        for k in np.argpartition(total, -PER_TURN, axis=None)[-PER_TURN:]:
+            # Shifts of more than half of the cells are those the other way.
+            shift = (np.array(np.unravel_index(k, total.shape)) + CELLS // 2) % CELLS - CELLS // 2
+            T = se3.from_rt(R, np.r_[CELL * shift, 0.0])
+            found.append(Peak(se3.inverse(levels[0]) @ T @ levels[1], float(total.flat[k])))
+    found.sort(key=lambda peak: -peak.height)
+    return list(_apart(found))
+
+
+def _apart(peaks: Sequence[Peak]) -> Iterator[Peak]:
+    """Leave out what is lower and near another."""
+    kept: list[Peak] = []
+    for peak in peaks:
+        gaps = [se3.difference(peak.T, other.T) for other in kept]
+        if any(gap.rotation < APART[0] and gap.translation < APART[1] for gap in gaps):
+            continue
+        kept.append(peak)
+        yield peak
+        if len(kept) == MOST_SETTLED:
+            return
+
+
+def _level(standing: Standing) -> Array:
+    """(4, 4) to a frame on the ground below the LiDAR, z up, from the LiDAR's."""
+    origin = standing.image.origin
+    height = float((origin - standing.ground) @ standing.up)
+    z = standing.up if height > 0 else -standing.up
+    x = np.linalg.svd(z[None])[2][1]
+    R = np.stack([x, np.cross(z, x), z])
+    return se3.from_rt(R, np.array([0.0, 0.0, abs(height)]) - R @ origin)
+
+
+def _cells(points: Array) -> NDArray[np.float32]:
+    """Sort points (N, 3) above the ground into cells (H, `CELLS`, `CELLS`), about (0, 0)."""
+    layer = np.searchsorted(HEIGHTS, points[:, 2]) - 1
+    kept = (np.hypot(points[:, 0], points[:, 1]) < REACH) & (layer >= 0)
+    kept &= layer < len(HEIGHTS) - 1
+    x, y = np.round(points[kept, :2].T / CELL).astype(np.intp)
+    cells = np.zeros((len(HEIGHTS) - 1, CELLS, CELLS), dtype=np.float32)
+    cells[layer[kept], x, y] = 1.0
+    return cells

@@ -1,0 +1,78 @@
+"""No pole at all: the place gives the pose, or there is no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.datatypes import Calibration, PointCloud
+from retropole.base.errors import UsageError
+from retropole.pipeline import calibrate
+from retropole.simulation import SimulatedPair
+from tests.scene.conftest import simulated_with_one_pole
+from tests.scene.test_one_pole import MOVED, assert_near
+
+STEEP = se3.from_rt(se3.exp_so3(np.radians([70.0, 0.0, 0.0])), np.zeros(3))
+"""Tilts a LiDAR by more than LiDARs are tilted as a rule."""
+
+
+def bare(cloud: PointCloud) -> PointCloud:
+    """Leave out the intensity: no pole could be found."""
+    return replace(cloud, intensity=None)
+
+
+def by_the_place(pair: SimulatedPair) -> Calibration:
+    return calibrate(bare(pair.target), bare(pair.source), poles=0)
+
+
+@pytest.fixture(scope="module", params=[("street", 1), ("harbor", 2)], ids=lambda each: each[0])
+def pair(request: pytest.FixtureRequest) -> SimulatedPair:
+    return simulated_with_one_pole(*request.param)
+
+
+def test_the_place_gives_the_truth(pair: SimulatedPair) -> None:
+    answer = by_the_place(pair)
+    assert answer.status != "refused", answer.reasons
+    assert_near(answer.T_target_source, pair.T_target_source)
+    assert answer.T_target_source is not None
+    assert answer.covariance is not None
+    off = se3.local(answer.T_target_source, pair.T_target_source)
+    assert off @ np.linalg.solve(answer.covariance, off) < 22.5
+    # Nothing is said of poles that nobody looked for.
+    assert answer.poles is None
+    assert answer.radius is None
+    assert answer.hypotheses[0].match.pairs == ()
+    (note,) = [note for note in answer.notes if note.code == "by_place"]
+    assert note.values["poles"] == 0
+
+
+def test_the_frames_of_the_lidars_do_not_matter(pair: SimulatedPair) -> None:
+    moved = replace(pair, target=pair.target.transformed(MOVED))
+    answer = by_the_place(moved)
+    assert_near(answer.T_target_source, MOVED @ pair.T_target_source)
+    back = calibrate(bare(moved.source), bare(moved.target), poles=0)
+    assert answer.T_target_source is not None
+    assert_near(back.T_target_source, se3.inverse(answer.T_target_source), 0.05, 0.02)
+
+
+def test_the_ground_of_a_steep_lidar_is_not_taken_for_a_wall(pair: SimulatedPair) -> None:
+    steep = replace(pair.source.transformed(STEEP), axis=pair.source.axis)
+    answer = calibrate(bare(pair.target), bare(steep), poles=0)
+    assert_near(answer.T_target_source, pair.T_target_source @ se3.inverse(STEEP))
+
+
+def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
+    ground = simulated_with_one_pole("bare", 0)
+    for other in (ground, replace(pair, source=ground.source)):
+        answer = by_the_place(other)
+        assert answer.status == "refused"
+        assert answer.T_target_source is None
+        assert any(words in answer.reasons[0].message for words in ("two poles", "one direction"))
+
+
+def test_one_of_poles_and_scene_must_give_the_pose(pair: SimulatedPair) -> None:
+    with pytest.raises(UsageError, match="scene must give the pose"):
+        calibrate(pair.target, pair.source, poles=0, scene=False)
