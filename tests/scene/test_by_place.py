@@ -9,7 +9,7 @@ import pytest
 
 from retropole.alignment.adjustment import PLACE_SIGMA
 from retropole.base import se3
-from retropole.base.datatypes import PoseEstimate
+from retropole.base.datatypes import Calibration, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
@@ -31,8 +31,14 @@ def pair(request: pytest.FixtureRequest) -> SimulatedPair:
     return simulated_with_one_pole(request.param, SCENES[request.param])
 
 
-def test_one_pole_gives_the_truth_where_the_place_tells(pair: SimulatedPair) -> None:
-    answer = calibrate(pair.target, pair.source)
+@pytest.fixture(scope="module")
+def answer(pair: SimulatedPair) -> Calibration:
+    return calibrate(pair.target, pair.source)
+
+
+def test_one_pole_gives_the_truth_where_the_place_tells(
+    pair: SimulatedPair, answer: Calibration
+) -> None:
     assert answer.status == "ok", answer.reasons
     assert_near(answer.T_target_source, pair.T_target_source)
     assert answer.T_target_source is not None
@@ -45,17 +51,16 @@ def test_one_pole_gives_the_truth_where_the_place_tells(pair: SimulatedPair) -> 
     assert "nearly_parallel_poles" not in {each.code for each in answer.notes}
 
 
-def test_swapping_the_clouds_inverts_the_answer(pair: SimulatedPair) -> None:
-    there, back = calibrate(pair.target, pair.source), calibrate(pair.source, pair.target)
-    assert there.T_target_source is not None
-    assert_near(back.T_target_source, se3.inverse(there.T_target_source), 0.05, 0.02)
+def test_swapping_the_clouds_inverts_the_answer(pair: SimulatedPair, answer: Calibration) -> None:
+    back = calibrate(pair.source, pair.target)
+    assert answer.T_target_source is not None
+    assert_near(back.T_target_source, se3.inverse(answer.T_target_source), 0.05, 0.02)
 
 
 def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
-    moved = calibrate(one_pole.target.transformed(MOVED), one_pole.source)
-    assert_near(moved.T_target_source, MOVED @ one_pole.T_target_source)
-    moved = calibrate(one_pole.target, one_pole.source.transformed(MOVED))
-    assert_near(moved.T_target_source, one_pole.T_target_source @ se3.inverse(MOVED))
+    both = one_pole.target.transformed(MOVED), one_pole.source.transformed(MOVED)
+    moved = calibrate(*both)
+    assert_near(moved.T_target_source, MOVED @ one_pole.T_target_source @ se3.inverse(MOVED))
 
 
 def test_bare_ground_gives_no_answer() -> None:

@@ -58,7 +58,13 @@ def recorded(kind: str) -> tuple[list[PointCloud], list[PointCloud], tuple[Senso
     return targets, sources, (None, None) if kind == "sensors not named" else pair.sensors
 
 
-@pytest.mark.parametrize("kind", RECORDINGS)
+SLOW = "two placements", "parallel poles", "diameter for radius", "dim tape"
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[pytest.mark.slow] if kind in SLOW else []) for kind in RECORDINGS],
+)
 def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     targets, sources, sensors = recorded(kind)
     radius = 0.04 if kind == "diameter for radius" else 0.02

@@ -109,10 +109,10 @@ def test_without_surroundings_it_is_linked_to_nothing() -> None:
     assert not refused.lidars
 
 
-@pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)])
 def test_the_order_of_the_lidars_changes_nothing(
-    hidden: SimulatedSite, answer: SiteCalibration, order: tuple[int, ...]
+    hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
+    order = (2, 0, 1)
     again = calibrate_site(reordered(hidden.as_site(), order, (0,)))
     assert again.status == "ok", again.reasons
     assert {note.code for note in again.notes} == {note.code for note in answer.notes}
@@ -137,12 +137,9 @@ def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
     assert calibrate_site(moved.as_site()).status == "refused"
 
 
-@pytest.mark.parametrize("step", [(0.05, 0.0, 0.0), (0.0, 0.05, 0.0)])
-def test_a_pole_that_was_pushed_a_little_is_told(
-    hidden: SimulatedSite, step: tuple[float, ...]
-) -> None:
+def test_a_pole_that_was_pushed_a_little_is_told(hidden: SimulatedSite) -> None:
     """Where it alone holds a part of the pose that is `not_checked`, where not it is refused."""
-    pushed = with_pole_moved(hidden, 2, np.array(step))
+    pushed = with_pole_moved(hidden, 2, np.array([0.04, 0.03, 0.0]))
     assert calibrate_site(pushed.as_site()).status != "ok"
 
 

@@ -75,6 +75,9 @@ def choose_by_place(
     Chosen or None
         None where nothing lies on each other so.
     """
+    scans = [scan for placement in placements for scan in placement.scans]
+    if count is not None and min(len(scan.poles) for scan in scans) < count:
+        return None
     # The same recordings give the same answer.
     rng = np.random.default_rng(0)
     grounds = [grounds_of(placement, rng) for placement in placements]

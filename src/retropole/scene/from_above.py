@@ -22,7 +22,7 @@ from ..matching.distinct import same_pose
 from .consistency import Standing, is_ground_on_ground
 from .disambiguation import SCORING_VOXEL
 from .icp_refinement import registered
-from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, spread
+from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, SETTLES, spread
 from .registration import prepare, voxel_downsample
 from .visibility import tree_of
 
@@ -77,7 +77,7 @@ def matches_from_above(
         peaks = _peaks(*standing)
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
-            T = None if is_low else registered(surface, tree, points, peak.T)
+            T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES)
             settled = T is not None and is_ground_on_ground(*standing, T)
             pose = T if T is not None and settled else peak.T
             match = Match(

@@ -82,7 +82,15 @@ def refine_by_icp(
     return kept
 
 
-def registered(target: Surface, tree: cKDTree, source: Array, T: Array) -> Array | None:
+def registered(
+    target: Surface,
+    tree: cKDTree,
+    source: Array,
+    T: Array,
+    *,
+    near: se3.PoseDifference | None = None,
+    at: Array | None = None,
+) -> Array | None:
     """Register the scenes from a pose (4, 4), by what lies within `ICP_REACH` of each other.
 
     Parameters
@@ -93,20 +101,29 @@ def registered(target: Surface, tree: cKDTree, source: Array, T: Array) -> Array
         (N, 3) points of the source, downsampled.
     T
         The start.
+    near
+        How far each of the registrations may move `at` from the start; None lets it go anywhere.
+    at
+        (3,) a point of the source, metres; None takes its origin.
 
     Returns
     -------
     Array or None
-        (4, 4); None where fewer than `MIN_CLOUD_POINTS` lie on each other at the start or the end.
+        (4, 4); None where fewer than `MIN_CLOUD_POINTS` lie on each other at the start or the end,
+        and where it moves too far.
     """
     apart, _ = tree.query(se3.apply(T, source), distance_upper_bound=ICP_REACH)
-    near = source[np.isfinite(apart)]
-    if len(near) < MIN_CLOUD_POINTS:
+    close = source[np.isfinite(apart)]
+    if len(close) < MIN_CLOUD_POINTS:
         return None
-    surface, inliers = surface_of(near), 0
+    surface, inliers, start = surface_of(close), 0, T
+    point = np.zeros((1, 3)) if at is None else at[None]
     for distance in ICP_DISTANCES:
         end = register(target, surface, T, method="GICP", max_correspondence_distance=distance)
         T, inliers = end.T_target_source, end.inliers
+        moved = se3.difference_at(T, start, point)
+        if near and (moved.rotation > near.rotation or moved.translation > near.translation):
+            return None
     return T if inliers >= MIN_CLOUD_POINTS else None
 
 

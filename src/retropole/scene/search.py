@@ -23,6 +23,7 @@ from ..matching.prior import RotationPrior, agreeing_with_prior
 from . import disambiguation, icp_refinement
 from .by_place import STAND_TWO, choose_by_place
 from .choice import choose_best
+from .one_pole import MOST_POLES
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
@@ -145,9 +146,15 @@ def _first_by_place(
 
     That the place does not tell where a candidate pole stands refuses nothing: it may be no pole.
     """
+    before: list[Pole] = []
     for found in looks:
+        every = _with_all(found)
+        own = [pole for one in every for scan in one.scans for pole in scan.poles[:MOST_POLES]]
+        if before and own == before:
+            continue
+        before = own
         with step("place"):
-            chosen = choose_by_place(_with_all(found), radius, count=count, prior=prior)
+            chosen = choose_by_place(every, radius, count=count, prior=prior)
         if chosen is not None and (chosen.refusal is None or not _candidate_returns(found)):
             return chosen
     return None
