@@ -34,6 +34,9 @@ from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 
 FIRST_STATED_SEED = 1000
+ENOUGH = 6
+"""Returns of both LiDARs on one pole with which the place should be able to tell the rest."""
+
 QUANTILES = 0.5, 0.95
 """Of e_rt, that are printed."""
 
@@ -42,15 +45,16 @@ QUANTILES = 0.5, 0.95
 class Outcome:
     """What came of one scene, and the CPU seconds of its drawing and its calibration.
 
-    ``returns`` are the least that a LiDAR has on a pole. Off by ``rotation``, rad, and
-    ``translation``, m, ``squared`` Mahalanobis distance, and the ``error`` e_rt, m; nan without an
-    answer.
+    ``returns`` are the least that a LiDAR has on a pole, ``common`` those that both have on the one
+    that both see best. Off by ``rotation``, rad, and ``translation``, m, ``squared`` Mahalanobis
+    distance, and the ``error`` e_rt, m; nan without an answer.
     """
 
     seed: int
     scene: Scene
     well_seen: bool
     returns: int
+    common: int
     status: str
     codes: tuple[str, ...]
     rotation: float
@@ -92,6 +96,7 @@ def outcome_of(seed: int, poles: int | None = None) -> Outcome | None:
         scene,
         pair.sees_every_pole,
         min(min(each) for each in pair.returns_on_poles),
+        max(min(each) for each in pair.returns_on_poles),
         found.status,
         tuple(reason.code for reason in found.reasons),
         float(np.linalg.norm(off[:3])),
@@ -164,6 +169,12 @@ def main() -> None:
             if arguments.verbose:
                 print(f"{seed}: nothing possible was drawn" if o is None else line(o), flush=True)
     print(table(outcomes))
+    shared = [o for o in outcomes if o.common >= ENOUGH]
+    right = sum(o.answered and not o.wrong for o in shared)
+    print(
+        f"\nBoth LiDARs have {ENOUGH} returns or more on one pole in {len(shared)} scenes: {right} "
+        f"are right, {100 * right / max(len(shared), 1):.1f} %."
+    )
     drawing, calibrating = np.mean([o.seconds for o in outcomes], axis=0)
     print(
         f"\n{len(seeds) - len(outcomes)} of {len(seeds)} seeds gave no possible scene. CPU seconds "

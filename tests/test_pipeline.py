@@ -230,7 +230,7 @@ def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
         assert metres < 0.1
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
     one = simulate_pair("street", np.random.default_rng(seed))
     other = simulate_pair("harbor", np.random.default_rng(seed + 50))

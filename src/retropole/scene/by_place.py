@@ -8,13 +8,15 @@ off the ground chooses, rules the others out, and must confirm the pose; surface
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..alignment.adjustment import PLACE_SIGMA
-from ..base.datatypes import Array, Hypothesis, Placement
+from ..base.datatypes import Array, Match, Placement, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
+from ..matching.distinct import same_pose
 from ..matching.placements import (
     Chosen,
     PairedPlacement,
@@ -84,12 +86,9 @@ def choose_by_place(
     try:
         scored = []
         for placement, standing in zip(placements, grounds, strict=True):
-            if count == 0:
-                found = matches_from_above(placement, standing)
-            else:
-                found = matches_about(placement, (standing[0][0], standing[1][0]), radius)
-            found = agreeing_with_prior(found, prior)
-            own = [match for match in found if count in (None, len(match.pairs))]
+            found = agreeing_with_prior(_matches(placement, standing, radius, count), prior)
+            # What is not exact is only compared with.
+            own = [each for each in found if not each.exact or count in (None, len(each.pairs))]
             if not any(match.exact for match in own):
                 return None
             clouds = placement.target.cloud, placement.source.cloud
@@ -101,11 +100,30 @@ def choose_by_place(
     order = np.argsort([each.conflicting - each.agreeing for each in told], kind="stable")
     choices = [choices[k] for k in order]
     hypotheses = rank_joint_hypotheses(choices, scored)
-    rivals = _rivals(grounds, hypotheses)
+    beside = _rivals(
+        grounds, hypotheses[0].match.T_target_source, [h.match for h in hypotheses[1:]]
+    )
+    rivals = [each for each in hypotheses if each.match in beside]
     advice = STAND_TWO if count == 0 else NOT_SYMMETRIC
     refusal = ambiguous(hypotheses[0], rivals, advice) if rivals else None
     paired = () if rivals else choices[0].paired
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
+
+
+def _matches(
+    placement: Placement,
+    grounds: tuple[Sequence[Standing], Sequence[Standing]],
+    radius: float,
+    count: int | None,
+) -> list[Match]:
+    """Lay a placement on itself about one pole, or without any where that is asked for."""
+    if count == 0:
+        return matches_from_above(placement, grounds)
+    found = matches_about(placement, (grounds[0][0], grounds[1][0]), radius)
+    if any(match.exact for match in found) or not all(scan.poles for scan in placement.scans):
+        return found
+    # A short piece of a pole does not tell which way it leans.
+    return matches_from_above(placement, grounds, radius)
 
 
 Grounds = Sequence[tuple[Sequence[Standing], Sequence[Standing]]]
@@ -117,28 +135,55 @@ def _told(grounds: Grounds, T: Array) -> Confirmation:
     return agreement([under(each, T) for each in grounds], T)
 
 
-def _rivals(grounds: Grounds, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Find the hypotheses that what stands off the ground does not rule out beside the first.
+def _rivals(grounds: Grounds, T: Array, others: Sequence[Match]) -> list[Match]:
+    """Find the poses that what stands off the ground does not rule out beside one (4, 4).
 
     That more agrees with one rules out no other: near each other LiDARs see the same things. The
     rule is that of `choice.check_choice`, of patches off the ground.
     """
-    best, *others = hypotheses
-    T = best.match.T_target_source
     own, lifted = _told(grounds, T), _lifts(grounds, T)
     found = []
     for other in others:
-        T = other.match.T_target_source
-        told = _told(grounds, T)
+        told = _told(grounds, other.T_target_source)
         stands = told.agreeing >= RIVAL_OVERLAP * own.agreeing
         stands &= told.contradicted <= own.contradicted + RIVAL_FREE_SPACE_VIOLATION
-        if stands and (lifted or not _lifts(grounds, T)):
+        if stands and (lifted or not _lifts(grounds, other.T_target_source)):
             found.append(other)
     return found
 
 
 def _lifts(grounds: Grounds, T: Array) -> bool:
     return lifts([under(each, T) for each in grounds], T)
+
+
+def has_rival(paired: Sequence[PairedPlacement], radius: float) -> bool:
+    """Whether the place lies on itself as well at another angle about the pole that both see best.
+
+    Three things that are taken for poles may lie on each other in one way only, and amid a place
+    that a half turn changes nothing of that may be the wrong one.
+    """
+    first = paired[0]
+    match = first.hypothesis.match
+    rng = np.random.default_rng(0)
+    grounds = [grounds_of(each.placement, rng) for each in paired]
+    i, j = max(
+        match.pairs,
+        key=lambda pair: min(
+            len(scan.poles[k].xyz) for scan, k in zip(first.placement.scans, pair, strict=True)
+        ),
+    )
+    alone = Placement(_alone(first.placement.target, i), _alone(first.placement.source, j))
+    standing = grounds[0][0][0], grounds[0][1][0]
+    at = np.array([pole.point for pole in alone.source.poles])
+    found = matches_about(alone, standing, radius)
+    others = [each for each in found if each.exact and not same_pose(each, match, at)]
+    return bool(_rivals(grounds, match.T_target_source, others))
+
+
+def _alone(scan: Scan, k: int) -> Scan:
+    """Keep one pole of those found in a cloud."""
+    assert scan.detection is not None
+    return replace(scan, detection=replace(scan.detection, poles=(scan.poles[k],)))
 
 
 def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:

@@ -9,7 +9,7 @@ compared at once: the cross-correlation over the ground, summed over the heights
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -18,11 +18,12 @@ from scipy import fft
 
 from ..base import se3
 from ..base.datatypes import Array, Match, Placement
+from ..matching.confirmation import FACING_SIDES
 from ..matching.distinct import same_pose
 from .consistency import Standing, is_ground_on_ground
 from .disambiguation import SCORING_VOXEL
 from .icp_refinement import registered
-from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, SETTLES, spread
+from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, SETTLES, match_under, spread
 from .registration import prepare, voxel_downsample
 from .visibility import tree_of
 
@@ -52,7 +53,9 @@ class Peak:
 
 
 def matches_from_above(
-    placement: Placement, grounds: tuple[Sequence[Standing], Sequence[Standing]]
+    placement: Placement,
+    grounds: tuple[Sequence[Standing], Sequence[Standing]],
+    radius: float | None = None,
 ) -> list[Match]:
     """Find the poses that lay the ground on the ground and the place on the place.
 
@@ -62,14 +65,17 @@ def matches_from_above(
         With both clouds.
     grounds
         What stands off each plane that may be the ground, in either cloud.
+    radius
+        Of the poles, metres, of which one at least must lie on one, too; None asks for none.
 
     Returns
     -------
     list of Match
-        Without any pair of poles, in the order of how much of the place coincides: where the scenes
-        lie on each other, `exact`; as they were laid, and not `exact`, where they do not.
+        In the order of how much of the place coincides: where the scenes and the poles lie on each
+        other, `exact`; as they were laid, without any pair, and not `exact`, where they do not.
     """
     target, source = (scan.cloud for scan in placement.scans)
+    poles = placement.target.poles, placement.source.poles
     surface = prepare(target.xyz, SCORING_VOXEL)
     tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
     found: list[tuple[float, Match]] = []
@@ -78,15 +84,24 @@ def matches_from_above(
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
             T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES)
-            settled = T is not None and is_ground_on_ground(*standing, T)
-            pose = T if T is not None and settled else peak.T
-            match = Match(
-                (), pose, 0.0, settled, True, NOTHING_SAID, icp_refined=settled, by_place=True
-            )
+            match = None
+            if T is not None and is_ground_on_ground(*standing, T):
+                match = (
+                    replace(_laid(T), exact=True, icp_refined=True)
+                    if radius is None
+                    else match_under(*poles, T, FACING_SIDES * radius)
+                )
+            if match is None or not match.exact:
+                match = _laid(peak.T)
             if not any(same_pose(match, other, np.zeros((1, 3))) for _, other in found):
                 found.append((peak.height, match))
     found.sort(key=lambda each: (not each[1].exact, -each[0]))
     return [match for _, match in found]
+
+
+def _laid(T: Array) -> Match:
+    """State a pose (4, 4) as a match of no poles, which need not be `exact`."""
+    return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
 
 
 def _peaks(target: Standing, source: Standing) -> list[Peak]:

@@ -106,12 +106,13 @@ def matches_about(
     surface = prepare(target.cloud.xyz, SCORING_VOXEL)
     tree, points = tree_of(surface.xyz), voxel_downsample(source.cloud.xyz, SCORING_VOXEL)
     at = np.array([pole.point for pole in source.poles])
+    apart = FACING_SIDES * radius
     found: list[Match] = []
     for peak in peaks:
         is_low = peak.height < least[peak.is_flipped]
         pole = at[peak.pair[1]]
         T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES, at=pole)
-        match = None if T is None else _match(target.poles, source.poles, T, FACING_SIDES * radius)
+        match = None if T is None else match_under(target.poles, source.poles, T, apart)
         if match is None or peak.pair not in match.pairs or not match.exact:
             match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
         if not any(same_pose(match, other, at) for other in found):
@@ -119,7 +120,9 @@ def matches_about(
     return found
 
 
-def _match(target: Sequence[Pole], source: Sequence[Pole], T: Array, apart: float) -> Match | None:
+def match_under(
+    target: Sequence[Pole], source: Sequence[Pole], T: Array, apart: float
+) -> Match | None:
     """State a pose as a match of every pole that lies on one under it; None without any.
 
     Parameters

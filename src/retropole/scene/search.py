@@ -21,7 +21,7 @@ from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confi
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
 from . import disambiguation, icp_refinement
-from .by_place import STAND_TWO, choose_by_place
+from .by_place import STAND_TWO, choose_by_place, has_rival
 from .choice import choose_best
 from .one_pole import MOST_POLES
 
@@ -31,7 +31,7 @@ RESCUED = {
 }
 """Refusals after which candidate poles are tried: other poles may give what these did not."""
 
-BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count"}
+BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
 """Refusals after which poles that leave some of the pose open are laid on each other, and the place
 gives the rest."""
 
@@ -83,8 +83,10 @@ def choose_with_candidates(
         for last in _looks(placements, radius, step):
             for attempt in _attempts(first, last, step, count, prior):
                 attempts.append(attempt)
-                if attempt.refusal is None and is_confirmed(
-                    attempt.paired, attempt.hypotheses, radius
+                if (
+                    attempt.refusal is None
+                    and is_confirmed(attempt.paired, attempt.hypotheses, radius)
+                    and not has_rival(attempt.paired, radius)
                 ):
                     return attempt
     if by_place and first.refusal.code in BY_PLACE:
