@@ -283,6 +283,20 @@ def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: P
         assert "next: " not in said
 
 
+def test_without_poles_the_place_gives_the_pose(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole_here("calibrate", *files, "--poles", 0, "-q", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["stages"]["poles"] is None
+    assert result["radius"] is None
+    assert [note["code"] for note in result["notes"]] == ["by_place"]
+    assert "Without poles, the ground of one" in (tmp_path / "report.html").read_text()
+    done = retropole_here("calibrate", *files, "--poles", 0, "--no-refine")
+    assert done.returncode == 2
+    assert "the scene must give the pose" in done.stderr
+
+
 def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     for words in (("--at-m", 30), ("--need-cm", 0), ("--need-cm", "nan")):

@@ -9,11 +9,12 @@ import pytest
 
 from retropole.alignment.adjustment import PLACE_SIGMA
 from retropole.base import se3
-from retropole.base.datatypes import Calibration, PoseEstimate
+from retropole.base.datatypes import Calibration, Match, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
-from retropole.scene.by_place import HELD, check_held
+from retropole.scene import by_place
+from retropole.scene.by_place import HELD, check_held, choose_by_place, has_rival
 from retropole.scene.disambiguation import score_hypotheses
 from retropole.scene.refinement import refine
 from retropole.simulation import Cylinder, SimulatedPair
@@ -70,7 +71,8 @@ def test_bare_ground_gives_no_answer() -> None:
     assert answer.T_target_source is None
 
 
-def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer() -> None:
+def half_turned_quay() -> SimulatedPair:
+    """A quay that a half turn about its one pole maps onto itself."""
     quay = simulated_with_one_pole("harbor", 2)
     surroundings = [*quay.surroundings, *rotated_by_180(list(quay.surroundings))]
     upright = Cylinder(np.array([0.0, 0.0, 1.02]), np.array([0.0, 0.0, 1.0]), 0.02, 2.0, TAPE)
@@ -79,6 +81,11 @@ def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_ans
     recorders = Recorders(quay.sensors, quay.devices, quay.noise, 1)
     pair = record(at, recorders, np.random.default_rng(0))
     assert pair.sees_every_pole
+    return pair
+
+
+def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer() -> None:
+    pair = half_turned_quay()
     assert calibrate(pair.target, pair.source).status == "refused"
 
 
@@ -122,3 +129,30 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
             check_held(paired, replace(refined, pose=loose))
     two = replace(hypothesis, match=replace(hypothesis.match, by_place=False))
     check_held([PairedPlacement(placement, two)], None)
+
+
+def test_what_nothing_about_the_poles_gives_is_laid_from_above(
+    one_pole: SimulatedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(by_place, "matches_about", lambda *_: [])
+    chosen = choose_by_place([found_in(one_pole)], 0.02)
+    assert chosen is not None
+    assert chosen.refusal is None
+    best = chosen.hypotheses[0].match
+    assert_near(best.T_target_source, one_pole.T_target_source, 1.0, 0.1)
+    assert best.pairs == ((0, 0),)
+    # Another pole is on none there.
+    other = simulated_with_one_pole("street", 5)
+    foreign = replace(found_in(one_pole).source, detection=found_in(other).source.detection)
+    placement = replace(found_in(one_pole), source=foreign)
+    assert choose_by_place([placement], 0.02) is None
+
+
+def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> None:
+    """A half turn maps a quay onto itself, and nothing of the street."""
+    for pair, expected in ((half_turned_quay(), True), (one_pole, False)):
+        found = found_in(pair)
+        match = Match(((0, 0),), pair.T_target_source, 0.0, True, True, np.eye(6))
+        hypotheses = score_hypotheses(found.target.cloud, found.source.cloud, [match])
+        paired = PairedPlacement(found, hypotheses[0])
+        assert has_rival([paired], 0.02) is expected

@@ -54,6 +54,7 @@ def calibrate(
       retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
       retropole calibrate front.pcap rear.pcap --frames 100:150
       retropole calibrate front.csv rear.csv --unit mm
+      retropole calibrate front.pcd rear.pcd --poles 0
 
     \b
     Exit code:

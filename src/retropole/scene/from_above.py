@@ -72,7 +72,7 @@ def matches_from_above(
     -------
     list of Match
         In the order of how much of the place coincides: where the scenes and the poles lie on each
-        other, `exact`; as they were laid, without any pair, and not `exact`, where they do not.
+        other, `exact`; without any pair, and not `exact`, where they do not.
     """
     target, source = (scan.cloud for scan in placement.scans)
     poles = placement.target.poles, placement.source.poles
@@ -84,15 +84,12 @@ def matches_from_above(
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
             T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES)
-            match = None
+            match = _laid(peak.T)
             if T is not None and is_ground_on_ground(*standing, T):
-                match = (
-                    replace(_laid(T), exact=True, icp_refined=True)
-                    if radius is None
-                    else match_under(*poles, T, FACING_SIDES * radius)
-                )
-            if match is None or not match.exact:
-                match = _laid(peak.T)
+                # Where no pole lies on one it is compared with as it settled, at its best.
+                match = replace(_laid(T), exact=radius is None, icp_refined=True)
+                on_poles = None if radius is None else match_under(*poles, T, FACING_SIDES * radius)
+                match = on_poles if on_poles is not None and on_poles.exact else match
             if not any(same_pose(match, other, np.zeros((1, 3))) for _, other in found):
                 found.append((peak.height, match))
     found.sort(key=lambda each: (not each[1].exact, -each[0]))
