@@ -25,10 +25,10 @@ from .base.timing import timed
 from .base.uncertainty import predicted_error, weakest_direction
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
-from .matching.placements import Chosen, PairedPlacement, align, has_no_poles, leave_one_out
+from .matching.placements import Chosen, PairedPlacement, has_no_poles, leave_one_out
 from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
-from .scene.by_place import check_held, check_told
+from .scene.by_place import align_by_place_where_open, check_held, check_told
 from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
 from .scene.preference import check_near_poles
@@ -145,7 +145,10 @@ def calibrate(
             if chosen.refusal is not None:
                 raise chosen.refusal
             with step("align"):
-                aligned = align(chosen.paired, hypotheses[0].match.T_target_source, **known)
+                chosen, aligned = align_by_place_where_open(
+                    chosen, **known, by_place=scene and by_hand is None, count=poles, prior=prior
+                )
+                hypotheses = chosen.hypotheses
                 paired, aligned = without_misplaced(chosen.paired, aligned, **known, scene=scene)
                 first = replace(hypotheses[0], match=paired[0].hypothesis.match)
                 hypotheses = first, *hypotheses[1:]

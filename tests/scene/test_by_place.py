@@ -9,15 +9,28 @@ import pytest
 
 from retropole.alignment.adjustment import PLACE_SIGMA
 from retropole.base import se3
-from retropole.base.datatypes import Calibration, Match, PoseEstimate
+from retropole.base.datatypes import (
+    Calibration,
+    Detection,
+    Match,
+    Placement,
+    PoseEstimate,
+    Scan,
+)
 from retropole.base.errors import Refusal
-from retropole.matching.placements import PairedPlacement
+from retropole.matching.placements import Chosen, PairedPlacement, is_by_place
 from retropole.pipeline import calibrate
 from retropole.scene import by_place
-from retropole.scene.by_place import HELD, check_held, choose_by_place, has_rival
+from retropole.scene.by_place import (
+    HELD,
+    align_by_place_where_open,
+    check_held,
+    choose_by_place,
+    has_rival,
+)
 from retropole.scene.disambiguation import score_hypotheses
 from retropole.scene.refinement import refine
-from retropole.simulation import Cylinder, SimulatedPair
+from retropole.simulation import Cylinder, SimulatedPair, simulate_pair
 from retropole.simulation.arrangement import rotated_by_180
 from retropole.simulation.recording import Arrangement, Recorders, record
 from retropole.simulation.scenes import TAPE
@@ -156,3 +169,28 @@ def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> 
         hypotheses = score_hypotheses(found.target.cloud, found.source.cloud, [match])
         paired = PairedPlacement(found, hypotheses[0])
         assert has_rival([paired], 0.02) is expected
+
+
+def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> None:
+    """Of two poles both LiDARs see a hand's breadth: they fit, and tell hardly any angle."""
+    pair = simulate_pair("street", np.random.default_rng(4))
+    found = found_in(pair)
+    short = Placement(*(replace(scan, detection=shortened(scan)) for scan in found.scans))
+    match = Match(((0, 0), (1, 1)), pair.T_target_source, 0.0, True, True, np.eye(6))
+    hypotheses = score_hypotheses(short.target.cloud, short.source.cloud, [match])
+    chosen = Chosen(hypotheses, (PairedPlacement(short, hypotheses[0]),))
+    with pytest.raises(Refusal, match="leave the pose free"):
+        align_by_place_where_open(chosen, radius=0.02, radius_sigma=0.0, by_place=False)
+    again, aligned = align_by_place_where_open(chosen, radius=0.02, radius_sigma=0.0, by_place=True)
+    assert is_by_place(again.paired)
+    assert_near(aligned.pose.T_target_source, pair.T_target_source, 1.0, 0.1)
+
+
+def shortened(scan: Scan) -> Detection:
+    """Keep of each pole what is near its middle."""
+    assert scan.detection is not None
+    poles = []
+    for pole in scan.poles:
+        near = np.abs((pole.xyz - pole.point) @ pole.direction) < 0.15
+        poles.append(replace(pole, xyz=pole.xyz[near], index=pole.index[near], length=0.3))
+    return replace(scan.detection, poles=tuple(poles))

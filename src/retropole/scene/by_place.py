@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..alignment.adjustment import PLACE_SIGMA
+from ..alignment.adjustment import PLACE_SIGMA, BeamAlignment
 from ..base.datatypes import Array, Match, Placement, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
@@ -21,6 +21,7 @@ from ..matching.placements import (
     Chosen,
     PairedPlacement,
     PlacementHypotheses,
+    align,
     find_recurring,
     has_no_poles,
     is_by_place,
@@ -108,6 +109,50 @@ def choose_by_place(
     refusal = ambiguous(hypotheses[0], rivals, advice) if rivals else None
     paired = () if rivals else choices[0].paired
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
+
+
+def align_by_place_where_open(
+    chosen: Chosen,
+    *,
+    radius: float,
+    radius_sigma: float,
+    by_place: bool,
+    count: int | None = None,
+    prior: RotationPrior | None = None,
+) -> tuple[Chosen, BeamAlignment]:
+    """Align the chosen poles; where these leave the pose all but free, let the place choose.
+
+    Short or poorly seen poles fit in a pose that is degrees off.
+
+    Parameters
+    ----------
+    chosen
+        With every placement paired.
+    radius, radius_sigma
+        Of the poles, and its 1 σ, metres.
+    by_place
+        Whether the place may choose.
+    count, prior
+        As of `choose_by_place`.
+
+    Raises
+    ------
+    Refusal
+        As `alignment.adjustment.align_beams` does, and where the place does not tell.
+    """
+    known = {"radius": radius, "radius_sigma": radius_sigma}
+    try:
+        T = chosen.hypotheses[0].match.T_target_source
+        return chosen, align(chosen.paired, T, **known)
+    except Refusal as refusal:
+        is_open = refusal.code == "degenerate_poles" and not is_by_place(chosen.paired)
+        if not (by_place and is_open):
+            raise
+        placements = [each.placement for each in chosen.paired]
+        again = choose_by_place(placements, radius, count=count, prior=prior)
+        if again is None or again.refusal is not None:
+            raise
+    return again, align(again.paired, again.hypotheses[0].match.T_target_source, **known)
 
 
 def _matches(
