@@ -175,7 +175,8 @@ def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> 
     """Of two poles both LiDARs see a hand's breadth: they fit, and tell hardly any angle."""
     pair = simulate_pair("street", np.random.default_rng(4))
     found = found_in(pair)
-    short = Placement(*(replace(scan, detection=shortened(scan)) for scan in found.scans))
+    target, source = (replace(scan, detection=shortened(scan)) for scan in found.scans)
+    short = Placement(target, source)
     match = Match(((0, 0), (1, 1)), pair.T_target_source, 0.0, True, True, np.eye(6))
     hypotheses = score_hypotheses(short.target.cloud, short.source.cloud, [match])
     chosen = Chosen(hypotheses, (PairedPlacement(short, hypotheses[0]),))
