@@ -1,8 +1,10 @@
+import os
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole
@@ -12,6 +14,10 @@ from retropole.base.datatypes import Array, Pole
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=1000)
 settings.load_profile("same")
+
+# Every core runs tests of its own: threads of BLAS, which wait by spinning, only get in the way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpool_limits(1, user_api="blas")
 
 PoleMaker = Callable[..., Pole]
 

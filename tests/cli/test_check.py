@@ -156,6 +156,7 @@ def test_help_has_worked_examples(site: Path) -> None:
     assert "retropole check " in done.stdout.split("Examples:")[1]
 
 
+@pytest.mark.slow
 def test_of_a_site_two_lidars_are_named(site: Path, tmp_path: Path) -> None:
     document = free()
     lidars = [msgspec.structs.replace(lidar, sensor="auto") for lidar in document.lidars]

@@ -166,6 +166,7 @@ def test_a_parted_pole_is_seen_by_one_side_each(steps: Steps) -> None:
         assert {**parted[k].seen, **other.seen} == poles[k].seen
 
 
+@pytest.mark.slow
 def test_another_place_links_nothing(hidden: SimulatedSite) -> None:
     site = hidden.as_site()
     other = keeping(made(seed=104, placements=1), (2,)).as_site()
@@ -173,6 +174,7 @@ def test_another_place_links_nothing(hidden: SimulatedSite) -> None:
     assert calibrate_site(mixed).status == "refused"
 
 
+@pytest.mark.slow
 def test_what_was_surveyed_holds_the_frame_and_the_place_what_hangs() -> None:
     surveyed = simulate_site(
         "posts",
