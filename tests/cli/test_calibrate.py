@@ -290,7 +290,7 @@ def test_without_poles_the_place_gives_the_pose(scene: Path, tmp_path: Path) -> 
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["stages"]["poles"] is None
     assert result["radius"] is None
-    assert [note["code"] for note in result["notes"]] == ["by_place"]
+    assert [reason["code"] for reason in result["reasons"]] == ["without_poles"]
     assert "Without poles, the ground of one" in (tmp_path / "report.html").read_text()
     done = retropole_here("calibrate", *files, "--poles", 0, "--no-refine")
     assert done.returncode == 2

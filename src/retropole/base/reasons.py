@@ -46,6 +46,7 @@ Code = Literal[
     "refused",
     # warning
     "not_confirmed",
+    "without_poles",
     "sensor_doubtful",
     "pole_left_out",
     "not_converged",

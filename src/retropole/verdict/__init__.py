@@ -100,14 +100,19 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
         yield from check_angles([pole.direction for pole in poles])
         return
     lead = confirmation.z_margin or 0.0
-    are, advice = {
-        0: ("without poles all of the pose is", STAND_TWO),
-        1: ("one pole leaves a part of the pose", LEAN_ANOTHER),
-    }.get(len(poles), (f"{len(poles)} poles, all parallel, leave a part of the pose", LEAN_ANOTHER))
+    if not poles:
+        yield Reason(
+            "without_poles",
+            "without poles the place gives all of the pose, and nothing checks it; it leads other "
+            f"angles and shifts by {lead:.1f} σ. Look at the clouds, or {STAND_TWO}",
+            {"lead": lead},
+        )
+        return
+    are = "one pole leaves" if len(poles) == 1 else f"{len(poles)} poles, all parallel, leave"
     yield Reason(
         "by_place",
-        f"{are} open, which the place around gives: it leads other angles and shifts by "
-        f"{lead:.1f} σ; to check it, {advice}",
+        f"{are} a part of the pose open, which the place around gives: it leads other angles and "
+        f"shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
         {"poles": len(poles), "lead": lead},
     )
 

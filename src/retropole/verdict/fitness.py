@@ -20,7 +20,14 @@ from ..base.uncertainty.purpose import (
     is_surely_met,
 )
 
-DOUBTS = ("not_confirmed", "not_converged", "small_margin", "chosen_by_hand", "several_minima")
+DOUBTS = (
+    "not_confirmed",
+    "without_poles",
+    "not_converged",
+    "small_margin",
+    "chosen_by_hand",
+    "several_minima",
+)
 """Warnings that the pose may be another one, which its covariance does not count."""
 
 MOST = 0.5
