@@ -26,12 +26,12 @@ from threadpoolctl import threadpool_limits
 
 from deception import interval
 from retropole.base import se3
-from retropole.base.datatypes import Array, Calibration
+from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.evaluation.rivals import load_rival
 from retropole.pipeline import calibrate
-from semireal import PAIRS, load
-from wrong_files import ALONE, recordings
+from semireal import PAIRS, distance, load
+from wrong_files import recordings
 
 RIVAL = "kiss"
 
@@ -73,13 +73,13 @@ def run_right(job: tuple[str, Path]) -> Right:
         off = apart(answer.T_target_source, given.T)
         sigma = np.sqrt(np.diag(answer.covariance))
         stated = float(np.degrees(np.linalg.norm(sigma[:3]))), float(np.linalg.norm(sigma[3:]))
-        step = se3.local(answer.T_target_source, given.T)
         of_reference = next(pair.sigma for pair in PAIRS if pair.name == name)
         reference = np.diag(np.repeat(of_reference, 3) ** 2)
-        squared = float(step @ np.linalg.solve(answer.covariance + reference, step))
+        found = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
+        squared = distance(found, given.T, reference)
     try:
-        found = load_rival(RIVAL)(given.target, given.source, np.random.default_rng(0))
-        rival = apart(found.T_target_source, given.T)
+        match = load_rival(RIVAL)(given.target, given.source, np.random.default_rng(0))
+        rival = apart(match.T_target_source, given.T)
     except Refusal:
         pass
     return Right(name, answer.status, codes_of(answer), off, stated, squared, rival)
@@ -142,11 +142,7 @@ def main() -> None:
     arguments = parser.parse_args()
     data = arguments.data
     own = recordings(data)
-    mixed = [
-        names
-        for names in permutations(own, 2)
-        if own[names[0]].place != own[names[1]].place and not set(names) & set(ALONE)
-    ]
+    mixed = [names for names in permutations(own, 2) if own[names[0]].place != own[names[1]].place]
     right, wrong = [], []
     with ProcessPoolExecutor(
         arguments.processes,

@@ -23,7 +23,7 @@ from ..matching.distinct import same_pose
 from .consistency import Standing, is_ground_on_ground
 from .disambiguation import SCORING_VOXEL
 from .icp_refinement import registered
-from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, SETTLES, match_under, spread
+from .one_pole import LOW, MOST_SETTLED, NOTHING_SAID, SETTLES, frame_about, match_under, spread
 from .registration import prepare, voxel_downsample
 from .visibility import tree_of
 
@@ -138,9 +138,7 @@ def _level(standing: Standing) -> Array:
     origin = standing.image.origin
     height = float((origin - standing.ground) @ standing.up)
     z = standing.up if height > 0 else -standing.up
-    x = np.linalg.svd(z[None])[2][1]
-    R = np.stack([x, np.cross(z, x), z])
-    return se3.from_rt(R, np.array([0.0, 0.0, abs(height)]) - R @ origin)
+    return frame_about(origin - abs(height) * z, z)
 
 
 def _cells(points: Array) -> NDArray[np.float32]:

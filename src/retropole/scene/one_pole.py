@@ -151,7 +151,7 @@ def _off_line(target: Pole, source: Pole, T: Array) -> Array:
 def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> Iterator[Peak]:
     frames, spectra = [], []
     for scan, seen in zip((target, source), standing, strict=True):
-        frames.append([_about(pole) for pole in scan.poles[:MOST_POLES]])
+        frames.append([frame_about(p.point, p.direction) for p in scan.poles[:MOST_POLES]])
         spectra.append([_spectrum(se3.apply(frame, seen.points)) for frame in frames[-1]])
     for i, near in enumerate(spread(each, (ANGLES, LAYERS)) for each in spectra[0]):
         for j, is_flipped in product(range(len(spectra[1])), (False, True)):
@@ -163,12 +163,11 @@ def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> I
                 yield Peak((i, j), is_flipped, T, height)
 
 
-def _about(pole: Pole) -> Array:
-    """(4, 4) to a frame whose z axis is the pole, from that of the LiDAR."""
-    z = pole.direction
+def frame_about(point: Array, z: Array) -> Array:
+    """(4, 4) to a frame at a point (3,) with the given z axis (3,), from that of the LiDAR."""
     x = np.linalg.svd(z[None])[2][1]
     R = np.stack([x, np.cross(z, x), z])
-    return se3.from_rt(R, -R @ pole.point)
+    return se3.from_rt(R, -R @ point)
 
 
 def _screw(turn: float, slide: float, is_flipped: bool) -> Array:
