@@ -12,10 +12,9 @@ from retropole.base.datatypes import Array
 from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
 from retropole.simulation.pairs import MIN_POLE_ANGLE
 from retropole.simulation.raycast import Cylinder
+from retropole.simulation.recorded import RecordedBeams, met_by
 from retropole.simulation.recording import MIN_RINGS, SimulationError
 from retropole.simulation.scenes import TAPE
-
-from .recorded import RecordedBeams, met_by
 
 MIN_RETURNS = 8
 """Returns of each LiDAR on each pole. Where rings are known, they lie on `MIN_RINGS` of them: a

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion import InsertedPair, insert_into_site, insert_poles, standing
-from benchmarks.insertion.recorded import levels, recorded_beams, sharpest_axis
 from benchmarks.insertion.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray, PointCloud
@@ -25,6 +24,7 @@ from retropole.simulation import (
     scan,
 )
 from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
+from retropole.simulation.recorded import levels, recorded_beams, sharpest_axis
 from retropole.simulation.recording import MIN_RINGS
 from retropole.simulation.scenes import TAPE
 from tests.paths import SHARED

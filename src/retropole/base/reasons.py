@@ -67,6 +67,11 @@ Code = Literal[
     "weak_direction",
     "offset_not_separable",
     "one_place_decides",
+    # plan
+    "no_ground",
+    "nowhere_seen",
+    "not_linked",
+    "pose_contradicted",
     # check
     "swapped",
     "poles_not_trusted",

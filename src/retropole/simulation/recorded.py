@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retropole.base import se3
-from retropole.base.datatypes import Array, IntArray, PointCloud
-from retropole.simulation.raycast import Cylinder, Hits, cast
+from ..base import se3
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.sensors import Sensor
+from .raycast import Cylinder, Hits, cast
 
 TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
 """The axis of the rings is searched in steps that shrink, rad. The first two reach 2.4° from the
@@ -28,6 +29,10 @@ the table of sensors are 8 bins apart or more."""
 LEVEL_SHARE = 0.7
 """Elevations are rings if so large a share of the returns lies on them (chosen; recordings of
 spinning LiDARs have 0.9 and more, a raster of directions has none)."""
+
+ON_RING = float(np.radians(0.2))
+"""A return lies on a ring of the table within this elevation, rad: calibrated rings differ from it
+by tenths of a degree."""
 
 MIN_GAP = 1.5
 """A ring has lost returns where two of its neighbours are more than so many steps apart."""
@@ -62,18 +67,21 @@ class RecordedBeams:
     like: IntArray
 
 
-def recorded_beams(cloud: PointCloud) -> RecordedBeams:
+def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedBeams:
     """Find the beams of a recording.
 
     A recording tells nothing of a beam without a return. Where neighbours on one ring are more
     than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
     both, so that a pole against the sky is met. Rings come from the cloud, or else from
     elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
-    put back.
+    put back. Where a sensor that spins is given and the returns lie on its rings, all beams that
+    it sends are there, above the horizon too.
     """
     rays = cloud.xyz - cloud.origin
     ranges = np.linalg.norm(rays, axis=1)
     directions = rays / ranges[:, None]
+    if sensor is not None and _is_of(directions, cloud.axis, sensor):
+        return _sent_beams(cloud, directions, ranges, sensor)
     given = cloud.ring is not None and len(np.unique(cloud.ring)) > 1
     axis = np.array([0.0, 0.0, 1.0]) if given else sharpest_axis(directions)
     rings = cloud.ring if given and cloud.ring is not None else levels(directions @ axis)
@@ -85,6 +93,56 @@ def recorded_beams(cloud: PointCloud) -> RecordedBeams:
         ranges=np.concatenate([ranges, np.full(len(missing), np.inf)]),
         rings=np.concatenate([rings, rings[like]]),
         like=np.concatenate([own, like]),
+    )
+
+
+def _is_of(directions: Array, axis: Array, sensor: Sensor) -> bool:
+    """Whether directions (N, 3) lie on the rings of a sensor that spins."""
+    if sensor.pattern != "spinning" or not len(directions):
+        return False
+    off = np.abs(sensor.elevations[_table_rings(directions, axis, sensor)] - _up(directions, axis))
+    return bool(np.mean(off < ON_RING) > LEVEL_SHARE)
+
+
+def _level(axis: Array) -> tuple[Array, Array]:
+    """Two directions (3,) across an axis (3,) near z, and across each other."""
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    return across, np.cross(axis, across)
+
+
+def _up(directions: Array, axis: Array) -> Array:
+    return np.asarray(np.arcsin(np.clip(directions @ axis, -1.0, 1.0)))
+
+
+def _table_rings(directions: Array, axis: Array, sensor: Sensor) -> IntArray:
+    """Which of the sensor's rings (N,) directions (N, 3) are nearest to."""
+    middles = (sensor.elevations[1:] + sensor.elevations[:-1]) / 2
+    return np.asarray(np.searchsorted(middles, _up(directions, axis)), dtype=np.int64)
+
+
+def _sent_beams(
+    cloud: PointCloud, directions: Array, ranges: Array, sensor: Sensor
+) -> RecordedBeams:
+    """Add to a recording's beams those that its sensor sends and nothing returned."""
+    own = _table_rings(directions, cloud.axis, sensor)
+    count = round(2 * np.pi / sensor.azimuth_step)
+    basis = np.stack([*_level(cloud.axis), cloud.axis])
+    flat = directions @ basis.T
+    column = np.arctan2(flat[:, 1], flat[:, 0]) / sensor.azimuth_step
+    # Beams keep their phase from ring to ring, near enough to tell which of them returned.
+    seen = np.zeros((len(sensor.elevations), count), dtype=bool)
+    seen[own, np.round(column).astype(np.int64) % count] = True
+    ring, turn = np.nonzero(~seen)
+    azimuth, up = turn * sensor.azimuth_step, sensor.elevations[ring]
+    level = np.cos(up)
+    missing = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(up)], axis=1)
+    return RecordedBeams(
+        origin=cloud.origin,
+        directions=np.concatenate([directions, missing @ basis]),
+        ranges=np.concatenate([ranges, np.full(len(missing), np.inf)]),
+        rings=np.concatenate([own, ring]),
+        like=np.concatenate([np.arange(len(cloud)), np.zeros(len(missing), dtype=np.int64)]),
     )
 
 
@@ -154,9 +212,7 @@ def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
     """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) beside."""
-    across = np.cross(axis, [0.0, 1.0, 0.0])
-    across /= np.linalg.norm(across)
-    beside = np.cross(axis, across)
+    across, beside = _level(axis)
     azimuth = np.arctan2(directions @ beside, directions @ across)
     sines = directions @ axis
     frames = np.zeros(len(rings), dtype=np.int64) if frame is None else frame

@@ -1,0 +1,1 @@
+"""Where to stand the poles, before anyone drives out (docs/planning.md)."""

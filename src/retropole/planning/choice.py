@@ -1,0 +1,205 @@
+"""Which poles of all that could stand: the best set by exchange on their information.
+
+A set is begun by the best pole for what it lacks, one after the other, and then improved: each
+pole in turn is exchanged for the best of all others, until none is better (Fedorov 1972, Theory of
+optimal experiments). Nothing is drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..alignment.unknowns import POSE, Unknowns
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..scene.descent import inverse_of
+from .candidates import Candidates, leans_of
+
+UNSURE = 0.3, 3.0
+"""1 σ of a pose that nothing is known of, rad and m: poles are compared before they hold it."""
+
+MOST_ROUNDS = 10
+"""Of exchanges of all poles; most sets are at rest after two or three."""
+
+GAIN = 0.999
+"""An exchange must bring the error below this part of it."""
+
+
+LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
+"""Of two poles: between their feet, metres; between their axes, rad; and between the leans of two
+that stand alone, since equal leans may be laid on each other the wrong way (docs/placing.md)."""
+
+NOT_BEHIND = float(np.radians(2.0))
+"""No LiDAR sees two poles of one placement nearer to each other than this, rad: one might hide the
+other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What there is to choose from.
+
+    Attributes
+    ----------
+    roots
+        Of each pole, the place among the unknowns and the root (P, R) of what it says of them.
+    informations
+        (K, K) of all unknowns without any pole, with the surfaces and the poles alone: each with
+        the priors of the errors.
+    unknowns
+        Their order.
+    reach
+        Range that the error is predicted at, metres.
+    may_stand
+        Whether one pole may stand beside others of its placement: their numbers.
+    """
+
+    roots: Sequence[tuple[IntArray, Array]]
+    informations: tuple[Array, Array]
+    unknowns: Unknowns
+    reach: float
+    may_stand: Callable[[int, Sequence[int]], bool]
+
+    @property
+    def weight(self) -> Array:
+        """(6,) of the variances of a pose in the squared error at the reach (`predicted_error`)."""
+        return np.array([2 / 3 * self.reach**2] * 3 + [1.0] * 3)
+
+    def inverses(self, chosen: Sequence[int]) -> list[Array]:
+        """Covariances (K, K) of all unknowns under some poles, with the surfaces and without."""
+        found = []
+        poses = np.arange(self.unknowns.poses)
+        free = np.arange(POSE, self.unknowns.kept)
+        for information in self.informations:
+            total = information.copy()
+            total[poses, poses] += np.tile(np.repeat(UNSURE, 3) ** -2.0, self.unknowns.lidars)
+            for k in chosen:
+                place, root = self.roots[k]
+                total[np.ix_(place, place)] += root @ root.T
+            inverse = np.zeros_like(total)
+            inverse[np.ix_(free, free)] = inverse_of(total[np.ix_(free, free)])
+            found.append(inverse)
+        return found
+
+    def squares(self, inverse: Array) -> Array:
+        """(L - 1,) squared error at the reach of each LiDAR's pose but the first."""
+        variance = np.diag(inverse)[POSE : self.unknowns.poses].reshape(-1, POSE)
+        return np.asarray(variance @ self.weight)
+
+    def with_each(self, inverse: Array) -> Array:
+        """(C,) largest error of all LiDARs, metres, with each pole more."""
+        found, squares = np.empty(len(self.roots)), self.squares(inverse)
+        poses = slice(POSE, self.unknowns.poses)
+        for k, (place, root) in enumerate(self.roots):
+            moved = inverse[:, place] @ root
+            inner = np.eye(root.shape[1]) + root.T @ moved[place]
+            own = moved[poses]
+            less = np.einsum("ij,ji->i", own, np.linalg.solve(inner, own.T))
+            gained = less.reshape(-1, POSE) @ self.weight
+            found[k] = np.sqrt(max(float((squares - gained).max()), 1e-18))
+        return found
+
+
+def choose(design: Design, poles: int, placements: int = 1) -> list[list[int]] | None:
+    """Choose the poles of each placement.
+
+    Returns
+    -------
+    list of list of int
+        For each placement the numbers of its poles; None where so many may not stand together.
+    """
+    chosen: list[list[int]] = [[] for _ in range(placements)]
+    for _ in range(poles):
+        for p in range(placements):
+            best = _best(design, chosen, p)
+            if best is None:
+                return None
+            chosen[p].append(best[0])
+    error = error_of(design, chosen)
+    for _ in range(MOST_ROUNDS):
+        before = error
+        for p in range(placements):
+            for _ in range(poles):
+                # The longest there goes first.
+                first, *others = chosen[p]
+                chosen[p] = others
+                best = _best(design, chosen, p)
+                better = best is not None and best[1] < GAIN * error
+                chosen[p] = [*others, best[0] if better and best is not None else first]
+                error = best[1] if better and best is not None else error
+        if error == before:
+            break
+    return chosen
+
+
+def errors_of(design: Design, chosen: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+    """(L - 1,) errors of all LiDARs at the reach, metres, with the surfaces and without."""
+    together, alone = (
+        np.sqrt(design.squares(each))
+        for each in design.inverses([k for one in chosen for k in one])
+    )
+    return together, alone
+
+
+def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
+    """Geometric mean of the largest errors with the surfaces and without, metres.
+
+    What the surfaces alone hold says the same of all poles. Then the poles decide: they are what
+    the surfaces are checked by.
+    """
+    together, alone = (float(each.max()) for each in errors_of(design, chosen))
+    return float(np.sqrt(together * alone))
+
+
+def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
+    """Find the best pole more for a placement, and the error with it; None where none may stand."""
+    together, alone = map(design.with_each, design.inverses([k for each in chosen for k in each]))
+    error = np.sqrt(together * alone)
+    taken = {k for each in chosen for k in each}
+    for k in np.argsort(error, kind="stable").tolist():
+        if k not in taken and design.may_stand(k, chosen[p]):
+            return k, float(error[k])
+    return None
+
+
+def may_stand_together(
+    candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]
+) -> Callable[[int, Sequence[int]], bool]:
+    """Make the rule of which poles may stand in one placement (docs/placing.md).
+
+    Parameters
+    ----------
+    candidates, seen
+        The poles, and (C, L) which LiDAR sees which.
+    lidars
+        (3,) where these are.
+    """
+    lean = leans_of(candidates.axis)
+    feet = candidates.foot[:, :2]
+    apart = np.linalg.norm(feet[:, None] - feet, axis=2)
+    angle = np.arccos(np.clip(np.abs(candidates.axis @ candidates.axis.T), 0.0, 1.0))
+    together = (apart >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
+    for i, at in enumerate(lidars):
+        together &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
+    differ = np.abs(lean[:, None] - lean) >= LEAST_LEAN
+
+    def rule(k: int, others: Sequence[int]) -> bool:
+        if len(others) == 1 and not differ[k, others[0]]:
+            return False
+        shared = np.count_nonzero(seen[[k, *others]].all(axis=0)) >= 2
+        return bool(shared and together[k, list(others)].all())
+
+    return rule
+
+
+def _between(candidates: Candidates, at: Array) -> Array:
+    """(C, C) least angle between every two poles as seen from a point (3,), rad."""
+    steps = candidates.length * np.linspace(-0.5, 0.5, 9)
+    along = candidates.centre[:, None] + steps[:, None] * candidates.axis[:, None] - at
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    cosine = np.full((len(candidates),) * 2, -1.0)
+    for first in range(len(steps)):
+        for second in range(len(steps)):
+            np.maximum(cosine, along[:, first] @ along[:, second].T, out=cosine)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,0 +1,159 @@
+"""What each pole that could stand would say of the poses: by the code that states it afterwards.
+
+At the poses as they are known the returns of a pole have an information (`alignment.network`), with
+its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
+LiDARs in units of what they are drawn to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..alignment.error_sizes import prior_precision, working_sigma
+from ..alignment.joint import Sight
+from ..alignment.network import Network, bands_of, observe
+from ..alignment.observations import BESIDE, beams_of
+from ..alignment.posterior import Posterior
+from ..alignment.state import JointState
+from ..alignment.survey import Surveyed
+from ..alignment.unknowns import POSE, Unknowns
+from ..alignment.views import WIDEST
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
+from ..base.sensors import Sensor
+from ..simulation.inserting import DIVERGENCE, RANGE_NOISE
+from ..simulation.raycast import Cylinder
+from .candidates import Candidates, beams_met
+from .place import Station
+
+LATERAL_NOISE = 0.3
+"""Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
+
+LEAST = 1e-9
+"""Eigenvalues of a pole's information below this part of the largest are nothing."""
+
+
+def divergences_of(stations: Sequence[Station]) -> list[float]:
+    """Full angle of each LiDAR's beams, rad."""
+    return [DIVERGENCE if s.sensor is None else s.sensor.divergence for s in stations]
+
+
+def range_noise(sensor: Sensor | None) -> float:
+    """1 σ of a LiDAR's ranges, metres."""
+    return RANGE_NOISE if sensor is None else sensor.range_noise
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The returns of one LiDAR on one pole, in its own frame, and the cloud around them."""
+
+    pole: Pole
+    cloud: PointCloud
+
+
+def seen_by(station: Station, pole: Cylinder, divergence: float) -> Seen:
+    """Give what a LiDAR would record of a pole that stands in the frame of the place."""
+    T = se3.inverse(station.T)
+    centre, axis = se3.apply(T, pole.centre[None])[0], T[:3, :3] @ pole.axis
+    own = Cylinder(centre, axis, pole.radius, pole.length, pole.material)
+    beams = station.beams
+    met = beams_met(own, beams, divergence)
+    # The same pole is recorded with the same noise: returns without any would be taken for exact.
+    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
+    xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
+    away = float(np.linalg.norm(centre))
+    reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
+    near = beams.directions @ (centre / away) > np.sqrt(1 - (reach / away) ** 2)
+    near &= np.isfinite(beams.ranges)
+    near[met.beam] = False
+    around = beams.ranges[near, None] * beams.directions[near]
+    cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
+    rings = len(np.unique(beams.rings[met.beam]))
+    index = np.arange(len(xyz))
+    length = float(np.ptp(xyz @ axis)) if len(xyz) else 0.0
+    found = Pole(xyz.mean(axis=0), axis, xyz, length, pole.radius / 2, rings, index)
+    return Seen(found, cloud)
+
+
+def network_of(
+    stations: Sequence[Station],
+    candidates: Candidates,
+    seen: BoolArray,
+    placement: IntArray,
+    scene_bands: Sequence[IntArray],
+) -> Network:
+    """Expand what all LiDARs would record of some poles about the poses as they are known.
+
+    Parameters
+    ----------
+    stations
+        The LiDARs; the first one's pose is the datum.
+    candidates, seen
+        The poles, and (C, L) which LiDAR sees which.
+    placement
+        (C,) which each stands in.
+    scene_bands
+        Bands of elevation that each LiDAR has other returns in.
+    """
+    widths = divergences_of(stations)
+    sights = []
+    for i, station in enumerate(stations):
+        for k in np.flatnonzero(seen[:, i]).tolist():
+            found = seen_by(station, candidates.pole(k), widths[i])
+            beams = beams_of([(found.pole, found.cloud)], station.sensor)
+            sights.append(Sight(i, beams, np.array([k])))
+    noise = np.array([range_noise(s.sensor) for s in stations])
+    log_noise = np.log(noise[:, None] * np.array([1.0, LATERAL_NOISE]))
+    count = len(stations)
+    state = JointState(
+        np.stack([each.T for each in stations]),
+        np.zeros(count),
+        candidates.radius,
+        candidates.centre,
+        candidates.axis,
+        np.zeros((0, 3)),
+    )
+    none = np.zeros((0, 0))
+    at = Posterior(state, log_noise, 0.0, none[0:0], none, none, none, 0.0)
+    free = np.repeat(np.arange(count) > 0, POSE)
+    bands = bands_of(sights, scene_bands)
+    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free)
+
+
+def roots_of(network: Network, count: int) -> list[tuple[IntArray, Array]]:
+    """Eliminate the axis of each of so many poles: root (P, R) of its information, and its place.
+
+    Every pole has a placement of its own in the network.
+    """
+    kept = network.unknowns.kept
+    own: list[list[int]] = [[] for _ in range(count)]
+    for number, one in enumerate(network.observations):
+        assert one.placement is not None
+        own[one.placement].append(number)
+    found = []
+    for numbers in own:
+        parts = [network.observations[number] for number in numbers]
+        place = np.unique(np.concatenate([one.place for one in parts]))
+        information = np.zeros((len(place),) * 2)
+        for one in parts:
+            at = np.searchsorted(place, one.place)
+            information[np.ix_(at, at)] += one.information
+        shared = int(np.searchsorted(place, kept))
+        axis = information[shared:, shared:] + np.eye(len(place) - shared) * WIDEST**-2
+        gone = np.linalg.solve(axis, information[shared:, :shared])
+        left = information[:shared, :shared] - information[:shared, shared:] @ gone
+        scale = np.sqrt(np.maximum(np.diag(left), 1e-30))
+        size, way = np.linalg.eigh(left / np.outer(scale, scale))
+        large = size > LEAST * size[-1]
+        root = scale[:, None] * way[:, large] * np.sqrt(size[large])
+        found.append((place[:shared], root))
+    return found
+
+
+def prior_of(unknowns: Unknowns, known: Array, *, poles_alone: bool) -> Array:
+    """(E,) precision of the errors, as the estimate is drawn to it; `known` is 1 σ of groups."""
+    groups = unknowns.groups()
+    return prior_precision(groups, working_sigma(groups, known, poles_alone=poles_alone))

@@ -1,0 +1,282 @@
+"""From bare recordings to where the poles should stand: the planner on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from ..alignment.network import Network
+from ..base.datatypes import DEFAULT_RADIUS, BoolArray, Calibration
+from ..base.errors import Refusal
+from ..base.quantities import counted
+from ..base.uncertainty import predicted_error
+from ..base.uncertainty.purpose import Need
+from .candidates import Candidates, candidate_poles
+from .choice import Design, choose, errors_of, may_stand_together
+from .information import divergences_of, network_of, prior_of, roots_of
+from .place import Area, Place, Station, survey
+from .prediction import (
+    Prediction,
+    Surfaces,
+    model_of,
+    predict,
+    scene_information,
+    settled,
+    surfaces_of,
+)
+from .rehearsal import rehearse
+
+LENGTH = 2.0
+"""Of the poles where nothing else is said, metres."""
+
+RANGE = 30.0
+"""Range at which the error is made small where nothing else is said, metres."""
+
+WORTH = 0.15
+"""One pole or placement more is worth it where it takes so large a part of the error away."""
+
+LOST = 1.0
+"""A LiDAR whose error stays above this, metres, is held by no pole."""
+
+
+@dataclass(frozen=True, eq=False)
+class More:
+    """What one pole, or one placement, more would bring.
+
+    Attributes
+    ----------
+    what
+        ``pole`` or ``placement``.
+    chosen
+        The numbers of the poles of all placements with it.
+    error, alone
+        Largest error of all LiDARs at the range with it, metres; and by the poles alone.
+    gain
+        Part of the error that it takes away.
+    """
+
+    what: Literal["pole", "placement"]
+    chosen: tuple[tuple[int, ...], ...]
+    error: float
+    alone: float
+    gain: float
+
+    @property
+    def is_worth_it(self) -> bool:
+        """Whether it takes away `WORTH` or more."""
+        return self.gain >= WORTH
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """Where the poles should stand.
+
+    Attributes
+    ----------
+    stations
+        The LiDARs, settled, in the frame of the place.
+    place
+        Its ground.
+    candidates, seen
+        All poles that could stand, and (C, L) which LiDAR sees which.
+    design
+        What each would say; see `choice`.
+    chosen
+        For each placement the numbers of its poles.
+    reach
+        Range that the error was made small at, metres.
+    predicted, alone
+        What a calibration will state; and what the poles alone give.
+    more
+        What one pole and one placement more would bring.
+    rehearsal
+        The calibration of two LiDARs with poles put into the recordings; None of more.
+    with_more
+        Where its verdict is not ok, the same with one pole more.
+    """
+
+    stations: tuple[Station, ...]
+    place: Place
+    candidates: Candidates
+    seen: BoolArray
+    design: Design
+    chosen: tuple[tuple[int, ...], ...]
+    reach: float
+    predicted: Prediction
+    alone: Prediction
+    more: tuple[More, ...]
+    rehearsal: Calibration | None
+    with_more: Calibration | None
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of all poles, placement by placement."""
+        return [k for each in self.chosen for k in each]
+
+
+def plan(
+    stations: Sequence[Station],
+    *,
+    poles: int = 2,
+    placements: int = 1,
+    length: float = LENGTH,
+    radius: float = DEFAULT_RADIUS,
+    reach: float = RANGE,
+    need: Need | None = None,
+    allowed: Sequence[Area] = (),
+    forbidden: Sequence[Area] = (),
+    progress: Callable[[str], None] = lambda step: None,
+) -> Planned:
+    """Plan where to stand the poles.
+
+    Parameters
+    ----------
+    stations
+        The LiDARs, in the frame of the place; the first is the reference.
+    poles, placements
+        How many stand at once, and how often they are moved.
+    length, radius
+        Of the poles, metres.
+    reach
+        Range at which the error is made small, metres.
+    need
+        How accurate the answer must be.
+    allowed, forbidden
+        Where poles may stand, and where not.
+    progress
+        Called with the name of each step as it starts.
+
+    Raises
+    ------
+    Refusal
+        ``no_ground`` where no pole can stand, ``nowhere_seen`` where no two LiDARs see one that
+        stands, and ``not_linked`` where they hold not every LiDAR.
+    """
+    progress("surfaces")
+    surfaces = surfaces_of(stations)
+    stations = settled(stations, surfaces)
+    progress("ground")
+    place = survey(stations, allowed, forbidden)
+    progress("poles that can stand")
+    widths = divergences_of(stations)
+    candidates, seen = candidate_poles(place, stations, widths, length, radius)
+    if len(candidates) < poles:
+        raise Refusal(
+            "nowhere_seen",
+            f"on {len(place.feet)} places of free ground {counted(len(candidates), 'pole')} of "
+            f"{length:g} m would be seen well by two LiDARs, {poles} are to stand: take thicker or "
+            "longer poles, or turn the LiDARs so that they see the same ground",
+            {"places": len(place.feet), "seen": len(candidates)},
+        )
+    progress("what each would tell")
+    network = network_of(stations, candidates, seen, np.arange(len(candidates)), surfaces.bands)
+    design = design_of(stations, surfaces, candidates, seen, network, reach)
+    progress("the best of them")
+    chosen = choose(design, poles, placements)
+    if chosen is None:
+        raise Refusal(
+            "nowhere_seen",
+            f"{counted(len(candidates), 'pole')} could stand, but no {poles} of them together, "
+            "1 m apart and 15° against each other: ask for fewer, or allow more ground",
+            {"seen": len(candidates)},
+        )
+    _check_linked(stations, design, chosen)
+    more = tuple(_more(design, chosen, poles, placements))
+    at = np.array([k for each in chosen for k in each])
+    stood = np.repeat(np.arange(placements), poles)
+    ask = partial(predict, stations, surfaces, candidates.select(at), seen[at], stood)
+    progress("predict")
+    predicted, alone = ask(), ask(alone=True)
+    rehearsal, with_more = None, None
+    if len(stations) == 2:
+        progress("rehearse")
+
+        def run(numbers: Sequence[Sequence[int]]) -> Calibration:
+            standing = [[candidates.pole(k) for k in each] for each in numbers]
+            return rehearse(stations, standing, radius, need)
+
+        rehearsal = run(chosen)
+        # What the place cannot decide, one pole more may.
+        other = next((each for each in more if each.what == "pole"), None)
+        if rehearsal.status != "ok" and other is not None:
+            with_more = run(other.chosen)
+    return Planned(
+        tuple(stations),
+        place,
+        candidates,
+        seen,
+        design,
+        tuple(tuple(each) for each in chosen),
+        reach,
+        predicted,
+        alone,
+        more,
+        rehearsal,
+        with_more,
+    )
+
+
+def design_of(
+    stations: Sequence[Station],
+    surfaces: Surfaces,
+    candidates: Candidates,
+    seen: BoolArray,
+    network: Network,
+    reach: float,
+) -> Design:
+    """Put together what the choice is made from."""
+    unknowns = replace(network.unknowns, axes=0)
+    known = model_of(stations, candidates.radius).sigmas(unknowns.groups())
+    informations = []
+    for poles_alone in (False, True):
+        information = np.zeros((unknowns.kept, unknowns.kept))
+        errors = np.arange(unknowns.poses, unknowns.kept)
+        information[errors, errors] = prior_of(unknowns, known, poles_alone=poles_alone)
+        if not poles_alone:
+            information += scene_information(stations, surfaces, unknowns)
+        informations.append(information)
+    rule = may_stand_together(candidates, seen, [each.at for each in stations])
+    roots = roots_of(network, len(candidates))
+    return Design(roots, (informations[0], informations[1]), unknowns, reach, rule)
+
+
+def _check_linked(
+    stations: Sequence[Station], design: Design, chosen: Sequence[Sequence[int]]
+) -> None:
+    errors = errors_of(design, chosen)[0]
+    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > LOST]
+    if lost:
+        raise Refusal(
+            "not_linked",
+            f"{', '.join(lost)} would not be held by these poles: ask for another placement, or "
+            "allow ground that these LiDARs see together with others",
+            {"names": ", ".join(lost)},
+        )
+
+
+def _more(
+    design: Design, chosen: Sequence[Sequence[int]], poles: int, placements: int
+) -> list[More]:
+    """Say what one pole more in each placement would bring, and one placement more."""
+    now = float(errors_of(design, chosen)[0].max())
+    asked: list[tuple[Literal["pole", "placement"], int, int]] = [
+        ("pole", poles + 1, placements),
+        ("placement", poles, placements + 1),
+    ]
+    found = []
+    for what, count, times in asked:
+        other = choose(design, count, times)
+        if other is not None:
+            together, alone = (float(each.max()) for each in errors_of(design, other))
+            numbers = tuple(tuple(each) for each in other)
+            found.append(More(what, numbers, together, alone, 1.0 - together / now))
+    return found
+
+
+def worst_at(prediction: Prediction, reach: float) -> float:
+    """Largest error of all LiDARs at a range, 1 σ, metres."""
+    return max(predicted_error(each, (reach,))[0].sigma_m for each in prediction.covariance)

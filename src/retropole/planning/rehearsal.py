@@ -1,0 +1,42 @@
+"""The calibration before anyone drives out: poles are put into the recordings, and all is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..base.datatypes import Calibration, PointCloud
+from ..base.uncertainty.purpose import Need
+from ..pipeline import calibrate
+from ..simulation.inserting import in_sensor_frame, with_poles
+from ..simulation.raycast import Cylinder
+from .information import divergences_of
+from .place import Station
+
+
+def recordings_with(
+    stations: Sequence[Station], poles: Sequence[Cylinder], rng: np.random.Generator
+) -> list[PointCloud]:
+    """Put poles that stand in the place into the recording of each LiDAR."""
+    made = []
+    for each, width in zip(stations, divergences_of(stations), strict=True):
+        own = in_sensor_frame(poles, each.T)
+        biases = np.zeros(int(each.beams.rings.max(initial=0)) + 2)
+        cloud, _ = with_poles(each.cloud, each.beams, own, width, each.sensor, rng, biases)
+        made.append(cloud)
+    return made
+
+
+def rehearse(
+    stations: Sequence[Station],
+    placements: Sequence[Sequence[Cylinder]],
+    radius: float,
+    need: Need | None = None,
+) -> Calibration:
+    """Calibrate two LiDARs with the poles of all placements, as if they stood there already."""
+    rng = np.random.default_rng(0)
+    clouds = [recordings_with(stations, poles, rng) for poles in placements]
+    targets, sources = zip(*clouds, strict=True)
+    sensors = stations[0].sensor, stations[1].sensor
+    return calibrate(targets, sources, radius=radius, sensors=sensors, need=need)

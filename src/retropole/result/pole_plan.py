@@ -1,0 +1,155 @@
+"""Where the poles should stand, as ``retropole plan`` writes it: a JSON document of its own.
+
+Schema ``retropole/plan/1``: metres and radians, in the frame of the place: its origin on the ground
+below the first LiDAR, z up, x where that LiDAR's x axis points.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from ..base.bounded import Count, Covariance, Direction, Number, Pose, Share, Size, Text, Vector
+from ..base.uncertainty import BudgetEntry, ErrorAtRange
+from ..base.uncertainty.purpose import Need
+from . import ReasonDoc
+
+PLAN_SCHEMA: Literal["retropole/plan/1"] = "retropole/plan/1"
+
+
+class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """A LiDAR where it stands.
+
+    `path` and `sha256` are of its recording without poles, empty where the place was drawn.
+    """
+
+    name: Text
+    sensor: Text
+    path: Text = ""
+    sha256: Text = ""
+    T_place_lidar: Pose
+    height_m: Size
+
+
+class SightDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """What a LiDAR will have of a pole: returns, rings (None where not known), and its distance."""
+
+    lidar: Text
+    returns: Count
+    rings: Count | None
+    distance_m: Size
+
+
+class PlannedPoleDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """A pole that should stand.
+
+    Attributes
+    ----------
+    name
+        A letter.
+    foot_m, direction
+        (3,) its foot on the ground, and the unit vector up along its axis.
+    lean_rad, towards
+        How far it leans, and where to, in words: ``towards the front LiDAR``; empty if upright.
+    words
+        Where it stands, for a person.
+    seen
+        By each LiDAR that sees it.
+    """
+
+    name: Text
+    foot_m: Vector
+    direction: Direction
+    lean_rad: Size
+    towards: Text
+    words: Text
+    seen: list[SightDoc]
+
+
+class TapeDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """A length to measure on the ground, from below a LiDAR or a foot to a foot."""
+
+    start: Text
+    end: Text
+    metres: Size
+
+
+class PlannedPlacementDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """Poles that stand at once, and how to find their places with a tape measure."""
+
+    poles: list[PlannedPoleDoc]
+    tape: list[TapeDoc]
+
+
+class PredictedDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """The error to expect of a LiDAR's pose in the frame of the first.
+
+    Attributes
+    ----------
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the first.
+    predicted_error, bounds_m
+        1 σ at several ranges, and there the bound that no point exceeds with 95 % probability.
+    alone
+        1 σ at the same ranges by the poles alone.
+    budget
+        What it is made of, the largest first.
+    """
+
+    lidar: Text
+    covariance: Covariance
+    predicted_error: list[ErrorAtRange]
+    bounds_m: list[Size]
+    alone: list[ErrorAtRange]
+    budget: list[BudgetEntry]
+
+
+class MoreDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """What one ``pole`` or ``placement`` more would bring: largest 1 σ of all LiDARs at the range,
+    the same by the poles alone, the part of the error that it takes away, whether that is worth it.
+    """
+
+    what: Literal["pole", "placement"]
+    error_m: Size
+    alone_m: Size
+    gain: Number
+    is_worth_it: bool
+
+
+class RehearsalDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """The calibration with poles put into the recordings: its verdict."""
+
+    status: Literal["ok", "warn", "refused"]
+    reasons: list[ReasonDoc]
+    margin: Number | None
+    predicted_error: list[ErrorAtRange]
+
+
+class PolePlanDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """Where the poles should stand, and what to expect.
+
+    Attributes
+    ----------
+    length_m, radius_m, range_m
+        Of the poles; and the range at which the error was made small.
+    need, probability
+        How accurate the answer must be, and the least probability of all LiDARs that it is.
+    words
+        The plan in sentences, the most important first.
+    """
+
+    schema: Literal["retropole/plan/1"] = PLAN_SCHEMA
+    lidars: list[StationDoc]
+    placements: list[PlannedPlacementDoc]
+    length_m: Size
+    radius_m: Size
+    range_m: Size
+    need: Need | None
+    probability: Share | None
+    predicted: list[PredictedDoc]
+    more: list[MoreDoc]
+    rehearsal: RehearsalDoc | None
+    words: list[Text]
+    version: Text
+    created: Text
