@@ -27,7 +27,7 @@ from .posterior import Posterior
 from .state import JointState
 from .survey import Surveyed, survey_terms
 from .unknowns import POSE, Unknowns
-from .views import View, find_view
+from .views import MAX_ROUNDS, View, find_view
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +137,7 @@ def observe(
     radius: float,
     bands: tuple[IntArray, ...],
     free: BoolArray,
+    rounds: int = MAX_ROUNDS,
 ) -> Network:
     """Expand every observation about the maximum of the posterior.
 
@@ -154,6 +155,8 @@ def observe(
         From `bands_of`.
     free
         (6 L,) which parameters of the poses are estimated.
+    rounds
+        At most so many for each LiDAR's own view of the axes (`find_view`).
     """
     state = end.state
     unknowns = Unknowns(bands, len(placement), len(state.control))
@@ -164,7 +167,7 @@ def observe(
     found: list[Observation] = []
     for sight in sights:
         noise = np.exp(end.log_noise[sight.lidar])
-        view = find_view(state.of(sight.lidar, sight.own), 1, sight.beams, noise)
+        view = find_view(state.of(sight.lidar, sight.own), 1, sight.beams, noise, rounds)
         own = placement[sight.own]
         for p in np.unique(own):
             some = np.flatnonzero(own == p)

@@ -160,7 +160,9 @@ def _averaged(values: Array, weight: Array) -> Array:
     return np.asarray(np.tensordot(weight, by_node, axes=1))
 
 
-def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
+def find_view(
+    state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
+) -> View:
     """Find what a LiDAR's own beams leave open of each axis, pose and errors as in the state.
 
     Parameters
@@ -173,6 +175,8 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         Its own.
     noise
         (2,) there, in depth and sideways, metres.
+    rounds
+        Of which no more are taken.
     """
     poles = len(state.points)
     seen, beside = own_geometry(state, lidar, beams)
@@ -180,7 +184,7 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
     J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
-    for _ in range(MAX_ROUNDS):
+    for _ in range(rounds):
         on = average_returns(seen, beams, state.radius, view)
         passed = average_passed(beside, beams, state.radius, view)
         bent = on.information[:, :2, :2]

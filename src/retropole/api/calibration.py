@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 from ..base.datatypes import Placement, Scan
-from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
@@ -165,7 +164,7 @@ def calibrate_with(
             scene=config.refine,
             trust_poles=config.trust_poles,
             deceiving=config.deceiving_share,
-            need=None if config.need_m is None else Need(config.need_m, config.at_m or DEFAULT_AT),
+            need=config.need,
             by_hand=config.hypothesis,
             prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
             progress=listener.progress,

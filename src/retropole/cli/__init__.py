@@ -27,6 +27,7 @@ COMMANDS = (
     "export",
     "fleet",
     "info",
+    "plan",
     "report",
     "simulate",
     "site",

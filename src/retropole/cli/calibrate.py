@@ -10,9 +10,9 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import command_line, listening, result_told
+from .common import command_line, listening, result_told, say
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
-from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
+from .options import CLOUD, OUT, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
 
 
 @click.command(cls=SettingAside)
@@ -23,12 +23,14 @@ from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options, ver
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
+@click.option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
     target: Path | None,
     source: Path | None,
     placements: tuple[tuple[Path, Path], ...],
     out: Path,
+    plan: Path | None,
     strict: bool,
     as_json: bool,
     verbose: bool,
@@ -55,6 +57,7 @@ def calibrate(
       retropole calibrate front.pcap rear.pcap --frames 100:150
       retropole calibrate front.csv rear.csv --unit mm
       retropole calibrate front.pcd rear.pcd --poles 0
+      retropole calibrate front.pcd rear.pcd --plan retropole-plan
 
     \b
     Exit code:
@@ -65,8 +68,11 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
+    from ..api.planning import cost_of, load_plan
     from ..report.text import describe_result
 
+    # A plan that cannot be read is told before the work.
+    wanted = None if plan is None else load_plan(plan)
     with older_set_aside(out):
         if options["at_m"] is not None and options["need_m"] is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
@@ -80,7 +86,11 @@ def calibrate(
         "later, with new recordings": command_line("check", out, targets[0], sources[0]),
     }
     describe = partial(describe_result, result.document, following=following, verbose=verbose)
-    return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)
+    code = result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)
+    if wanted is not None and not quiet:
+        for line in cost_of(wanted, result.document):
+            say(f"plan: {line}")
+    return code
 
 
 def placed(

@@ -22,9 +22,19 @@ from .options import CLOUD, OUT, run_option, run_options
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit")
+@click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
+@click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+def detect(
+    file: Path,
+    out: Path,
+    plan: Path | None,
+    lidar: str | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> int:
     """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
     Writes a picture, detect.png (needs the extra 'figures').
@@ -35,6 +45,7 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
       retropole detect front.pcd --threshold 120 --out look
       retropole detect front.pcd --json | jq .poles
       retropole detect drive.bag --topic /front --frames 0:20
+      retropole detect front.pcd --plan retropole-plan
 
     \b
     Exit code:
@@ -52,6 +63,14 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     from ..result import encode
     from ..result.contents import detection_document
 
+    wanted = None
+    if plan is not None:
+        from ..api.planning import load_plan
+
+        # A plan that cannot be read is told before the work.
+        wanted = load_plan(plan)
+    elif lidar is not None:
+        raise click.UsageError("--lidar is a name of the plan: give --plan, too")
     config = RunConfig(**options)
     with listening(quiet, config.frames) as listener:
         listener.progress("read")
@@ -71,4 +90,9 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
         show(encode(result))
     elif not quiet:
         show(describe_detection(result, written))
+    if wanted is not None and not quiet:
+        from ..api.planning import against
+
+        for line in against(wanted, result.poles, lidar):
+            say(f"plan: {line}")
     return 0

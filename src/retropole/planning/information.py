@@ -20,7 +20,7 @@ from ..alignment.posterior import Posterior
 from ..alignment.state import JointState
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
-from ..alignment.views import WIDEST
+from ..alignment.views import MAX_ROUNDS, WIDEST
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
@@ -32,8 +32,8 @@ from .place import Station
 LATERAL_NOISE = 0.3
 """Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
 
-LEAST = 1e-9
-"""Eigenvalues of a pole's information below this part of the largest are nothing."""
+LEAST = 0.01
+"""What a pole says of a direction counts from this part of what is known of it beforehand."""
 
 
 def divergences_of(stations: Sequence[Station]) -> list[float]:
@@ -84,6 +84,7 @@ def network_of(
     seen: BoolArray,
     placement: IntArray,
     scene_bands: Sequence[IntArray],
+    rounds: int = MAX_ROUNDS,
 ) -> Network:
     """Expand what all LiDARs would record of some poles about the poses as they are known.
 
@@ -97,6 +98,8 @@ def network_of(
         (C,) which each stands in.
     scene_bands
         Bands of elevation that each LiDAR has other returns in.
+    rounds
+        As `network.observe` has it.
     """
     widths = divergences_of(stations)
     sights = []
@@ -120,13 +123,14 @@ def network_of(
     at = Posterior(state, log_noise, 0.0, none[0:0], none, none, none, 0.0)
     free = np.repeat(np.arange(count) > 0, POSE)
     bands = bands_of(sights, scene_bands)
-    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free)
+    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, rounds)
 
 
-def roots_of(network: Network, count: int) -> list[tuple[IntArray, Array]]:
+def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:
     """Eliminate the axis of each of so many poles: root (P, R) of its information, and its place.
 
-    Every pole has a placement of its own in the network.
+    Every pole has a placement of its own in the network; `known` (K,) is the precision of all
+    unknowns before.
     """
     kept = network.unknowns.kept
     own: list[list[int]] = [[] for _ in range(count)]
@@ -145,9 +149,9 @@ def roots_of(network: Network, count: int) -> list[tuple[IntArray, Array]]:
         axis = information[shared:, shared:] + np.eye(len(place) - shared) * WIDEST**-2
         gone = np.linalg.solve(axis, information[shared:, :shared])
         left = information[:shared, :shared] - information[:shared, shared:] @ gone
-        scale = np.sqrt(np.maximum(np.diag(left), 1e-30))
+        scale = np.sqrt(known[place[:shared]])
         size, way = np.linalg.eigh(left / np.outer(scale, scale))
-        large = size > LEAST * size[-1]
+        large = size > LEAST
         root = scale[:, None] * way[:, large] * np.sqrt(size[large])
         found.append((place[:shared], root))
     return found

@@ -67,6 +67,10 @@ class Station:
         In the same frame.
     T
         (4, 4) its pose in the frame of the place.
+    origin
+        (3,) where its beams start in the frame of its recording, metres.
+    is_settled
+        Whether what was recorded, or drawn, says so; else it is as it was given.
     """
 
     name: str
@@ -74,6 +78,13 @@ class Station:
     sensor: Sensor | None
     beams: RecordedBeams
     T: Array
+    origin: Array
+    is_settled: bool = True
+
+    @property
+    def T_place_recording(self) -> Array:
+        """(4, 4) from the frame of its recording."""
+        return self.T @ se3.from_rt(np.eye(3), -self.origin)
 
     @property
     def at(self) -> Array:
@@ -152,7 +163,9 @@ def survey(
     top = ndimage.maximum_filter(high, footprint=disc, mode="constant", cval=-np.inf)
     around = ndimage.minimum_filter(low, footprint=_disc(AROUND), mode="constant", cval=np.inf)
     enough = ndimage.convolve(count, disc.astype(count.dtype), mode="constant") >= FOOT_POINTS
-    flat = enough & (top - bottom < SPREAD) & (bottom - around < STEP)
+    # What lies between the returns around a box may be its inside.
+    enough &= ndimage.maximum_filter(count, size=3, mode="constant") > 0
+    flat = enough & (top < bottom + SPREAD) & (bottom < around + STEP)
     x, y = np.nonzero(flat)
     feet = np.c_[corner + (np.c_[x, y] + 0.5) * CELL, (bottom[x, y] + top[x, y]) / 2]
     kept = np.all(np.linalg.norm(feet[:, None, :2] - lidars[:, :2], axis=2) > OWN, axis=1)
@@ -169,10 +182,9 @@ def survey(
             "stand",
             {"places": int(np.count_nonzero(flat)), "allowed": int(np.count_nonzero(kept))},
         )
-    ground = bottom[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
-    # Where no ground is near, what was recorded stands on something.
-    around_them = around[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
-    floor = np.where(ground - around_them < STEP, ground, around_them)
+    # Where nothing low is near, what was recorded stands on something.
+    floors = np.where(bottom < around + STEP, bottom, around)
+    floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
     return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]), points)
 
 

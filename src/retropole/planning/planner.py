@@ -16,7 +16,7 @@ from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import Need
 from .candidates import Candidates, candidate_poles
-from .choice import Design, choose, errors_of, may_stand_together
+from .choice import UNSURE, Design, choose, errors_of, may_stand_together
 from .information import divergences_of, network_of, prior_of, roots_of
 from .place import Area, Place, Station, survey
 from .prediction import (
@@ -35,6 +35,10 @@ LENGTH = 2.0
 
 RANGE = 30.0
 """Range at which the error is made small where nothing else is said, metres."""
+
+ROUNDS = 5
+"""Of views of the axes, where many poles are compared: the errors of 200 random pairs of a street
+are then within 3 % of those after thirty, in a fraction of the time."""
 
 WORTH = 0.15
 """One pole or placement more is worth it where it takes so large a part of the error away."""
@@ -173,7 +177,9 @@ def plan(
             {"places": len(place.feet), "seen": len(candidates)},
         )
     progress("what each would tell")
-    network = network_of(stations, candidates, seen, np.arange(len(candidates)), surfaces.bands)
+    network = network_of(
+        stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, ROUNDS
+    )
     design = design_of(stations, surfaces, candidates, seen, network, reach)
     progress("the best of them")
     chosen = choose(design, poles, placements)
@@ -240,7 +246,9 @@ def design_of(
             information += scene_information(stations, surfaces, unknowns)
         informations.append(information)
     rule = may_stand_together(candidates, seen, [each.at for each in stations])
-    roots = roots_of(network, len(candidates))
+    unsure = np.tile(np.repeat(UNSURE, 3) ** -2.0, len(stations))
+    before = np.r_[unsure, np.diag(informations[1])[unknowns.poses :]]
+    roots = roots_of(network, len(candidates), before)
     return Design(roots, (informations[0], informations[1]), unknowns, reach, rule)
 
 

@@ -56,7 +56,7 @@ def plan_document(
             sensor="auto" if each.sensor is None else each.sensor.name,
             path=path,
             sha256=sha256,
-            T_place_lidar=each.T,
+            T_place_lidar=each.T_place_recording,
             height_m=abs(float(each.at[2])),
         )
         for each, (path, sha256) in zip(stations, recordings, strict=True)
@@ -248,5 +248,11 @@ def sentences(
             f"One {each.what} more: {error(each.error)} at {at:g} m, by the poles alone "
             f"{error(each.alone)}: {worth}."
         )
+    for station in planned.stations:
+        if not station.is_settled:
+            yield (
+                f"The pose of {station.name} is as you gave it: the recordings share too little to "
+                "settle it."
+            )
     count = len(planned.candidates)
     yield f"Chosen from {counted(count, 'pole')} that could stand on the ground that was recorded."

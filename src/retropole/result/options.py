@@ -16,7 +16,7 @@ from ..base.bounded import ShareOfSome, Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
-from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
+from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
 from ..io.downsampling import LEAST_POINTS, MAX_POINTS
 from ..io.units import METRES, Unit
 
@@ -208,6 +208,11 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def source_unit(self) -> Unit:
         """Unit of the source: its own, or else that of the target."""
         return self.unit_source or self.unit
+
+    @property
+    def need(self) -> Need | None:
+        """The accuracy that is needed."""
+        return None if self.need_m is None else Need(self.need_m, self.at_m or DEFAULT_AT)
 
     @property
     def of_target(self) -> Reading:

@@ -21,7 +21,8 @@ PLAN_SCHEMA: Literal["retropole/plan/1"] = "retropole/plan/1"
 class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A LiDAR where it stands.
 
-    `path` and `sha256` are of its recording without poles, empty where the place was drawn.
+    The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
+    empty where the place was drawn.
     """
 
     name: Text

@@ -1,0 +1,351 @@
+"""`plan`: bare recordings in, where to stand the poles out, as a document, a page and a card."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import DEFAULT_RADIUS, Array, Scan
+from ..base.errors import UsageError
+from ..base.files import write_together
+from ..base.quantities import counted, error
+from ..base.sensors import find_sensor
+from ..base.uncertainty.purpose import DEFAULT_AT, Need
+from ..export import read_transform
+from ..pipeline import calibrate
+from ..planning.comparison import against_plan
+from ..planning.place import Area, Station
+from ..planning.planner import LENGTH, Planned
+from ..planning.planner import plan as plan_poles
+from ..planning.stations import bare_scan, stand, stand_drawn
+from ..planning.words import plan_document
+from ..report.pole_plan import PlanPicture, render_pole_plan
+from ..result import PoleDoc, ResultDoc, RunConfig, encode
+from ..result.decoding import parsed
+from ..result.pole_plan import PolePlanDoc
+from ..simulation.raycast import Material
+from ..simulation.scenes import box
+from .inputs import SILENT, Input, Listener, input_documents, read_input
+from .site import load_site_result
+from .site_file import SiteFile, read_site_file
+from .site_inputs import site_file_in
+from .stored import loaded
+
+CONCRETE = Material(0.4)
+"""Of boxes that are drawn."""
+
+COSTLY = 1.25
+"""An error so many times the planned one is not as planned: noise alone changes it by less."""
+
+PLAN_FILE, PLAN_PAGE = "plan.json", "plan.html"
+
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """What is asked of a plan.
+
+    Attributes
+    ----------
+    poles, placements
+        How many stand at once, and how often they are moved.
+    length, radius
+        Of the poles, metres.
+    need
+        How accurate the answer must be; None makes the error at 30 m small.
+    allowed, forbidden
+        Rectangles (x, y, x, y) of the ground, metres, in the frame of the plan.
+    """
+
+    poles: int = 2
+    placements: int = 1
+    length: float = LENGTH
+    radius: float = DEFAULT_RADIUS
+    need: Need | None = None
+    allowed: tuple[tuple[float, float, float, float], ...] = ()
+    forbidden: tuple[tuple[float, float, float, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PolePlan:
+    """Where the poles should stand.
+
+    Attributes
+    ----------
+    document
+        As ``plan.json`` holds it.
+    planned
+        All that it was chosen from.
+    """
+
+    document: PolePlanDoc
+    planned: Planned
+
+    def __repr__(self) -> str:
+        """Say where the poles stand and what to expect, a line each."""
+        poles = [pole.words for each in self.document.placements for pole in each.poles]
+        return "\n".join(["PolePlan:", *poles, *self.document.words])
+
+    def page(self) -> str:
+        """Write the page: the picture, poles that can be dragged, and the card."""
+        return render_pole_plan(self.document, picture_of(self.planned))
+
+    def save(self, out: str | Path) -> tuple[Path, Path]:
+        """Write ``plan.json`` and ``plan.html`` into a folder."""
+        document, page = Path(out) / PLAN_FILE, Path(out) / PLAN_PAGE
+        write_together({document: encode(self.document), page: self.page().encode()})
+        return document, page
+
+
+def load_plan(path: Path) -> PolePlanDoc:
+    """Read ``plan.json``, or that of a folder.
+
+    Raises
+    ------
+    ReadError
+        Where there is none, or it is no plan; names the file and the field.
+    """
+    file = path / PLAN_FILE if path.is_dir() else path
+    return loaded(file, partial(parsed, kind=PolePlanDoc, what="plan"))
+
+
+def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
+    """Say which of the poles that one LiDAR sees is out of place.
+
+    Raises
+    ------
+    UsageError
+        Where the plan has no LiDAR of that name.
+    """
+    names = [each.name for each in plan.lidars]
+    if lidar is not None and lidar not in names:
+        raise UsageError(f"the plan has no LiDAR {lidar!r}, it has {', '.join(names)}")
+    stood = against_plan(plan, poles, lidar)
+    several = len(plan.placements) > 1
+    where = f" in placement {stood.placement + 1}" if several else ""
+    lines = [f"as seen by {stood.lidar}{where}:", *(each.words for each in stood.deviations)]
+    if stood.others:
+        lines.append(f"{counted(stood.others, 'pole')} more than planned")
+    return lines
+
+
+def cost_of(plan: PolePlanDoc, result: ResultDoc) -> list[str]:
+    """Say where the poles of a calibration stood against the plan, and what that cost.
+
+    Parameters
+    ----------
+    plan
+        Of the same two LiDARs, in the same order.
+    result
+        Of the first placement.
+    """
+    lines = []
+    for role, station in zip(("target", "source"), plan.lidars, strict=False):
+        stood = against_plan(plan, getattr(result.poles, role), station.name)
+        lines += [f"{station.name}: {each.words}" for each in stood.deviations]
+    stated = {each.range_m: each.sigma_m for each in result.predicted_error or []}
+    planned = {each.range_m: each.sigma_m for each in plan.predicted[0].predicted_error}
+    at = DEFAULT_AT
+    if at in stated and at in planned:
+        ratio = stated[at] / planned[at]
+        words = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
+        lines.append(
+            f"error at {at:g} m: {error(stated[at])}, planned {error(planned[at])}: {words}"
+        )
+    return lines
+
+
+def plan_pair(
+    target: Path,
+    source: Path,
+    wish: Wish,
+    config: RunConfig,
+    rough: Array | Path | None = None,
+    listener: Listener = SILENT,
+) -> PolePlan:
+    """Plan for two LiDARs that recorded the place without poles.
+
+    Parameters
+    ----------
+    target, source
+        Their recordings.
+    wish
+        What is asked for.
+    config
+        How they are read.
+    rough
+        (4, 4) target from source, good to 10° and 1 m, or a file that `export` reads; None asks
+        the place for it.
+
+    Raises
+    ------
+    Refusal
+        Where there is no such plan; see `planner.plan`.
+    UsageError
+        Where the pose is needed and not given.
+    """
+    inputs = [
+        read_input(target, config.of_target, listener, role="target"),
+        read_input(source, config.of_source, listener, role="source"),
+    ]
+    names = _names([target, source], ("target", "source"))
+    T = read_transform(rough).T_parent_child if isinstance(rough, Path) else rough
+    return _planned(names, inputs, [None, T], wish, listener)
+
+
+def plan_site(
+    path: Path, wish: Wish, rough: Path | None = None, listener: Listener = SILENT
+) -> PolePlan:
+    """Plan for the LiDARs of a site file, whose first recordings show the place without poles.
+
+    Parameters
+    ----------
+    path
+        Of the site file, or of its folder.
+    wish
+        What is asked for; the radius is the file's.
+    rough
+        An older result of the site, good to 10° and 1 m; None asks the place for all poses.
+    """
+    path = site_file_in(path)
+    file: SiteFile = read_site_file(path)
+    inputs, names = [], []
+    for lidar in file.lidar:
+        first = next(each for each in lidar.recordings if each)
+        given = path.parent / first
+        inputs.append(read_input(given, lidar.reading(file.max_points), listener))
+        names.append(lidar.name)
+    known = {} if rough is None else _poses_in(rough)
+    lost = [name for name in names if known and name not in known]
+    if lost:
+        raise UsageError(f"no pose of {', '.join(lost)} is given; there are {', '.join(known)}")
+    first_pose = se3.inverse(known[names[0]]) if known else None
+    poses = [None if first_pose is None else first_pose @ known[name] for name in names]
+    return _planned(names, inputs, poses, wish, listener)
+
+
+def _poses_in(path: Path) -> dict[str, Array]:
+    """Poses (4, 4) of a site's result in its frame, by the names of the LiDARs."""
+    return {
+        each.name: np.array(each.T_site_lidar)
+        for each in load_site_result(path).document.lidars
+        if each.T_site_lidar is not None
+    }
+
+
+def plan_drawn(
+    lidars: Sequence[tuple[str, str, Array]],
+    boxes: Sequence[Sequence[float]],
+    wish: Wish,
+    listener: Listener = SILENT,
+) -> PolePlan:
+    """Plan for LiDARs that have recorded nothing yet, over flat ground.
+
+    Parameters
+    ----------
+    lidars
+        Name, sensor and pose (4, 4) of each, in a frame whose ground is z = 0.
+    boxes
+        What stands there: x and y of the middle of each, and its three sides, metres.
+    wish
+        What is asked for.
+    """
+    listener.progress("draw")
+    standing = [
+        box(np.array([x, y, high / 2]), np.array([long, wide, high]) / 2, 0.0, CONCRETE)
+        for x, y, long, wide, high in boxes
+    ]
+    names = [name for name, _, _ in lidars]
+    sensors = [find_sensor(sensor) for _, sensor, _ in lidars]
+    stations = stand_drawn(names, sensors, [T for _, _, T in lidars], standing)
+    planned = _ask(stations, wish, listener)
+    nothing = [("", "")] * len(lidars)
+    return PolePlan(plan_document(planned, nothing, wish.need), planned)
+
+
+def _planned(
+    names: Sequence[str],
+    inputs: Sequence[Input],
+    rough: Sequence[Array | None],
+    wish: Wish,
+    listener: Listener,
+) -> PolePlan:
+    listener.progress("read")
+    scans = [bare_scan(each.cloud, each.sensor) for each in inputs]
+    listener.progress("stand the LiDARs")
+    poses = _poses(names, scans, rough)
+    stations = stand(names, scans, poses)
+    planned = _ask(stations, wish, listener)
+    recordings = [(each.path, each.sha256) for each in input_documents(inputs)]
+    return PolePlan(plan_document(planned, recordings, wish.need), planned)
+
+
+def _ask(stations: Sequence[Station], wish: Wish, listener: Listener) -> Planned:
+    areas = [
+        [
+            Area(np.minimum(each[:2], each[2:]), np.maximum(each[:2], each[2:]))
+            for each in (np.array(one) for one in given)
+        ]
+        for given in (wish.allowed, wish.forbidden)
+    ]
+    return plan_poles(
+        stations,
+        poles=wish.poles,
+        placements=wish.placements,
+        length=wish.length,
+        radius=wish.radius,
+        reach=DEFAULT_AT if wish.need is None else wish.need.at,
+        need=wish.need,
+        allowed=areas[0],
+        forbidden=areas[1],
+        progress=listener.progress,
+    )
+
+
+def _names(paths: Sequence[Path], roles: tuple[str, str]) -> list[str]:
+    """Name two LiDARs by their files, where these differ and are short."""
+    stems = [path.stem for path in paths]
+    good = len(set(stems)) == len(stems) and all(0 < len(each) <= 20 for each in stems)
+    return stems if good else list(roles)
+
+
+def _poses(
+    names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array | None]
+) -> list[Array]:
+    """Give all LiDARs a rough pose in the frame of the first: as given, or as the place says.
+
+    Raises
+    ------
+    UsageError
+        Where neither tells.
+    """
+    found = [np.eye(4)]
+    for i in range(1, len(scans)):
+        T = rough[i]
+        if T is None:
+            T = next(_by_place(scans, found, i), None)
+        if T is None:
+            raise UsageError(
+                f"the recordings do not tell where {names[i]} stands: give its rough pose, good to "
+                "10° and 1 m (--xyz and --rpy-deg, or --pose FILE)"
+            )
+        found.append(T)
+    return found
+
+
+def _by_place(scans: Sequence[Scan], found: Sequence[Array], i: int) -> Iterator[Array]:
+    """Ask the place for a pose of a LiDAR against each that stands already."""
+    for j, T in enumerate(found):
+        sensors = scans[j].sensor, scans[i].sensor
+        answer = calibrate(scans[j].cloud, scans[i].cloud, sensors=sensors, poles=0)
+        if answer.T_target_source is not None:
+            yield T @ answer.T_target_source
+
+
+def picture_of(planned: Planned) -> PlanPicture:
+    """Gather what the page draws."""
+    raise NotImplementedError

@@ -1,0 +1,298 @@
+"""The page of a plan: where to stand the poles, the poles to drag, and a card to take along."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..base.quantities import UNKNOWN, counted, error, percent
+from ..base.uncertainty import source_words
+from ..result.pole_plan import PlannedPlacementDoc, PolePlanDoc, PredictedDoc
+from .listings import Listing, columns
+from .page import (
+    EMPTY,
+    Html,
+    fill,
+    fill_each,
+    fill_page,
+    join,
+    listed,
+    plus_minus,
+    share_styles,
+    table,
+)
+from .pole_plan_data import plan_data, stated, stated_alone
+from .pole_plan_picture import WIDTH, PlanPicture, View, drawn, recorded, view_of
+from .render import HEADING
+from .verdict import reason_item, verdict_box
+from .view import embed_json
+
+__all__ = ["PlanPicture", "render_pole_plan"]
+
+LISTED_SOURCES = 4
+"""So many sources of error are listed, the largest first."""
+
+CARD_MM = 178.0, 126.0
+"""The picture on the card is at most so wide and high: with all else, a sheet of A4 or Letter."""
+
+SYMBOLS = {"ok": "✓", "warn": "!", "refused": "✕"}
+
+
+def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
+    """Render a plan as one HTML page that holds its style and code and works from a file.
+
+    Parameters
+    ----------
+    document
+        The plan.
+    picture
+        What its picture is drawn from, and what predicts the error where poles are moved.
+    """
+    view = view_of(picture)
+    parts = join(
+        (
+            _place(document, picture, view),
+            _poles(document),
+            _tape(document),
+            _errors(document),
+            _limits(document),
+            _recordings(document),
+        )
+    )
+    cards = [_card(document, picture, view, p) for p in range(len(document.placements))]
+    count = sum(len(each.poles) for each in document.placements)
+    made = f"{counted(len(document.lidars), 'LiDAR')}, {counted(count, 'pole')}"
+    if len(document.placements) > 1:
+        made += f" in {len(document.placements)} placements"
+    links = join(fill("a", to=f"#{name}", text=Html(text)) for name, text in HEADING.findall(parts))
+    places: dict[str, object] = {
+        "title": "Where to stand the poles",
+        "heading": "Where to stand the poles",
+        "brand": "plan of poles",
+        "created": f"{document.created} · {made}",
+        "status": _kind(document),
+        "certificate": join((recorded(picture, view), *cards)),
+        "certificate_button": fill("plan-card-button"),
+        "verdict": _verdict(document),
+        **{"links": links, "parts": parts},
+        "data": embed_json(plan_data(document, picture, view)),
+    }
+    return fill_page(
+        "report.html",
+        ("style.css", "pole_plan.css"),
+        ("page.js", "pole_plan.js"),
+        {name: fill("text", value=value) for name, value in places.items()},
+        share_styles(),
+    )
+
+
+def _kind(document: PolePlanDoc) -> str:
+    """Style of the verdict: that of the rehearsal, unless the need is hardly met."""
+    kind = "ok" if document.rehearsal is None else document.rehearsal.status
+    hardly = document.probability is not None and document.probability < 0.5
+    return "warn" if kind == "ok" and hardly else kind
+
+
+def _verdict(document: PolePlanDoc) -> Html:
+    first, *others = document.words or [""]
+    kind, need = _kind(document), document.need
+    asked = "" if need is None else f"; asked for: {need.words}"
+    title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){asked}"
+    rehearsal = document.rehearsal
+    reasons = EMPTY if rehearsal is None else join(map(reason_item, rehearsal.reasons))
+    return verdict_box(
+        kind,
+        SYMBOLS[kind],
+        title,
+        fill(
+            "plan-words",
+            first=fill("strong", text=first),
+            others=fill("statements", items=fill_each("li", others)) if others else EMPTY,
+            reasons=fill("reasons", items=reasons) if reasons else EMPTY,
+        ),
+    )
+
+
+def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
+    """Write the picture, and beside it what the poles give where they stand now."""
+    several = len(document.placements) > 1
+    rows, number = [], 0
+    for p, placement in enumerate(document.placements):
+        for pole in placement.poles:
+            where = _where(pole.words)
+            rows.append(fill("plan-row", number=number, name=pole.name, words=where, kind=p % 4))
+            number += 1
+    first = document.lidars[0].name
+    said = (
+        f"Seen from above; up is ahead of {first}, along its x axis. Arrows: x axes of the LiDARs. "
+        "Letters: feet of the poles, with the way each leans."
+    )
+    if sum(map(len, picture.points)):
+        said += " Grey: what was recorded, darker where it stands higher than 0.3 m."
+    places = [
+        fill("plan-place", place=p, name=f"Placement {p + 1}")
+        for p in range(len(document.placements))
+    ]
+    return fill(
+        "plan-section",
+        width=f"{WIDTH:g}",
+        height=f"{view.height:.0f}",
+        marks=drawn(document, picture, view),
+        said=said,
+        placements=fill("plan-places", buttons=join(places)) if several else EMPTY,
+        range=f"{document.range_m:g}",
+        together=error(max(stated(document))),
+        alone=error(max(stated_alone(document))),
+        rows=join(rows),
+    )
+
+
+def _where(words: str) -> str:
+    """Where a pole stands, without its name before it."""
+    return words.partition(": ")[2] or words
+
+
+def _poles(document: PolePlanDoc) -> Html:
+    """List the poles, and what each LiDAR will have of them."""
+    names = [each.name for each in document.lidars]
+    several = len(document.placements) > 1
+    rows = []
+    for p, placement in enumerate(document.placements, 1):
+        for pole in placement.poles:
+            seen = {each.lidar: each for each in pole.seen}
+            cells = []
+            for name in names:
+                one = seen.get(name)
+                rings = "" if one is None or one.rings is None else f" on {one.rings} rings"
+                cells.append(UNKNOWN if one is None else f"{one.returns}{rings}")
+            rows.append((pole.name, *([p] if several else []), *cells, _where(pole.words)))
+    header = ("pole", *(["placement"] if several else []), *names, "where")
+    caption = "Poles of the plan, and the returns that each LiDAR will have of them"
+    size = f"{document.length_m:g} m long, {2e3 * document.radius_m:.0f} mm thick"
+    return fill(
+        "plan-poles", size=size, table=listed(Listing(caption, header, rows, (len(header) - 1,)))
+    )
+
+
+def _lengths(placement: PlannedPlacementDoc, p: int, piece: str) -> Html:
+    """List what to measure with a tape; the page's code writes what moved poles ask for."""
+    return join(
+        fill(
+            piece,
+            key=f"{p}-{n}",
+            start=each.start,
+            end=each.end,
+            metres=f"{each.metres:.2f}",
+        )
+        for n, each in enumerate(placement.tape)
+    )
+
+
+def _tape(document: PolePlanDoc) -> Html:
+    parts = []
+    for p, placement in enumerate(document.placements):
+        title = f"Placement {p + 1}" if len(document.placements) > 1 else ""
+        heading = fill("plan-heading", text=title) if title else EMPTY
+        parts.append(
+            fill("plan-tape-of", heading=heading, items=_lengths(placement, p, "plan-length"))
+        )
+    return fill("plan-tape", parts=join(parts))
+
+
+def _errors(document: PolePlanDoc) -> Html:
+    """List the error to expect by range."""
+    several = len(document.predicted) > 1
+    rows = [row for each in document.predicted for row in _error_rows(each, several)]
+    header = columns("distance; 1 σ; 95 % are below; 1 σ by the poles alone")
+    header = ["LiDAR", *header] if several else header
+    of = "" if several else f" of {document.predicted[0].lidar}"
+    return fill("plan-errors", table=listed(Listing(f"Error to expect{of}", header, rows, ())))
+
+
+def _error_rows(predicted: PredictedDoc, several: bool) -> Iterator[tuple[str, ...]]:
+    for each, bound, alone in zip(
+        predicted.predicted_error, predicted.bounds_m, predicted.alone, strict=True
+    ):
+        cells = (
+            f"{each.range_m:g} m",
+            plus_minus(each.sigma_m),
+            error(bound),
+            plus_minus(alone.sigma_m),
+        )
+        yield (predicted.lidar, *cells) if several else cells
+
+
+def _limits(document: PolePlanDoc) -> Html:
+    """Say what limits the error, and what more poles or placements would bring."""
+    worst = document.predicted[stated(document).index(max(stated(document)))]
+    entries = sorted(worst.budget, key=lambda each: -each.share_at_30m)[:LISTED_SOURCES]
+    tables = []
+    if entries:
+        whose = f" of {worst.lidar}" if len(document.predicted) > 1 else ""
+        tables.append(
+            table(
+                f"What most of the error{whose} is made of",
+                columns("source of error; share of the variance at 30 m"),
+                [(source_words(e.name, e.sensor), percent(e.share_at_30m)) for e in entries],
+                bars=[("", each.share_at_30m) for each in entries],
+            )
+        )
+    if document.more:
+        at = f"{document.range_m:g} m"
+        tables.append(
+            table(
+                "What more would bring",
+                ("", f"1 σ at {at}", "by the poles alone", "takes away", "worth it"),
+                [
+                    (
+                        f"one {each.what} more",
+                        plus_minus(each.error_m),
+                        plus_minus(each.alone_m),
+                        percent(max(each.gain, 0.0)),
+                        "yes" if each.is_worth_it else "no",
+                    )
+                    for each in document.more
+                ],
+                (4,),
+            )
+        )
+    return fill("plan-limits", tables=join(tables)) if tables else EMPTY
+
+
+def _recordings(document: PolePlanDoc) -> Html:
+    """Name what the plan was made from."""
+    rows = [
+        (each.name, each.sensor, f"{each.height_m:.2f}", each.path or UNKNOWN, each.sha256)
+        for each in document.lidars
+    ]
+    header = ("LiDAR", "sensor", "height, m", "recording without poles", "SHA-256")
+    return fill("plan-recordings", table=table("LiDARs", header, rows, (1, 3, 4)))
+
+
+def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Html:
+    """Write the sheet for one placement: the picture, the poles, and what to measure."""
+    placement = document.placements[p]
+    before = sum(len(each.poles) for each in document.placements[:p])
+    several = len(document.placements) > 1
+    poles = [
+        fill("plan-card-pole", number=before + n, name=pole.name, words=_where(pole.words))
+        for n, pole in enumerate(placement.poles)
+    ]
+    size = f"{document.length_m:g} m long, {2e3 * document.radius_m:.0f} mm thick"
+    millimetres = min(CARD_MM[0] / WIDTH, CARD_MM[1] / view.height)
+    return fill(
+        "plan-card",
+        id=f"card-{p + 1}",
+        title="Where to stand the poles" + (f": placement {p + 1}" if several else ""),
+        size=size,
+        created=document.created.partition("T")[0],
+        wide=millimetres * WIDTH,
+        high=millimetres * view.height,
+        width=f"{WIDTH:g}",
+        height=f"{view.height:.0f}",
+        marks=drawn(document, picture, view, p),
+        poles=join(poles),
+        first=document.lidars[0].name,
+        lengths=_lengths(placement, p, "plan-card-length"),
+        range=f"{document.range_m:g}",
+        together=error(max(stated(document))),
+    )

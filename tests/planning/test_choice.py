@@ -1,0 +1,65 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from retropole.alignment.unknowns import Unknowns
+from retropole.planning.choice import Design, choose, error_of, errors_of
+from tests.planning.places import planned
+
+
+def drawn(seed: int, count: int = 9) -> Design:
+    """A design of random poles that each say little of a few directions."""
+    rng = np.random.default_rng(seed)
+    bands = (np.arange(2), np.arange(2))
+    unknowns = Unknowns(bands, 0, 0)
+    roots = []
+    for _ in range(count):
+        place = np.sort(rng.choice(np.arange(6, unknowns.kept), 12, replace=False))
+        place = np.union1d(place, np.arange(6, 12))
+        roots.append((place, rng.normal(size=(len(place), 4)) * rng.uniform(10, 1000)))
+    prior = np.diag(np.r_[np.zeros(12), np.full(unknowns.kept - 12, 1e4)])
+    return Design(roots, (prior, prior), unknowns, 30.0, lambda k, others: True)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exchange_finds_the_best_set(seed: int) -> None:
+    design = drawn(seed)
+    chosen = choose(design, 3)
+    assert chosen is not None
+    best = min(error_of(design, [each]) for each in combinations(range(9), 3))
+    assert error_of(design, chosen) <= 1.05 * best
+    assert chosen == choose(design, 3)
+
+
+def test_the_error_with_one_more_is_that_of_the_set_with_it() -> None:
+    design = drawn(1)
+    together, _ = design.inverses([2, 5])
+    with_each = design.with_each(together)
+    for k in (0, 7):
+        assert with_each[k] == pytest.approx(errors_of(design, [[2, 5, k]])[0].max(), rel=1e-6)
+
+
+def test_more_poles_never_harm() -> None:
+    design = drawn(2)
+    errors = [error_of(design, choose(design, n) or []) for n in (1, 2, 3, 4)]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_rules_are_kept() -> None:
+    design = planned().design
+    for placements in (1, 2):
+        chosen = choose(design, 2, placements)
+        assert chosen is not None
+        for own in chosen:
+            assert all(design.may_stand(k, [o for o in own if o != k]) for k in own)
+        every = [k for own in chosen for k in own]
+        assert len(set(every)) == len(every)
+
+
+def test_none_may_stand() -> None:
+    design = drawn(0)
+    alone = Design(
+        design.roots, design.informations, design.unknowns, 30.0, lambda k, others: not others
+    )
+    assert choose(alone, 2) is None

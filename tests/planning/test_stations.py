@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.errors import Refusal
+from retropole.planning.stations import bare_scan, settle, stand
+from retropole.simulation import SimulatedPair, record_again, simulate_pair
+
+
+@pytest.fixture(scope="module")
+def street() -> SimulatedPair:
+    pair = simulate_pair("street", np.random.default_rng(1), sensor_target="XT32")
+    return record_again(pair, np.random.default_rng(2), poles=False)
+
+
+def turned(by_deg: tuple[float, float, float], by_m: tuple[float, float, float]) -> np.ndarray:
+    return se3.from_rt(se3.rotation_from_rpy(np.radians(by_deg)), np.array(by_m))
+
+
+def test_a_rough_pose_settles_on_the_place(street: SimulatedPair) -> None:
+    scans = [
+        bare_scan(c, s) for c, s in zip((street.target, street.source), street.sensors, strict=True)
+    ]
+    rough = street.T_target_source @ turned((3, -4, 8), (0.5, -0.6, 0.3))
+    stood = stand(("a", "b"), scans, (np.eye(4), rough))
+    found = se3.inverse(stood[0].T) @ stood[1].T
+    apart = se3.difference(found, street.T_target_source)
+    assert apart.rotation < np.radians(0.5)
+    assert apart.translation < 0.05
+    assert stood[1].is_settled
+    # The origin is on the ground below the first LiDAR, and z is up.
+    np.testing.assert_allclose(stood[0].at[:2], 0.0, atol=1e-9)
+    up = street.T_world_target[2, :3] @ stood[0].T[:3, :3].T
+    np.testing.assert_allclose(up, [0, 0, 1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("by", "words"),
+    [((0, 0, 40), "looked through"), ((180, 0, 0), "upside down"), ((0, 40, 0), "tilted by")],
+)
+def test_a_wrong_rough_pose_is_refused(
+    street: SimulatedPair, by: tuple[float, float, float], words: str
+) -> None:
+    target, source = (
+        bare_scan(c, s) for c, s in zip((street.target, street.source), street.sensors, strict=True)
+    )
+    with pytest.raises(Refusal, match=words) as refusal:
+        settle("a", "b", target, source, street.T_target_source @ turned(by, (0, 0, 0)))
+    assert refusal.value.code == "pose_contradicted"

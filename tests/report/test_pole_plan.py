@@ -1,0 +1,425 @@
+"""The page of a plan: it stands alone, poles move, the error follows, and the card is printed."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty import RANGES, BudgetEntry, predicted_error
+from retropole.base.uncertainty.purpose import Need, displacement_bounds
+from retropole.report.pole_plan import PlanPicture, render_pole_plan
+from retropole.report.pole_plan_data import PackedRoots, packed, stated, stated_alone
+from retropole.report.pole_plan_picture import WIDTH, view_of
+from retropole.result import ReasonDoc
+from retropole.result.pole_plan import (
+    MoreDoc,
+    PlannedPlacementDoc,
+    PlannedPoleDoc,
+    PolePlanDoc,
+    PredictedDoc,
+    RehearsalDoc,
+    SightDoc,
+    StationDoc,
+    TapeDoc,
+)
+from tests.report.made_up import HOSTILE, Page
+
+AXE = Path(os.environ.get("AXE_CORE", ""))
+LENGTH = 2.0
+LEAN = np.radians(20.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    rows: Array
+    rest: Array
+    roots: list[Array]
+
+    def error(self, chosen: list[int]) -> float:
+        """Largest 1 σ of all LiDARs, metres."""
+        total = np.eye(self.rows.shape[2]) + sum(self.roots[k] @ self.roots[k].T for k in chosen)
+        inverse = np.linalg.inv(total)
+        squares = self.rest + np.einsum("lij,jk,lik->l", self.rows, inverse, self.rows)
+        return float(np.sqrt(squares.max()))
+
+
+def model(seed: int, count: int, lidars: int = 2) -> Model:
+    rng = np.random.default_rng(seed)
+    size = 12 + 6 * lidars
+    roots = [
+        rng.normal(size=(size, rng.integers(5, 9))) * rng.uniform(1, 300) for _ in range(count)
+    ]
+    rows = rng.normal(size=(lidars - 1, 6, size)) * 0.3
+    return Model(rows, np.full(lidars - 1, 1e-6), roots)
+
+
+def made_picture(placements: int = 1, lidars: int = 2) -> PlanPicture:
+    """A yard of 12 m with a wall, and a grid of feet, each upright or leaning to two sides."""
+    rng = np.random.default_rng(0)
+    grid = [(x, y) for x in (2.0, 3.5, 5.0, 6.5, 8.0) for y in (-3.0, -1.5, 0.0, 1.5, 3.0)]
+    feet = np.array([(x, y, 0.0) for x, y in grid])
+    low, high = np.sin(LEAN), np.cos(LEAN)
+    axes = np.array([[0.0, 0.0, 1.0], [low, 0.0, high], [0.0, low, high]])
+    foot = np.repeat(feet, 3, axis=0)
+    axis = np.tile(axes, (len(feet), 1))
+    count = len(foot)
+    apart = np.linalg.norm(foot[:, None] - foot, axis=2)
+    angle = np.arccos(np.clip(axis @ axis.T, -1, 1))
+    ground = np.c_[rng.uniform(-2, 12, 4000), rng.uniform(-6, 6, 4000), np.zeros(4000)]
+    wall = np.c_[np.full(500, 10.0), rng.uniform(-6, 6, 500), rng.uniform(0.4, 3, 500)]
+    T = [se3.from_rt(np.eye(3), np.array([0.0, 4.0 * k, 1.5])) for k in range(lidars)]
+    lean = ("upright", "lean 20° away from front", "lean 20° to the left, seen from front")
+    words = [f"{np.hypot(x, y):.1f} m from front; {way}" for x, y in grid for way in lean]
+    return PlanPicture(
+        np.stack(T),
+        [ground, wall],
+        foot,
+        axis,
+        np.ones((count, lidars), dtype=bool),
+        words,
+        (apart >= 1.0) & (angle >= np.radians(15.0)),
+        # One upright and one that leans, so far apart that all arrows lead somewhere.
+        [(33 + 3 * p, 46 + 3 * p) for p in range(placements)],
+        model(1, count, lidars),
+        model(2, count, lidars),
+        1.0,
+        float(np.radians(15.0)),
+        float(np.radians(10.0)),
+    )
+
+
+def made_plan(
+    picture: PlanPicture, name: str = "rear", status: str = "ok", need: Need | None = None
+) -> PolePlanDoc:
+    names = ["front", name, *(f"side {k}" for k in range(2, len(picture.lidars)))]
+    lidars = [
+        StationDoc(name=n, sensor="XT32", path=f"{n}.pcd", T_place_lidar=T, height_m=1.5)
+        for n, T in zip(names, picture.lidars, strict=True)
+    ]
+    placements, letters = [], iter("ABCDEFGH")
+    for own in picture.chosen:
+        poles = []
+        for k in own:
+            letter = next(letters)
+            seen = [SightDoc(lidar=n, returns=80, rings=12, distance_m=5.0) for n in names]
+            lean = float(np.arccos(picture.axis[k, 2]))
+            place = {"foot_m": picture.foot[k], "direction": picture.axis[k]}
+            said = {"towards": "", "words": f"pole {letter}: {picture.words[k]}"}
+            poles.append(PlannedPoleDoc(name=letter, lean_rad=lean, seen=seen, **place, **said))
+        placements.append(PlannedPlacementDoc(poles=poles, tape=_tape(poles, lidars)))
+    covariance = np.diag([1e-4**2] * 3 + [2e-3**2] * 3)
+    predicted = [
+        PredictedDoc(
+            lidar=each.name,
+            covariance=covariance,
+            predicted_error=list(predicted_error(covariance)),
+            bounds_m=displacement_bounds(covariance, RANGES).tolist(),
+            alone=list(predicted_error(25 * covariance)),
+            budget=[BudgetEntry(f"kind {k}", "source", 1e-3, "m", None, 0.2) for k in range(5)],
+        )
+        for each in lidars[1:]
+    ]
+    reasons = [] if status == "ok" else [ReasonDoc("few_points", f"{name} has few", {})]
+    return PolePlanDoc(
+        lidars=lidars,
+        placements=placements,
+        length_m=LENGTH,
+        radius_m=0.02,
+        range_m=20.0,
+        need=need,
+        probability=None if need is None else 0.3,
+        predicted=predicted,
+        more=[MoreDoc(what="pole", error_m=4e-3, alone_m=9e-3, gain=0.2, is_worth_it=True)],
+        rehearsal=RehearsalDoc(
+            status=status,  # type: ignore[arg-type]
+            reasons=reasons,
+            margin=None,
+            predicted_error=[],
+        ),
+        words=["The error to expect at 20 m is 3.2 mm.", f"Poles for {name}."],
+        version="1",
+        created="2026-01-02T03:04:05+00:00",
+    )
+
+
+def _tape(poles: list[PlannedPoleDoc], lidars: list[StationDoc]) -> list[TapeDoc]:
+    found = []
+    for k, pole in enumerate(poles):
+        lengths = [
+            (float(np.linalg.norm((pole.foot_m - each.T_place_lidar[:3, 3])[:2])), each.name)
+            for each in lidars
+        ]
+        for metres, name in sorted(lengths)[:2]:
+            found.append(TapeDoc(start=f"below {name}", end=pole.name, metres=metres))
+        for other in poles[:k]:
+            metres = float(np.linalg.norm(pole.foot_m - other.foot_m))
+            found.append(TapeDoc(start=other.name, end=pole.name, metres=metres))
+    return found
+
+
+def made_page(placements: int = 1, lidars: int = 2, **options: Any) -> str:
+    picture = made_picture(placements, lidars)
+    return render_pole_plan(made_plan(picture, **options), picture)
+
+
+def data_of(html: str) -> dict[str, Any]:
+    text = html.rpartition('id="data">')[2].partition("</script>")[0]
+    data: dict[str, Any] = json.loads(text)
+    return data
+
+
+@pytest.mark.parametrize("placements", [1, 2])
+@pytest.mark.parametrize("lidars", [2, 3])
+def test_the_page_says_the_plan_and_asks_for_nothing(placements: int, lidars: int) -> None:
+    html = made_page(placements, lidars, need=Need(0.02, 20.0))
+    assert "default-src 'none'" in html
+    assert not re.search(r"(?:src|href)=\"(?!#|data:)", html)
+    body = html.partition("<body>")[2].partition("<script")[0]
+    assert "$" not in body
+    page = Page(body)
+    assert page.open == []
+    for said in ("The error to expect at 20 m is 3.2 mm.", "within 2 cm at 20 m", "worth it"):
+        assert said in page.text
+    assert html.count('class="certificate card"') == placements
+    assert html.count("mask id=") == 2
+
+
+def test_names_are_escaped() -> None:
+    html = made_page(name=HOSTILE, status="warn")
+    page = Page(html.partition("<body>")[2].partition("<script")[0])
+    assert page.open == []
+    assert "script" not in [tag for tag, _ in page.tags]
+    assert HOSTILE in page.text
+    assert HOSTILE in data_of(html)["lidars"]
+
+
+def test_it_reads_without_code() -> None:
+    page = Page(made_page().partition("<body>")[2].partition("<script")[0])
+    hidden = [a["class"] for tag, a in page.tags if tag in ("p", "div") and "hidden" in a]
+    # What only the code can do is not offered.
+    assert hidden == ["choices", "back", "note hint-of-poles"]
+    lengths = re.findall(r"from below (\w+) to (\w): ([\d.]+ m)", page.text)
+    assert ("front", "A", "5.22 m") in lengths
+    assert "80 on 12 rings" in page.text
+
+
+def test_a_place_that_was_drawn_has_no_points() -> None:
+    picture = replace(made_picture(), points=())
+    html = render_pole_plan(made_plan(picture), picture)
+    assert "darker where" not in html
+
+
+def test_all_that_stands_there_is_in_the_picture() -> None:
+    picture = made_picture(lidars=4)
+    view = view_of(picture)
+    for x, y in [*view.of(picture.foot), *view.of(picture.lidars[:, :3, 3])]:
+        assert 0 < x < WIDTH
+        assert 0 < y < view.height
+    # Ahead is up, left is left.
+    (ahead, left) = view.way(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    assert ahead == pytest.approx([0.0, -view.scale])
+    assert left == pytest.approx([-view.scale, 0.0])
+
+
+def test_roots_are_packed_as_they_are() -> None:
+    given = model(3, 20)
+    text = packed(given)
+    unpacked = Model(_floats(text.rows).reshape(-1, 6, text.size), np.array(text.rest), [])
+    columns = np.frombuffer(base64.b64decode(text.roots), "<i2").reshape(-1, text.size)
+    columns = columns * _floats(text.scales)[:, None]
+    for part in np.split(columns, np.cumsum(text.ranks)[:-1]):
+        unpacked.roots.append(part.T)
+    for chosen in ([0], [3, 7], [1, 2, 19]):
+        assert unpacked.error(chosen) == pytest.approx(given.error(chosen), rel=1e-3)
+
+
+def _floats(text: str) -> Array:
+    return np.frombuffer(base64.b64decode(text), "<f4").astype(float)
+
+
+def test_errors_at_other_ranges_follow_from_those_stated() -> None:
+    plan = made_plan(made_picture())
+    for at in (5.0, 30.0, 80.0):
+        other = msgspec.structs.replace(plan, range_m=at)
+        assert stated_alone(other)[0] == pytest.approx(5 * stated(other)[0], rel=1e-6)
+
+
+def test_packed_is_small() -> None:
+    assert isinstance(packed(model(0, 3)), PackedRoots)
+    assert len(made_page()) < 400_000
+
+
+# --- in a browser ---
+
+pytest.importorskip("selenium", reason="selenium is not installed")
+
+from tests.report.browser import Browser, needs_browser  # noqa: E402
+from tests.report.test_accessibility import AUDIT, serious  # noqa: E402
+
+SHOWN = "return document.querySelector(arguments[0]).textContent"
+AT = """
+    const b = document.querySelector(`#picture [data-pole="${arguments[0]}"] .foot`)
+      .getBoundingClientRect();
+    return [b.x + b.width / 2, b.y + b.height / 2];
+"""
+
+
+def metres(text: str) -> float:
+    """Read the error that the page shows now."""
+    found = re.search(r"now ([\d.]+) (mm|m)", text)
+    assert found is not None, text
+    return float(found[1]) * (1e-3 if found[2] == "mm" else 1.0)
+
+
+def expected(picture: PlanPicture, plan: PolePlanDoc, chosen: list[int]) -> list[float]:
+    own = [k for each in picture.chosen for k in each]
+    models = [(picture.together, stated(plan)), (picture.alone, stated_alone(plan))]
+    found = []
+    for each, said in models:
+        assert isinstance(each, Model)
+        found.append(max(said) * each.error(chosen) / each.error(own))
+    return found
+
+
+@needs_browser
+def test_a_pole_goes_where_the_arrow_key_points_and_the_error_follows(
+    browser: Browser, tmp_path: Path
+) -> None:
+    picture = made_picture()
+    plan = made_plan(picture)
+    browser.open(tmp_path, render_pole_plan(plan, picture))
+    assert "now" not in browser.run(SHOWN, "#now-together")
+    from selenium.webdriver.common.keys import Keys
+
+    pole = browser.find('#picture [data-pole="0"]')
+    browser.run("arguments[0].focus()", pole)
+    # Up in the picture is ahead: from (5, -1.5) ... one row of the grid further.
+    first = picture.chosen[0][0]
+    pole.send_keys(Keys.ARROW_UP)
+    chosen = [first + 15, picture.chosen[0][1]]
+    assert picture.foot[chosen[0]] == pytest.approx(picture.foot[first] + [1.5, 0.0, 0.0])
+    for name, size in zip(("together", "alone"), expected(picture, plan, chosen), strict=True):
+        assert metres(browser.run(SHOWN, f"#now-{name}")) == pytest.approx(size, rel=0.06)
+    away = np.linalg.norm(picture.foot[chosen[0], :2])
+    assert f"below front to A: {away:.2f} m" in browser.run(SHOWN, '.card [data-tape="0-0"]')
+    assert browser.run(SHOWN, '.row [data-words="0"]') == picture.words[chosen[0]]
+    assert browser.find("#back").is_displayed()
+    pole.send_keys(Keys.HOME)
+    assert "now" not in browser.run(SHOWN, "#now-together")
+    assert browser.logs() == ([], [])
+
+
+@needs_browser
+def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> None:
+    picture = made_picture()
+    browser.open(tmp_path, made_page())
+    browser.run("document.querySelector('#picture').scrollIntoView({block: 'center'})")
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    (x, y), (to_x, to_y) = browser.run(AT, 0), browser.run(AT, 1)
+    pole = browser.find('#picture [data-pole="0"] .foot')
+    drag = ActionChains(browser.driver).click_and_hold(pole)
+    drag.move_by_offset(int((to_x - x) / 2), int((to_y - y) / 2))
+    drag.move_by_offset(round(to_x - x) - int((to_x - x) / 2), round(to_y - y) - int((to_y - y) / 2))
+    drag.release().perform()
+    assert "nearer to each other than 1 m" in browser.run(SHOWN, "#warnings")
+    assert browser.run(AT, 0) == pytest.approx(browser.run(AT, 1), abs=1)
+    # It leans as it did; another lean is chosen from a list.
+    first = picture.chosen[0][1] // 3 * 3
+    assert browser.run(SHOWN, '.row [data-words="0"]') == picture.words[first]
+    browser.run(
+        "const s = document.querySelector('[data-lean=\"0\"]'); s.value = arguments[0];"
+        "s.dispatchEvent(new Event('change'))",
+        str(first + 2),
+    )
+    assert browser.run(SHOWN, '.row [data-words="0"]') == picture.words[first + 2]
+    browser.find("#back").click()
+    assert browser.run("return document.querySelector('#warnings').hidden")
+    assert browser.run(AT, 0) == pytest.approx([x, y], abs=1)
+
+
+@needs_browser
+def test_two_that_lean_alike_are_warned_of(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, made_page())
+    browser.run(
+        "const s = document.querySelector('[data-lean=\"0\"]'); s.selectedIndex = 2;"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    assert "lean by the same angle" in browser.run(SHOWN, "#warnings")
+
+
+@needs_browser
+def test_a_phone_shows_it_whole_and_a_finger_hits(phone: Browser, tmp_path: Path) -> None:
+    phone.open(tmp_path, made_page(2))
+    assert phone.run("return document.documentElement.scrollWidth") <= 390
+    small = phone.run(
+        "return [...document.querySelectorAll('a, button, select, summary, .lengths label')]"
+        ".filter((e) => e.offsetParent && !e.classList.contains('skip'))"
+        ".map((e) => [e.outerHTML.slice(0, 100), e.getBoundingClientRect()])"
+        ".filter(([, b]) => b.width < 44 || b.height < 44).map(([html]) => html)"
+    )
+    assert small == []
+    phone.find('[data-show="1"]').click()
+    assert len(phone.driver.find_elements("css selector", "#picture .stand.faded")) == 2
+    phone.find("#closer").click()
+    box = phone.run("return document.querySelector('#picture').getAttribute('viewBox')")
+    assert float(box.split()[2]) == WIDTH / 2
+
+
+@needs_browser
+@pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_serious_is_found(browser: Browser, tmp_path: Path, scheme: str) -> None:
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    try:
+        browser.open(tmp_path, made_page(2, 3, status="warn"))
+        browser.run("document.querySelector('#picture .stand').focus()")
+        browser.press("\ue014", "#picture .stand")
+        browser.run(AXE.read_text(encoding="utf-8"))
+        found = browser.driver.execute_async_script(AUDIT)
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert serious(found["violations"]) == []
+
+
+@needs_browser
+@pytest.mark.skipif(not shutil.which("pdftotext"), reason="poppler-utils is not installed")
+@pytest.mark.parametrize("placements", [1, 2])
+def test_the_cards_are_printed_first_a_sheet_each(
+    browser: Browser, tmp_path: Path, placements: int
+) -> None:
+    browser.open(tmp_path, made_page(placements))
+    pages = _printed(browser, tmp_path)
+    for k in range(placements):
+        assert pages[k].split()[:5] == ["Where", "to", "stand", "the", "poles"] or placements > 1
+        assert f"to {'BDFH'[k]}:" in pages[k]
+        assert "Place and date" in pages[k]
+    assert len(pages) <= placements + 2
+    assert not re.search(r"[Pp]ress|Drag|Back to", "".join(pages))
+    browser.run("window.print = () => {}")
+    browser.find("#print-certificate").click()
+    browser.run("document.documentElement.dataset.print = 'certificate'")
+    assert len(_printed(browser, tmp_path)) == placements
+
+
+def _printed(browser: Browser, folder: Path) -> list[str]:
+    pdf = browser.driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    path = folder / "plan.pdf"
+    path.write_bytes(base64.b64decode(pdf["data"]))
+    words = ["pdftotext", "-layout", str(path), "-"]
+    done = subprocess.run(words, capture_output=True, check=True)
+    return done.stdout.decode().rstrip("\f").split("\f")
