@@ -175,7 +175,7 @@ def outcome_of(job: tuple[str, int]) -> Outcome | None:
 
 
 def _compared(kind: str, seed: int, returns: int, found: Calibration, truth: Array) -> Outcome:
-    codes = tuple(reason.code for reason in found.reasons)
+    codes = tuple(reason.code for reason in (*found.reasons, *found.notes))
     if found.T_target_source is None:
         return Outcome(kind, seed, returns, found.status, codes, 0.0, 0.0)
     apart = se3.difference(truth, found.T_target_source)

@@ -13,9 +13,14 @@ Tables, one line for each kind of place:
 3. the median error of the planned placement over that of random ones, and the error that was
    predicted over the least of 200 random sets of candidates by the same prediction.
 
+With `--sites` a site of four LiDARs is planned for two placements of three poles, and calibrated
+as often; beside it the placements that the simulator draws for it. The error is that of the least
+certain LiDAR against the first.
+
 Seeds 0 to 99 tune, those from 1000 state.
 
     python benchmarks/plan.py --seeds 1000:1012 --runs 10
+    python benchmarks/plan.py --sites --seeds 1000:1005 --runs 5 --kinds posts crane truck
 """
 
 from __future__ import annotations
@@ -48,12 +53,18 @@ from retropole.simulation import (
     simulate_pair,
 )
 from retropole.simulation.recording import Arrangement, Recorders, poles_in_view, record
+from retropole.simulation.scanning import scan
 from retropole.simulation.site_places import stands_free
+from retropole.simulation.sites import DrawnSite, draw_site
+from retropole.site.answer import SiteCalibration
+from retropole.site.calibration import calibrate_site
+from retropole.site.description import Frame, Site, SiteLidar
 
 KINDS = ("street", "harbor", "square", "camber", "kerb", "bare")
 ROUGH = np.radians(4.0), 0.4
 AT = 30.0
 SETS = 200
+LIDARS, PLACEMENTS, SITE_POLES = 4, 2, 3
 OFF_GROUND = 0.1
 """A foot that is farther from the ground, metres, is off it."""
 
@@ -105,10 +116,12 @@ def errors(
 def planned_poles(pair: SimulatedPair, planned: Planned) -> list[Cylinder]:
     """Give the planned poles in the world, where somebody stands them who trusts the plan."""
     T = pair.T_world_target @ se3.inverse(planned.stations[0].T_place_recording)
-    poles = [planned.candidates.pole(k) for k in planned.numbers]
-    return [
-        replace(p, centre=se3.apply(T, p.centre[None])[0], axis=T[:3, :3] @ p.axis) for p in poles
-    ]
+    return [in_world(planned.candidates.pole(k), T) for k in planned.numbers]
+
+
+def in_world(pole: Cylinder, T: Array) -> Cylinder:
+    """Express a pole in another frame by its pose (4, 4)."""
+    return replace(pole, centre=se3.apply(T, pole.centre[None])[0], axis=T[:3, :3] @ pole.axis)
 
 
 def random_sets(planned: Planned, count: int, rng: np.random.Generator) -> list[float]:
@@ -193,6 +206,104 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
         )
 
 
+def worst_of(answer: SiteCalibration, poses: Sequence[Array]) -> float | None:
+    """Largest error of all LiDARs against the first, metres; None where it is refused."""
+    found = [each.T_site_lidar for each in answer.lidars]
+    if len(found) < len(poses):
+        return None
+    first, truth = se3.inverse(found[0]), se3.inverse(poses[0])
+    return max(error_at(first @ a, truth @ b) for a, b in zip(found[1:], poses[1:], strict=True))
+
+
+def site_errors(
+    drawn: DrawnSite, placements: Sequence[Sequence[Cylinder]], seed: Sequence[int]
+) -> float | None:
+    """Of one calibration of a site with other LiDARs of the same models; None if refused."""
+    at = drawn.at.place
+    devices = [
+        draw_device(sensor, FIELD, np.random.default_rng([*seed, k]))
+        for k, sensor in enumerate(drawn.sensors)
+    ]
+    clouds = [
+        tuple(
+            scan(
+                [*at.surroundings, *poles],
+                sensor,
+                T,
+                np.random.default_rng([*seed, 100, k, p]),
+                FIELD,
+                device=device,
+            ).cloud
+            for p, poles in enumerate(placements)
+        )
+        for k, (sensor, T, device) in enumerate(zip(drawn.sensors, at.poses, devices, strict=True))
+    ]
+    lidars = tuple(
+        SiteLidar(f"lidar {k}", own, sensor=sensor)
+        for k, (own, sensor) in enumerate(zip(clouds, drawn.sensors, strict=True))
+    )
+    names = tuple(str(p + 1) for p in range(len(placements)))
+    frame = Frame("LiDAR lidar 0")
+    answer = calibrate_site(Site("a site", lidars, names, drawn.radius, frame))
+    return worst_of(answer, at.poses)
+
+
+def run_site(job: tuple[str, int, int, int]) -> Found | None:
+    """Plan for one site, and calibrate it."""
+    kind, seed, runs, _ = job
+    with threadpool_limits(1, user_api="blas"):
+        rng = np.random.default_rng(seed)
+        try:
+            drawn = draw_site(kind, rng, lidars=LIDARS, placements=PLACEMENTS, noise=FIELD)
+        except SimulationError:
+            return None
+        poses, surroundings = drawn.at.place.poses, list(drawn.at.place.surroundings)
+        scans, rough = [], []
+        for k, (sensor, T) in enumerate(zip(drawn.sensors, poses, strict=True)):
+            own = np.random.default_rng([seed, 1, k])
+            made = scan(surroundings, sensor, T, own, FIELD, device=drawn.devices[k])
+            scans.append(bare_scan(made.cloud, sensor))
+            off = se3.from_rt(
+                se3.exp_so3(ROUGH[0] * rng.normal(size=3)), ROUGH[1] * rng.normal(size=3)
+            )
+            rough.append(se3.inverse(poses[0]) @ T @ off if k else np.eye(4))
+        try:
+            stations = stand([f"lidar {k}" for k in range(LIDARS)], scans, rough)
+            planned = plan(stations, poles=SITE_POLES, placements=PLACEMENTS)
+        except Refusal as refusal:
+            return Found(kind, refused=refusal.code)
+        T = poses[0] @ se3.inverse(planned.stations[0].T_place_recording)
+        standing = [
+            [in_world(planned.candidates.pole(k), T) for k in own] for own in planned.chosen
+        ]
+        poles = [pole for own in standing for pole in own]
+        lifted = [replace(pole, centre=pole.centre + 0.2 * pole.axis) for pole in poles]
+        found = [site_errors(drawn, standing, (seed, 2, r)) for r in range(runs)]
+        others = [site_errors(drawn, drawn.at.poles, (seed, 4, r)) for r in range(runs)]
+        hidden = 0
+        for k, (sensor, pose) in enumerate(zip(drawn.sensors, poses, strict=True)):
+            for own, numbers in zip(standing, planned.chosen, strict=True):
+                views = poles_in_view(surroundings, own, sensor, pose, np.random.default_rng(seed))
+                hidden += sum(
+                    bool(planned.seen[n, k]) and not view
+                    for n, view in zip(numbers, views, strict=True)
+                )
+        own_errors = [each for each in found if each is not None]
+        middle = float(np.median(own_errors)) if own_errors else np.nan
+        there = [each for each in others if each is not None]
+        return Found(
+            kind,
+            verdict="",
+            poles=len(poles),
+            hidden=hidden,
+            in_the_way=sum(not stands_free(pole, surroundings[1:]) for pole in lifted),
+            answered=len(own_errors),
+            runs=runs,
+            ratio=worst_at(planned.predicted, AT) / middle,
+            over_random=middle / float(np.median(there)) if there else np.nan,
+        )
+
+
 def table(header: str, rows: Sequence[str]) -> None:
     print(f"| {header} |\n{'| --- ' * (header.count('|') + 1)}|")
     print("\n".join(f"| {row} |" for row in rows) + "\n", flush=True)
@@ -204,12 +315,14 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--poles", type=int, default=2)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS))
+    parser.add_argument("--sites", action="store_true", help="plan for sites of four LiDARs")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     first, last = map(int, options.seeds.split(":"))
     jobs = [(k, s, options.runs, options.poles) for k in options.kinds for s in range(first, last)]
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        every = [one for one in pool.map(run, jobs) if one is not None]
+        work = run_site if options.sites else run
+        every = [one for one in pool.map(work, jobs) if one is not None]
     groups = [(kind, [one for one in every if one.kind == kind]) for kind in options.kinds]
     groups = [(kind, own) for kind, own in [*groups, ("all", every)] if own]
 

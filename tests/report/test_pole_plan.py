@@ -116,9 +116,16 @@ def made_plan(
             letter = next(letters)
             seen = [SightDoc(lidar=n, returns=80, rings=12, distance_m=5.0) for n in names]
             lean = float(np.arccos(picture.axis[k, 2]))
-            place = {"foot_m": picture.foot[k], "direction": picture.axis[k]}
-            said = {"towards": "", "words": f"pole {letter}: {picture.words[k]}"}
-            poles.append(PlannedPoleDoc(name=letter, lean_rad=lean, seen=seen, **place, **said))
+            pole = PlannedPoleDoc(
+                name=letter,
+                foot_m=picture.foot[k],
+                direction=picture.axis[k],
+                lean_rad=lean,
+                towards="",
+                words=f"pole {letter}: {picture.words[k]}",
+                seen=seen,
+            )
+            poles.append(pole)
         placements.append(PlannedPlacementDoc(poles=poles, tape=_tape(poles, lidars)))
     covariance = np.diag([1e-4**2] * 3 + [2e-3**2] * 3)
     predicted = [
@@ -332,8 +339,9 @@ def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> No
     (x, y), (to_x, to_y) = browser.run(AT, 0), browser.run(AT, 1)
     pole = browser.find('#picture [data-pole="0"] .foot')
     drag = ActionChains(browser.driver).click_and_hold(pole)
-    drag.move_by_offset(int((to_x - x) / 2), int((to_y - y) / 2))
-    drag.move_by_offset(round(to_x - x) - int((to_x - x) / 2), round(to_y - y) - int((to_y - y) / 2))
+    half_x, half_y = int((to_x - x) / 2), int((to_y - y) / 2)
+    drag.move_by_offset(half_x, half_y)
+    drag.move_by_offset(round(to_x - x) - half_x, round(to_y - y) - half_y)
     drag.release().perform()
     assert "nearer to each other than 1 m" in browser.run(SHOWN, "#warnings")
     assert browser.run(AT, 0) == pytest.approx(browser.run(AT, 1), abs=1)

@@ -31,7 +31,7 @@ MOST_FEET = 60
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """How far apart that may be, metres."""
 
-MIN_RETURNS, MIN_RINGS = 20, 5
+MIN_RETURNS, MIN_RINGS = 14, 4
 """Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as
 many again as the least that is detected, since real tape and real ground are not as drawn."""
 

@@ -164,7 +164,7 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
 
 
 def may_stand_together(
-    candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]
+    candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], poles: int
 ) -> Callable[[int, Sequence[int]], bool]:
     """Make the rule of which poles may stand in one placement (docs/placing.md).
 
@@ -174,6 +174,8 @@ def may_stand_together(
         The poles, and (C, L) which LiDAR sees which.
     lidars
         (3,) where these are.
+    poles
+        How many are to stand: leans differ where it is two.
     """
     lean = leans_of(candidates.axis)
     feet = candidates.foot[:, :2]
@@ -185,10 +187,11 @@ def may_stand_together(
     differ = np.abs(lean[:, None] - lean) >= LEAST_LEAN
 
     def rule(k: int, others: Sequence[int]) -> bool:
-        if len(others) == 1 and not differ[k, others[0]]:
+        if poles == 2 and len(others) == 1 and not differ[k, others[0]]:
             return False
-        shared = np.count_nonzero(seen[[k, *others]].all(axis=0)) >= 2
-        return bool(shared and together[k, list(others)].all())
+        # Two LiDARs are linked by two poles that both see.
+        shared = np.count_nonzero(seen[k] & seen[list(others)], axis=1) >= 2
+        return bool(together[k, list(others)].all() and (shared.any() or not others))
 
     return rule
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, BoolArray
@@ -62,11 +63,13 @@ class Compressed:
 def compress(design: Design) -> tuple[Compressed, Compressed]:
     """Compress a design, with the surfaces and the poles alone."""
     sets = _sets(len(design.roots), BASIS + TRIED)
-    inverses = [design.inverses(each) for each in sets[BASIS:]]
     found = []
-    for k, information in enumerate(design.informations):
-        squares = np.array([design.squares(each[k]) for each in inverses])
-        found.append(_enough(design, information, sets, squares))
+    # Many small matrices: threads that wait for each other take a hundred times as long.
+    with threadpool_limits(1, user_api="blas"):
+        inverses = [design.inverses(each) for each in sets[BASIS:]]
+        for k, information in enumerate(design.informations):
+            squares = np.array([design.squares(each[k]) for each in inverses])
+            found.append(_enough(design, information, sets, squares))
     return found[0], found[1]
 
 

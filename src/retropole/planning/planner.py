@@ -180,7 +180,7 @@ def plan(
     network = network_of(
         stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, ROUNDS
     )
-    design = design_of(stations, surfaces, candidates, seen, network, reach)
+    design = design_of(stations, surfaces, candidates, seen, network, reach, poles)
     progress("the best of them")
     chosen = choose(design, poles, placements)
     if chosen is None:
@@ -233,6 +233,7 @@ def design_of(
     seen: BoolArray,
     network: Network,
     reach: float,
+    poles: int,
 ) -> Design:
     """Put together what the choice is made from."""
     unknowns = replace(network.unknowns, axes=0)
@@ -245,7 +246,7 @@ def design_of(
         if not poles_alone:
             information += scene_information(stations, surfaces, unknowns)
         informations.append(information)
-    rule = may_stand_together(candidates, seen, [each.at for each in stations])
+    rule = may_stand_together(candidates, seen, [each.at for each in stations], poles)
     unsure = np.tile(np.repeat(UNSURE, 3) ** -2.0, len(stations))
     before = np.r_[unsure, np.diag(informations[1])[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)

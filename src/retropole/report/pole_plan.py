@@ -127,7 +127,7 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
         "Letters: feet of the poles, with the way each leans."
     )
     if sum(map(len, picture.points)):
-        said += " Grey: what was recorded, darker where it stands higher than 0.3 m."
+        said += " Grey: what was recorded, darker where it stands higher than 0.3\u00a0m."
     places = [
         fill("plan-place", place=p, name=f"Placement {p + 1}")
         for p in range(len(document.placements))

@@ -92,6 +92,8 @@
   const where = plan.foot.map(inPlace);
   const now = [...own];
   let chosen = 0;
+  /** Size of the marks: smaller where the picture is larger. */
+  let size = 1;
 
   const leanOf = (k) => Math.acos(Math.min(1, Math.abs(plan.axis[k][2])));
   const others = (p) => now.map((_, q) => q).filter((q) => q !== p && placementOf[q] === placementOf[p]);
@@ -124,26 +126,29 @@
   }
 
   /** Two significant digits, as everywhere else on the page. */
-  function error(size) {
-    const [scale, unit] = size < 0.0995 ? [1000, "mm"] : [1, "m"];
-    return `${Number((size * scale).toPrecision(2)).toFixed(Math.max(0, 1 - Math.floor(Math.log10(Number((size * scale).toPrecision(2))))))} ${unit}`;
+  function error(metres) {
+    const [scale, unit] = metres < 0.0995 ? [1000, "mm"] : [1, "m"];
+    const rounded = Number((metres * scale).toPrecision(2));
+    return `${rounded.toFixed(Math.max(0, 1 - Math.floor(Math.log10(rounded))))} ${unit}`;
   }
 
   // --- the picture and the words ---
 
   const picture = $("#picture"), spots = $("#picture .spots"), svg = "http://www.w3.org/2000/svg";
   /** What a pole covers from above, lengthened so that it is seen. */
-  function way(axis) {
+  function way(axis, size) {
     const covered = plan.scale * plan.length * Math.hypot(axis[0], axis[1]);
-    const factor = covered > 1 ? plan.scale * plan.length * Math.max(covered, plan.stroke) / covered : 0;
+    const factor = covered > 1 ? plan.scale * plan.length * Math.max(covered / size, plan.stroke) / covered : 0;
     return [-factor * axis[1], -factor * axis[0]];
   }
   const written = (selector, text) => all(selector).forEach((part) => { part.textContent = text; });
 
   function drawPole(p) {
-    const k = now[p], [dx, dy] = way(plan.axis[k]);
+    const k = now[p];
     for (const part of all(`[data-pole="${p}"]`)) {
-      part.setAttribute("transform", `translate(${where[k].map((each) => each.toFixed(1)).join(" ")})`);
+      const factor = picture.contains(part) ? size : 1;
+      part.setAttribute("transform", `translate(${where[k].map((each) => each.toFixed(1)).join(" ")}) scale(${factor})`);
+      const [dx, dy] = way(plan.axis[k], factor);
       part.querySelector(".leaning").setAttribute("d", `M0 0L${dx.toFixed(1)} ${dy.toFixed(1)}`);
       part.querySelector(".top").setAttribute("cx", dx.toFixed(1));
       part.querySelector(".top").setAttribute("cy", dy.toFixed(1));
@@ -211,7 +216,7 @@
   /** Show where the chosen pole could stand as well, and how good that is. */
   function drawSpots() {
     const rest = now.filter((_, p) => p !== chosen), sums = models.map((model) => sumOf(model, rest));
-    const size = (k) => Math.sqrt(models.reduce((product, model, m) => {
+    const errorAt = (k) => Math.sqrt(models.reduce((product, model, m) => {
       const total = sums[m].slice();
       add(total, model.roots[k], model.size);
       return product * worst(errorsOf(model, total), m);
@@ -219,13 +224,13 @@
     const places = leansAlike(now[chosen]), least = Math.sqrt(stated[0] * stated[1]);
     spots.replaceChildren(...places.map((k) => {
       const fits = others(chosen).every((q) => !against(names[chosen], names[q], k, now[q]));
-      const ratio = size(k) / least;
+      const ratio = errorAt(k) / least;
       const kind = !fits ? "unfit" : ratio < 1.15 ? "good" : ratio < 2 ? "fair" : "poor";
       const spot = document.createElementNS(svg, "circle");
       spot.setAttribute("class", `spot ${kind}`);
       spot.setAttribute("cx", where[k][0].toFixed(1));
       spot.setAttribute("cy", where[k][1].toFixed(1));
-      spot.setAttribute("r", { good: 5.5, fair: 4, poor: 2.5, unfit: 1.5 }[kind]);
+      spot.setAttribute("r", size * { good: 5.5, fair: 4, poor: 2.5, unfit: 1.5 }[kind]);
       spot.addEventListener("click", () => { const p = chosen; move(p, k); picture.querySelector(`[data-pole="${p}"]`).focus({ preventScroll: true }); });
       return spot;
     }));
@@ -294,7 +299,9 @@
       const k = event.key in ways ? next(p, ways[event.key]) : event.key === "Home" ? own[p] : undefined;
       if (k === undefined) return;
       event.preventDefault();
-      if (k !== null) move(p, k);
+      if (k === null) return;
+      move(p, k);
+      look();
     });
   }
 
@@ -313,19 +320,28 @@
     all(".row").forEach((part, p) => { part.hidden = shown !== "" && String(placementOf[p]) !== shown; });
   }));
 
-  // Twice as large, about all LiDARs and poles; the bar goes along into the corner.
-  $("#closer").addEventListener("click", () => {
-    const isClose = $("#closer").getAttribute("aria-pressed") !== "true", size = [plan.width, plan.height];
-    $("#closer").setAttribute("aria-pressed", String(isClose));
+  // Twice as large, about all LiDARs and poles, or the chosen pole where these are too far apart; the
+  // scale bar goes along into the corner.
+  function look() {
+    const isClose = size < 1, whole = [plan.width, plan.height];
     const there = [...now.map((k) => where[k]), ...plan.at.map(inPlace)];
     const corner = [0, 1].map((i) => {
       const [low, high] = [Math.min, Math.max].map((most) => most(...there.map((each) => each[i])));
-      return isClose ? Math.min(Math.max((low + high) / 2 - size[i] / 4, 0), size[i] / 2) : 0;
+      const middle = high - low < whole[i] / 2 - 40 ? (low + high) / 2 : where[now[Math.max(chosen, 0)]][i];
+      return isClose ? Math.min(Math.max(middle - whole[i] / 4, 0), whole[i] / 2) : 0;
     });
-    picture.setAttribute("viewBox", [...corner, ...size.map((each) => (isClose ? each / 2 : each))].join(" "));
+    picture.setAttribute("viewBox", [...corner, ...whole.map((each) => (isClose ? each / 2 : each))].join(" "));
     const bar = picture.querySelector(".scale-bar");
     bar.setAttribute("transform", `translate(${corner.join(" ")}) scale(${isClose ? 0.5 : 1})`);
     bar.querySelector("text").textContent = `${Number(bar.dataset.metres) / (isClose ? 2 : 1)} m`;
+  }
+  $("#closer").addEventListener("click", () => {
+    size = size < 1 ? 1 : 0.6;
+    $("#closer").setAttribute("aria-pressed", String(size < 1));
+    picture.classList.toggle("close", size < 1);
+    look();
+    now.forEach((_, p) => drawPole(p));
+    if (spots.childElementCount) drawSpots();
   });
 
   picture.setAttribute("role", "group");
