@@ -1,10 +1,12 @@
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from retropole.alignment.unknowns import Unknowns
-from retropole.planning.choice import Design, choose, error_of, errors_of
+from retropole.planning.candidates import Candidates
+from retropole.planning.choice import Design, Rules, choose, error_of, errors_of, rules_of
 from tests.planning.places import planned
 
 
@@ -19,7 +21,11 @@ def drawn(seed: int, count: int = 9) -> Design:
         place = np.union1d(place, np.arange(6, 12))
         roots.append((place, rng.normal(size=(len(place), 4)) * rng.uniform(10, 1000)))
     prior = np.diag(np.r_[np.zeros(12), np.full(unknowns.kept - 12, 1e4)])
-    return Design(roots, (prior, prior), unknowns, 30.0, lambda k, others: True)
+    every = np.ones((count, count), dtype=bool)
+    apart = np.cumsum(np.arange(count))
+    gap = np.abs(apart[:, None] - apart).astype(np.float64)
+    rules = Rules(every, every[:, :2], every, gap, gap)
+    return Design(roots, (prior, prior), unknowns, 30.0, rules)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -52,14 +58,27 @@ def test_rules_are_kept() -> None:
         chosen = choose(design, 2, placements)
         assert chosen is not None
         for own in chosen:
-            assert all(design.may_stand(k, [o for o in own if o != k]) for k in own)
+            assert all(design.rules.allow(k, [o for o in own if o != k]) for k in own)
         every = [k for own in chosen for k in own]
         assert len(set(every)) == len(every)
 
 
 def test_none_may_stand() -> None:
     design = drawn(0)
-    alone = Design(
-        design.roots, design.informations, design.unknowns, 30.0, lambda k, others: not others
-    )
+    none = np.zeros((9, 9), dtype=bool)
+    alone = replace(design, rules=replace(design.rules, pairs=none))
+    assert choose(alone, 1) is not None
     assert choose(alone, 2) is None
+
+
+def test_three_poles_that_may_be_exchanged_do_not_stand_together() -> None:
+    """The first leans towards the middle of two that lean apart alike: they look the same."""
+    lean = 0.35
+    up = np.cos(lean)
+    axis = np.array([[-np.sin(lean), 0, up], [0, np.sin(lean), up], [0, -np.sin(lean), up]])
+    foot = np.array([[4.0, 0.0, 0.0], [3.0, 2.2, 0.0], [3.0, -2.2, 0.0], [3.0, -5.0, 0.0]])
+    poles = Candidates(foot, np.r_[axis, axis[2:]], 2.0, 0.02)
+    rules = rules_of(poles, np.ones((4, 2), dtype=bool), [np.zeros(3), np.array([0, 1.0, 1])], 3)
+    assert rules.allow(1, [0])
+    assert not rules.allow(2, [0, 1])
+    assert rules.allow(3, [0, 1])

@@ -1,7 +1,7 @@
 import numpy as np
 
 from retropole.alignment.network import factor_of
-from retropole.base.datatypes import Array
+from retropole.base.datatypes import Array, IntArray
 from retropole.planning.information import network_of, roots_of
 from tests.planning.places import planned
 
@@ -11,7 +11,7 @@ BEFORE = 1e-6
 BANDS = (np.zeros(0, dtype=np.int64),) * 2
 
 
-def whole(size: int, place: Array, root: Array) -> Array:
+def whole(size: int, place: IntArray, root: Array) -> Array:
     information = np.zeros((size, size))
     information[np.ix_(place, place)] = root @ root.T
     return information

@@ -223,10 +223,11 @@ def test_it_reads_without_code() -> None:
     assert "80 on 12 rings" in page.text
 
 
-def test_a_place_that_was_drawn_has_no_points() -> None:
+def test_a_place_that_was_drawn_has_no_points_and_no_recordings() -> None:
     picture = replace(made_picture(), points=())
     html = render_pole_plan(made_plan(picture), picture)
     assert "darker where" not in html
+    assert "SHA-256" not in html
 
 
 def test_all_that_stands_there_is_in_the_picture() -> None:

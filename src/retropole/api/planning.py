@@ -4,43 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Scan
 from ..base.errors import UsageError
 from ..base.files import write_together
-from ..base.quantities import counted, error
 from ..base.sensors import find_sensor
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..export import read_transform
 from ..pipeline import calibrate
-from ..planning.comparison import against_plan
 from ..planning.place import Area, Station
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
 from ..planning.stations import bare_scan, stand, stand_drawn
 from ..planning.words import plan_document
-from ..report.pole_plan import PlanPicture, render_pole_plan
-from ..result import PoleDoc, ResultDoc, RunConfig, encode
-from ..result.decoding import parsed
+from ..report.pole_plan import render_pole_plan
+from ..result import RunConfig, encode
 from ..result.pole_plan import PolePlanDoc
 from ..simulation.raycast import Material
 from ..simulation.scenes import box
 from .inputs import SILENT, Input, Listener, input_documents, read_input
+from .plan_picture import picture_of
 from .site import load_site_result
 from .site_file import SiteFile, read_site_file
 from .site_inputs import site_file_in
-from .stored import loaded
 
 CONCRETE = Material(0.4)
 """Of boxes that are drawn."""
-
-COSTLY = 1.25
-"""An error so many times the planned one is not as planned: noise alone changes it by less."""
 
 PLAN_FILE, PLAN_PAGE = "plan.json", "plan.html"
 
@@ -99,64 +93,6 @@ class PolePlan:
         document, page = Path(out) / PLAN_FILE, Path(out) / PLAN_PAGE
         write_together({document: encode(self.document), page: self.page().encode()})
         return document, page
-
-
-def load_plan(path: Path) -> PolePlanDoc:
-    """Read ``plan.json``, or that of a folder.
-
-    Raises
-    ------
-    ReadError
-        Where there is none, or it is no plan; names the file and the field.
-    """
-    file = path / PLAN_FILE if path.is_dir() else path
-    return loaded(file, partial(parsed, kind=PolePlanDoc, what="plan"))
-
-
-def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
-    """Say which of the poles that one LiDAR sees is out of place.
-
-    Raises
-    ------
-    UsageError
-        Where the plan has no LiDAR of that name.
-    """
-    names = [each.name for each in plan.lidars]
-    if lidar is not None and lidar not in names:
-        raise UsageError(f"the plan has no LiDAR {lidar!r}, it has {', '.join(names)}")
-    stood = against_plan(plan, poles, lidar)
-    several = len(plan.placements) > 1
-    where = f" in placement {stood.placement + 1}" if several else ""
-    lines = [f"as seen by {stood.lidar}{where}:", *(each.words for each in stood.deviations)]
-    if stood.others:
-        lines.append(f"{counted(stood.others, 'pole')} more than planned")
-    return lines
-
-
-def cost_of(plan: PolePlanDoc, result: ResultDoc) -> list[str]:
-    """Say where the poles of a calibration stood against the plan, and what that cost.
-
-    Parameters
-    ----------
-    plan
-        Of the same two LiDARs, in the same order.
-    result
-        Of the first placement.
-    """
-    lines = []
-    for role, station in zip(("target", "source"), plan.lidars, strict=False):
-        stood = against_plan(plan, getattr(result.poles, role), station.name)
-        lines += [f"{station.name}: {each.words}" for each in stood.deviations]
-    stated = {each.range_m: each.sigma_m for each in result.predicted_error or []}
-    planned = {each.range_m: each.sigma_m for each in plan.predicted[0].predicted_error}
-    at = DEFAULT_AT
-    if at in stated and at in planned:
-        ratio = stated[at] / planned[at]
-        words = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
-        lines.append(
-            f"error at {at:g} m: {error(stated[at])}, planned {error(planned[at])}: {words}"
-        )
-    return lines
 
 
 def plan_pair(
@@ -292,18 +228,20 @@ def _ask(stations: Sequence[Station], wish: Wish, listener: Listener) -> Planned
         ]
         for given in (wish.allowed, wish.forbidden)
     ]
-    return plan_poles(
-        stations,
-        poles=wish.poles,
-        placements=wish.placements,
-        length=wish.length,
-        radius=wish.radius,
-        reach=DEFAULT_AT if wish.need is None else wish.need.at,
-        need=wish.need,
-        allowed=areas[0],
-        forbidden=areas[1],
-        progress=listener.progress,
-    )
+    # Matrices here are small: threads of BLAS, which wait by spinning, only get in the way.
+    with threadpool_limits(1, user_api="blas"):
+        return plan_poles(
+            stations,
+            poles=wish.poles,
+            placements=wish.placements,
+            length=wish.length,
+            radius=wish.radius,
+            reach=DEFAULT_AT if wish.need is None else wish.need.at,
+            need=wish.need,
+            allowed=areas[0],
+            forbidden=areas[1],
+            progress=listener.progress,
+        )
 
 
 def _names(paths: Sequence[Path], roles: tuple[str, str]) -> list[str]:
@@ -344,8 +282,3 @@ def _by_place(scans: Sequence[Scan], found: Sequence[Array], i: int) -> Iterator
         answer = calibrate(scans[j].cloud, scans[i].cloud, sensors=sensors, poles=0)
         if answer.T_target_source is not None:
             yield T @ answer.T_target_source
-
-
-def picture_of(planned: Planned) -> PlanPicture:
-    """Gather what the page draws."""
-    raise NotImplementedError

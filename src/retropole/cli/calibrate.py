@@ -68,7 +68,7 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
-    from ..api.planning import cost_of, load_plan
+    from ..api.plan_checking import cost_of, load_plan
     from ..report.text import describe_result
 
     # A plan that cannot be read is told before the work.

@@ -65,7 +65,7 @@ def detect(
 
     wanted = None
     if plan is not None:
-        from ..api.planning import load_plan
+        from ..api.plan_checking import load_plan
 
         # A plan that cannot be read is told before the work.
         wanted = load_plan(plan)
@@ -91,7 +91,7 @@ def detect(
     elif not quiet:
         show(describe_detection(result, written))
     if wanted is not None and not quiet:
-        from ..api.planning import against
+        from ..api.plan_checking import against
 
         for line in against(wanted, result.poles, lidar):
             say(f"plan: {line}")

@@ -7,8 +7,9 @@ optimal experiments). Nothing is drawn at random.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -31,9 +32,55 @@ LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.
 """Of two poles: between their feet, metres; between their axes, rad; and between the leans of two
 that stand alone, since equal leans may be laid on each other the wrong way (docs/placing.md)."""
 
+TOLD_APART = float(np.radians(6.0)), 0.3
+"""Angles between poles, rad, or distances, metres, that differ by so much tell which is which. Two
+poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
+
 NOT_BEHIND = float(np.radians(2.0))
 """No LiDAR sees two poles of one placement nearer to each other than this, rad: one might hide the
 other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """Which poles may stand together in one placement (docs/placing.md).
+
+    Attributes
+    ----------
+    pairs
+        (C, C) which two do: far enough apart, not parallel, and none before the other.
+    seen
+        (C, L) which LiDAR sees which.
+    differ
+        (C, C) which two lean differently, where no third stands beside them.
+    angle, gap
+        (C, C) between the axes of every two: the angle, rad, and the least distance, metres.
+    """
+
+    pairs: BoolArray
+    seen: BoolArray
+    differ: BoolArray
+    angle: Array
+    gap: Array
+
+    def allow(self, k: int, others: Sequence[int]) -> bool:
+        """Whether one pole may stand beside others."""
+        if len(others) == 1 and not self.differ[k, others[0]]:
+            return False
+        # Two LiDARs are linked by two poles that both see.
+        shared = np.count_nonzero(self.seen[k] & self.seen[list(others)], axis=1) >= 2
+        together = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
+        return together and (len(others) < 2 or self._is_told_apart([*others, k]))
+
+    def _is_told_apart(self, poles: Sequence[int]) -> bool:
+        """Whether three poles or more fit each other in one way: no exchange looks the same."""
+        angle, gap = (each[np.ix_(poles, poles)] for each in (self.angle, self.gap))
+        for order in list(permutations(range(len(poles))))[1:]:
+            other = np.ix_(order, order)
+            turned, away = np.abs(angle[other] - angle), np.abs(gap[other] - gap)
+            if turned.max() < TOLD_APART[0] and away.max() < TOLD_APART[1]:
+                return False
+        return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +98,15 @@ class Design:
         Their order.
     reach
         Range that the error is predicted at, metres.
-    may_stand
-        Whether one pole may stand beside others of its placement: their numbers.
+    rules
+        Which of them may stand together.
     """
 
     roots: Sequence[tuple[IntArray, Array]]
     informations: tuple[Array, Array]
     unknowns: Unknowns
     reach: float
-    may_stand: Callable[[int, Sequence[int]], bool]
+    rules: Rules
 
     @property
     def weight(self) -> Array:
@@ -158,15 +205,13 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
     error = np.sqrt(together * alone)
     taken = {k for each in chosen for k in each}
     for k in np.argsort(error, kind="stable").tolist():
-        if k not in taken and design.may_stand(k, chosen[p]):
+        if k not in taken and design.rules.allow(k, chosen[p]):
             return k, float(error[k])
     return None
 
 
-def may_stand_together(
-    candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], poles: int
-) -> Callable[[int, Sequence[int]], bool]:
-    """Make the rule of which poles may stand in one placement (docs/placing.md).
+def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], poles: int) -> Rules:
+    """Find which poles may stand together.
 
     Parameters
     ----------
@@ -177,23 +222,24 @@ def may_stand_together(
     poles
         How many are to stand: leans differ where it is two.
     """
-    lean = leans_of(candidates.axis)
     feet = candidates.foot[:, :2]
     apart = np.linalg.norm(feet[:, None] - feet, axis=2)
     angle = np.arccos(np.clip(np.abs(candidates.axis @ candidates.axis.T), 0.0, 1.0))
-    together = (apart >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
+    pairs = (apart >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
     for i, at in enumerate(lidars):
-        together &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
-    differ = np.abs(lean[:, None] - lean) >= LEAST_LEAN
+        pairs &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
+    lean = leans_of(candidates.axis)
+    differ = (np.abs(lean[:, None] - lean) >= LEAST_LEAN) | (poles > 2)
+    return Rules(pairs, seen, differ, angle, _gaps(candidates))
 
-    def rule(k: int, others: Sequence[int]) -> bool:
-        if poles == 2 and len(others) == 1 and not differ[k, others[0]]:
-            return False
-        # Two LiDARs are linked by two poles that both see.
-        shared = np.count_nonzero(seen[k] & seen[list(others)], axis=1) >= 2
-        return bool(together[k, list(others)].all() and (shared.any() or not others))
 
-    return rule
+def _gaps(candidates: Candidates) -> Array:
+    """(C, C) least distance between the lines of every two poles; of parallel ones none is told."""
+    axis, centre = candidates.axis, candidates.centre
+    across = np.cross(axis[:, None], axis)
+    length = np.linalg.norm(across, axis=2)
+    apart = np.abs(np.einsum("ijk,ijk->ij", across, centre - centre[:, None]))
+    return np.asarray(apart / np.maximum(length, 1e-9))
 
 
 def _between(candidates: Candidates, at: Array) -> Array:

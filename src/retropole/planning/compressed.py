@@ -16,14 +16,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..alignment.unknowns import POSE
-from ..base.datatypes import Array, BoolArray
+from ..base.datatypes import Array
 from ..scene.descent import inverse_of
 from .choice import UNSURE, Design
 
-SHARED = (24, 36, 48, 72, 96)
+SHARED = (24, 36, 48)
 """So many directions are kept beside those of the poses: the first number that is enough."""
 
-CLOSE = 0.015
+CLOSE = 0.03
 """It is where no error of the sets that are tried is off by more than this part."""
 
 BASIS, TRIED = 120, 24
@@ -144,14 +144,3 @@ def _seen_in(basis: Array, look: Array) -> Array:
     size, way = np.linalg.eigh(np.eye(look.shape[1]) + outside.T @ outside)
     way, size, _ = np.linalg.svd(inside @ (way / np.sqrt(size)), full_matrices=False)
     return np.asarray((way * size)[:, size > LEAST])
-
-
-def pairs_of(design: Design) -> BoolArray:
-    """(C, C) which two poles may stand in one placement with others, whatever their leans."""
-    count = len(design.roots)
-    found = np.zeros((count, count), dtype=bool)
-    for k in range(count):
-        for other in range(k):
-            # Named twice, the other is not alone: two that stand alone must lean differently.
-            found[k, other] = found[other, k] = design.may_stand(k, [other, other])
-    return found

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment.error_sizes import prior_precision, working_sigma
 from ..alignment.joint import Sight
 from ..alignment.network import Network, bands_of, observe
 from ..alignment.observations import BESIDE, beams_of
@@ -157,7 +156,9 @@ def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray,
     return found
 
 
-def prior_of(unknowns: Unknowns, known: Array, *, poles_alone: bool) -> Array:
-    """(E,) precision of the errors, as the estimate is drawn to it; `known` is 1 σ of groups."""
-    groups = unknowns.groups()
-    return prior_precision(groups, working_sigma(groups, known, poles_alone=poles_alone))
+def prior_of(unknowns: Unknowns, known: Array) -> Array:
+    """(E,) precision of the errors, counted whole as in what is stated; `known` is 1 σ of groups.
+
+    What is considered and not estimated (`error_sizes.CONSIDERED`) counts as if it were estimated.
+    """
+    return np.asarray(known[unknowns.groups().label] ** -2.0)

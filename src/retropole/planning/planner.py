@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import Need
 from .candidates import Candidates, candidate_poles
-from .choice import UNSURE, Design, choose, errors_of, may_stand_together
+from .choice import UNSURE, Design, choose, errors_of, rules_of
 from .information import divergences_of, network_of, prior_of, roots_of
 from .place import Area, Place, Station, survey
 from .prediction import (
@@ -64,7 +63,7 @@ class More:
     """
 
     what: Literal["pole", "placement"]
-    chosen: tuple[tuple[int, ...], ...]
+    chosen: Sequence[Sequence[int]]
     error: float
     alone: float
     gain: float
@@ -191,12 +190,20 @@ def plan(
             {"seen": len(candidates)},
         )
     _check_linked(stations, design, chosen)
-    more = tuple(_more(design, chosen, poles, placements))
-    at = np.array([k for each in chosen for k in each])
-    stood = np.repeat(np.arange(placements), poles)
-    ask = partial(predict, stations, surfaces, candidates.select(at), seen[at], stood)
     progress("predict")
-    predicted, alone = ask(), ask(alone=True)
+
+    def ask(numbers: Sequence[Sequence[int]], *, alone: bool = False) -> Prediction:
+        at = np.array([k for each in numbers for k in each])
+        stood = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
+        return predict(stations, surfaces, candidates.select(at), seen[at], stood, alone=alone)
+
+    predicted, alone = ask(chosen), ask(chosen, alone=True)
+    now = worst_at(predicted, reach)
+    more = []
+    for what, other in _more(design, poles, placements):
+        error = worst_at(ask(other), reach)
+        by_poles = worst_at(ask(other, alone=True), reach)
+        more.append(More(what, other, error, by_poles, 1.0 - error / now))
     rehearsal, with_more = None, None
     if len(stations) == 2:
         progress("rehearse")
@@ -207,9 +214,9 @@ def plan(
 
         rehearsal = run(chosen)
         # What the place cannot decide, one pole more may.
-        other = next((each for each in more if each.what == "pole"), None)
-        if rehearsal.status != "ok" and other is not None:
-            with_more = run(other.chosen)
+        third = next((each for each in more if each.what == "pole"), None)
+        if rehearsal.status != "ok" and third is not None:
+            with_more = run(third.chosen)
     return Planned(
         tuple(stations),
         place,
@@ -220,7 +227,7 @@ def plan(
         reach,
         predicted,
         alone,
-        more,
+        tuple(more),
         rehearsal,
         with_more,
     )
@@ -238,19 +245,15 @@ def design_of(
     """Put together what the choice is made from."""
     unknowns = replace(network.unknowns, axes=0)
     known = model_of(stations, candidates.radius).sigmas(unknowns.groups())
-    informations = []
-    for poles_alone in (False, True):
-        information = np.zeros((unknowns.kept, unknowns.kept))
-        errors = np.arange(unknowns.poses, unknowns.kept)
-        information[errors, errors] = prior_of(unknowns, known, poles_alone=poles_alone)
-        if not poles_alone:
-            information += scene_information(stations, surfaces, unknowns)
-        informations.append(information)
-    rule = may_stand_together(candidates, seen, [each.at for each in stations], poles)
+    alone = np.zeros((unknowns.kept, unknowns.kept))
+    errors = np.arange(unknowns.poses, unknowns.kept)
+    alone[errors, errors] = prior_of(unknowns, known)
+    informations = alone + scene_information(stations, surfaces, unknowns), alone
+    rules = rules_of(candidates, seen, [each.at for each in stations], poles)
     unsure = np.tile(np.repeat(UNSURE, 3) ** -2.0, len(stations))
-    before = np.r_[unsure, np.diag(informations[1])[unknowns.poses :]]
+    before = np.r_[unsure, np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
-    return Design(roots, (informations[0], informations[1]), unknowns, reach, rule)
+    return Design(roots, informations, unknowns, reach, rules)
 
 
 def _check_linked(
@@ -268,22 +271,17 @@ def _check_linked(
 
 
 def _more(
-    design: Design, chosen: Sequence[Sequence[int]], poles: int, placements: int
-) -> list[More]:
-    """Say what one pole more in each placement would bring, and one placement more."""
-    now = float(errors_of(design, chosen)[0].max())
+    design: Design, poles: int, placements: int
+) -> Iterator[tuple[Literal["pole", "placement"], list[list[int]]]]:
+    """Choose with one pole more in each placement, and with one placement more."""
     asked: list[tuple[Literal["pole", "placement"], int, int]] = [
         ("pole", poles + 1, placements),
         ("placement", poles, placements + 1),
     ]
-    found = []
     for what, count, times in asked:
-        other = choose(design, count, times)
-        if other is not None:
-            together, alone = (float(each.max()) for each in errors_of(design, other))
-            numbers = tuple(tuple(each) for each in other)
-            found.append(More(what, numbers, together, alone, 1.0 - together / now))
-    return found
+        chosen = choose(design, count, times)
+        if chosen is not None:
+            yield what, chosen
 
 
 def worst_at(prediction: Prediction, reach: float) -> float:

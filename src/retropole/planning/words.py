@@ -235,7 +235,9 @@ def sentences(
             f"({first.code}): {first.message}."
         )
         if planned.with_more is not None:
-            yield f"With one pole more it would be {planned.with_more.status}."
+            other = planned.with_more
+            why = f" ({other.reasons[0].code})" if other.reasons else ""
+            yield f"With one pole more it would be {other.status}{why}."
     if worst.budget:
         first_entry = worst.budget[0]
         yield (

@@ -260,12 +260,14 @@ def _limits(document: PolePlanDoc) -> Html:
 
 def _recordings(document: PolePlanDoc) -> Html:
     """Name what the plan was made from."""
-    rows = [
-        (each.name, each.sensor, f"{each.height_m:.2f}", each.path or UNKNOWN, each.sha256)
-        for each in document.lidars
-    ]
-    header = ("LiDAR", "sensor", "height, m", "recording without poles", "SHA-256")
-    return fill("plan-recordings", table=table("LiDARs", header, rows, (1, 3, 4)))
+    rows = [(each.name, each.sensor, f"{each.height_m:.2f}") for each in document.lidars]
+    header = ["LiDAR", "sensor", "height, m"]
+    if not any(each.sha256 for each in document.lidars):
+        return fill("plan-recordings", table=table("LiDARs", header, rows, (1,)))
+    header += ["recording without poles", "SHA-256"]
+    files = [(each.path or UNKNOWN, each.sha256) for each in document.lidars]
+    whole = [(*row, *file) for row, file in zip(rows, files, strict=True)]
+    return fill("plan-recordings", table=table("LiDARs", header, whole, (1, 3, 4)))
 
 
 def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Html:
