@@ -71,14 +71,20 @@ def test_none_may_stand() -> None:
     assert choose(alone, 2) is None
 
 
-def test_three_poles_that_may_be_exchanged_do_not_stand_together() -> None:
-    """The first leans towards the middle of two that lean apart alike: they look the same."""
-    lean = 0.35
-    up = np.cos(lean)
-    axis = np.array([[-np.sin(lean), 0, up], [0, np.sin(lean), up], [0, -np.sin(lean), up]])
-    foot = np.array([[4.0, 0.0, 0.0], [3.0, 2.2, 0.0], [3.0, -2.2, 0.0], [3.0, -5.0, 0.0]])
-    poles = Candidates(foot, np.r_[axis, axis[2:]], 2.0, 0.02)
-    rules = rules_of(poles, np.ones((4, 2), dtype=bool), [np.zeros(3), np.array([0, 1.0, 1])], 3)
+def test_poles_that_may_be_exchanged_do_not_stand_together() -> None:
+    """Equal leans do not, and of four not two that look the same from the others."""
+    leans = np.radians([0.0, 20.0, 35.0, 20.0, 20.0])
+    turns = np.radians([0.0, 90.0, 0.0, -90.0, 45.0])
+    axis = np.stack(
+        [np.sin(leans) * np.cos(turns), np.sin(leans) * np.sin(turns), np.cos(leans)], axis=1
+    )
+    foot = np.array([[4, 0, 0], [3, 2, 0], [2, -1, 0], [3, -2, 0], [3, -5.0, 0]], dtype=float)
+    poles = Candidates(foot, axis, 2.0, 0.02)
+    at = [np.array([-3.0, 0.5, 1.0]), np.array([-3.0, 1.5, 2.0])]
+    rules = rules_of(poles, np.ones((5, 2), dtype=bool), at)
     assert rules.allow(1, [0])
-    assert not rules.allow(2, [0, 1])
-    assert rules.allow(3, [0, 1])
+    assert not rules.allow(3, [1])
+    assert rules.allow(2, [0, 1])
+    assert not rules.allow(3, [0, 1])
+    assert not rules.allow(3, [0, 1, 2])
+    assert rules.allow(4, [0, 1, 2])

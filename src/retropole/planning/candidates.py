@@ -19,13 +19,13 @@ TAPE = Material(0.9, retro=True)
 FOOT_HEIGHT = 0.05
 """The tape begins so high above the ground, metres."""
 
-LEANS = (np.radians(20.0),)
+LEANS = (np.radians(20.0), np.radians(35.0))
 """Leans that are tried beside upright, rad (docs/placing.md)."""
 
 DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""
 
-MOST_FEET = 60
+MOST_FEET = 40
 """Places that are looked at first: they are as far apart as that takes."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)

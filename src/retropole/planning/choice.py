@@ -29,8 +29,9 @@ GAIN = 0.999
 
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
-"""Of two poles: between their feet, metres; between their axes, rad; and between the leans of two
-that stand alone, since equal leans may be laid on each other the wrong way (docs/placing.md)."""
+"""Of two poles: between their feet, metres; between their axes, rad; and between their leans where
+two or three stand. A half turn about the vertical lays two of equal leans on each other: on bare
+ground three poles that all leaned by 20° were refused as ambiguous (docs/placing.md)."""
 
 TOLD_APART = float(np.radians(6.0)), 0.3
 """Angles between poles, rad, or distances, metres, that differ by so much tell which is which. Two
@@ -52,7 +53,7 @@ class Rules:
     seen
         (C, L) which LiDAR sees which.
     differ
-        (C, C) which two lean differently, where no third stands beside them.
+        (C, C) which two lean differently: up to three do.
     angle, gap
         (C, C) between the axes of every two: the angle, rad, and the least distance, metres.
     """
@@ -65,7 +66,7 @@ class Rules:
 
     def allow(self, k: int, others: Sequence[int]) -> bool:
         """Whether one pole may stand beside others."""
-        if len(others) == 1 and not self.differ[k, others[0]]:
+        if 0 < len(others) <= 2 and not self.differ[k, list(others)].all():
             return False
         # Two LiDARs are linked by two poles that both see.
         shared = np.count_nonzero(self.seen[k] & self.seen[list(others)], axis=1) >= 2
@@ -210,7 +211,7 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
     return None
 
 
-def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], poles: int) -> Rules:
+def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -> Rules:
     """Find which poles may stand together.
 
     Parameters
@@ -219,8 +220,6 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], p
         The poles, and (C, L) which LiDAR sees which.
     lidars
         (3,) where these are.
-    poles
-        How many are to stand: leans differ where it is two.
     """
     feet = candidates.foot[:, :2]
     apart = np.linalg.norm(feet[:, None] - feet, axis=2)
@@ -229,7 +228,7 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array], p
     for i, at in enumerate(lidars):
         pairs &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
     lean = leans_of(candidates.axis)
-    differ = (np.abs(lean[:, None] - lean) >= LEAST_LEAN) | (poles > 2)
+    differ = np.abs(lean[:, None] - lean) >= LEAST_LEAN
     return Rules(pairs, seen, differ, angle, _gaps(candidates))
 
 

@@ -179,7 +179,7 @@ def plan(
     network = network_of(
         stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, ROUNDS
     )
-    design = design_of(stations, surfaces, candidates, seen, network, reach, poles)
+    design = design_of(stations, surfaces, candidates, seen, network, reach)
     progress("the best of them")
     chosen = choose(design, poles, placements)
     if chosen is None:
@@ -240,7 +240,6 @@ def design_of(
     seen: BoolArray,
     network: Network,
     reach: float,
-    poles: int,
 ) -> Design:
     """Put together what the choice is made from."""
     unknowns = replace(network.unknowns, axes=0)
@@ -249,7 +248,7 @@ def design_of(
     errors = np.arange(unknowns.poses, unknowns.kept)
     alone[errors, errors] = prior_of(unknowns, known)
     informations = alone + scene_information(stations, surfaces, unknowns), alone
-    rules = rules_of(candidates, seen, [each.at for each in stations], poles)
+    rules = rules_of(candidates, seen, [each.at for each in stations])
     unsure = np.tile(np.repeat(UNSURE, 3) ** -2.0, len(stations))
     before = np.r_[unsure, np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
