@@ -27,11 +27,11 @@ BOXES: tuple[Box, ...] = (
     box(np.array([5.0, 1.0, 0.75]), np.array([0.5, 0.5, 0.75]), 0.3, CONCRETE),
 )
 POSES = pose(0.0, -1.0, 1.2), pose(0.5, 2.0, 1.6, 120.0)
-AREA = Area(np.array([2.5, -3.0]), np.array([6.5, 3.0]))
+AREA = Area(np.array([2.5, -2.5]), np.array([5.0, 2.0]))
 
 
 @cache
-def stations(sensor: str = "XT32") -> tuple[Station, ...]:
+def stations(sensor: str = "VLP-16") -> tuple[Station, ...]:
     sensors = [find_sensor(sensor)] * 2
     return tuple(stand_drawn(("front", "rear"), sensors, POSES, BOXES))
 

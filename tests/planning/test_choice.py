@@ -71,20 +71,27 @@ def test_none_may_stand() -> None:
     assert choose(alone, 2) is None
 
 
-def test_poles_that_may_be_exchanged_do_not_stand_together() -> None:
-    """Equal leans do not, and of four not two that look the same from the others."""
-    leans = np.radians([0.0, 20.0, 35.0, 20.0, 20.0])
-    turns = np.radians([0.0, 90.0, 0.0, -90.0, 45.0])
+def test_poles_that_lean_alike_do_not_stand_together_where_there_are_few() -> None:
+    leans = np.radians([0.0, 20.0, 35.0, 20.0])
+    turns = np.radians([0.0, 90.0, 0.0, -90.0])
     axis = np.stack(
         [np.sin(leans) * np.cos(turns), np.sin(leans) * np.sin(turns), np.cos(leans)], axis=1
     )
-    foot = np.array([[4, 0, 0], [3, 2, 0], [2, -1, 0], [3, -2, 0], [3, -5.0, 0]], dtype=float)
+    foot = np.array([[4, 0, 0], [3, 2, 0], [2, -1, 0], [3, -2, 0]], dtype=float)
     poles = Candidates(foot, axis, 2.0, 0.02)
     at = [np.array([-3.0, 0.5, 1.0]), np.array([-3.0, 1.5, 2.0])]
-    rules = rules_of(poles, np.ones((5, 2), dtype=bool), at)
+    rules = rules_of(poles, np.ones((4, 2), dtype=bool), at)
     assert rules.allow(1, [0])
     assert not rules.allow(3, [1])
     assert rules.allow(2, [0, 1])
     assert not rules.allow(3, [0, 1])
+
+
+def test_poles_whose_exchange_looks_the_same_do_not_stand_together() -> None:
+    every = np.ones((4, 4), dtype=bool)
+    angle = np.array([[0, 3, 4, 4], [3, 0, 5, 5], [4, 5, 0, 6], [4, 5, 6, 0]]) / 10
+    gap = np.array([[0, 1, 2, 2.1], [1, 0, 3, 3.2], [2, 3, 0, 1], [2.1, 3.2, 1, 0]])
+    rules = Rules(every, every[:, :2], every, angle, gap)
     assert not rules.allow(3, [0, 1, 2])
-    assert rules.allow(4, [0, 1, 2])
+    gap[0, 3] = gap[3, 0] = 2.5
+    assert rules.allow(3, [0, 1, 2])

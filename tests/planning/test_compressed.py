@@ -8,7 +8,7 @@ from retropole.planning.compressed import compress
 from tests.planning.places import planned
 from tests.planning.test_choice import drawn
 
-CLOSE = 0.05
+CLOSE = 0.1
 
 
 def made(kind: str) -> Design:

@@ -33,7 +33,7 @@ def test_poles_keep_away_from_what_stands_there() -> None:
 def test_areas_allow_and_forbid() -> None:
     feet = survey(stations(), allowed=[AREA]).feet
     assert AREA.holds(feet[:, :2]).all()
-    half = Area(AREA.low, np.array([5.0, 4.0]))
+    half = Area(AREA.low, np.array([4.0, 2.0]))
     left = survey(stations(), allowed=[AREA], forbidden=[half]).feet
     assert 0 < len(left) < len(feet)
     assert not half.holds(left[:, :2]).any()
@@ -56,7 +56,7 @@ def test_a_plan_does_not_move_with_the_drawing() -> None:
     ]
     from tests.planning.places import POSES
 
-    sensors = [find_sensor("XT32")] * 2
+    sensors = [find_sensor("VLP-16")] * 2
     moved = stand_drawn(("front", "rear"), sensors, [away @ T for T in POSES], boxes)
     for one, other in zip(stations(), moved, strict=True):
         np.testing.assert_allclose(one.T, other.T, atol=5e-3)

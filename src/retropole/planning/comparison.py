@@ -21,6 +21,10 @@ NEAR, ALIKE = 0.3, float(np.radians(8.0))
 arm's length and what an eye tells."""
 
 
+LEVEL = 0.3
+"""Sine of the elevation of an axis below which the pole lies and has no foot."""
+
+
 @dataclass(frozen=True, eq=False)
 class Deviation:
     """How a pole stands against its plan.
@@ -118,18 +122,22 @@ def _match(
     offsets = np.zeros((len(wanted), len(poles), 2))
     for k, plan in enumerate(wanted):
         for j, (point, axis) in enumerate(zip(points, axes, strict=True)):
-            # Where its axis comes nearest to the planned foot; of a level one the middle.
-            along = (plan.foot_m - point) @ axis if abs(axis[2]) > 0.3 else 0.0
+            # Where its axis meets the ground; of a level one the middle.
+            along = (plan.foot_m - point)[2] / axis[2] if abs(axis[2]) > LEVEL else 0.0
             offsets[k, j] = (point + along * axis - plan.foot_m)[:2]
     away = np.linalg.norm(offsets, axis=2)
-    pairs = dict(zip(*(each.tolist() for each in linear_sum_assignment(away)), strict=True))
+    planned = np.array([plan.direction for plan in wanted]).reshape(-1, 3)
+    turn = np.arccos(np.clip(np.abs(planned @ axes.T), 0.0, 1.0))
+    # One that was put where the other should stand is told by how it leans.
+    cost = away + NEAR / ALIKE * turn
+    pairs = dict(zip(*(each.tolist() for each in linear_sum_assignment(cost)), strict=True))
     found = []
     for k, plan in enumerate(wanted):
         j = pairs.get(k, -1)
         if j < 0 or away[k, j] > FARTHEST:
             found.append(Deviation(plan.name, None, 0.0, _missing(plan)))
             continue
-        turned = float(np.arccos(np.clip(abs(axes[j] @ plan.direction), 0.0, 1.0)))
+        turned = float(turn[k, j])
         words = _words(plan, offsets[k, j], turned)
         found.append(Deviation(plan.name, offsets[k, j], turned, words))
     matched = sum(each.offset is not None for each in found)

@@ -10,7 +10,13 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted, error, percent
 from ..base.uncertainty import RANGES, predicted_error, source_words
-from ..base.uncertainty.purpose import Need, displacement_bound, displacement_bounds, fitness
+from ..base.uncertainty.purpose import (
+    Need,
+    displacement_bound,
+    displacement_bounds,
+    fitness,
+    whole_percent,
+)
 from ..result import document_of, made_now
 from ..result.pole_plan import (
     MoreDoc,
@@ -224,7 +230,7 @@ def sentences(
     )
     if need is not None and met is not None:
         yes = "will be met" if met >= 0.95 else "will hardly be met" if met < 0.5 else "may be met"
-        yield f"The need, {need.words}, {yes}: probability {percent(met)}."
+        yield f"The need, {need.words}, {yes}: probability {whole_percent(met)}."
     rehearsal = planned.rehearsal
     if rehearsal is not None and rehearsal.status == "ok":
         yield "Poles put into your recordings were found and calibrated: verdict ok."

@@ -85,13 +85,13 @@ def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no",
 def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
     said = f"{need.words}: {answer}"
     if answer == "not shown":
-        sure = f"{said}, {_whole_percent(probability)} sure"
+        sure = f"{said}, {whole_percent(probability)} sure"
         return sure + (f" if it were not for {', '.join(doubts)}" if doubts else "")
     likely = probability if answer == "yes" else 1.0 - probability
-    return f"{said}, {_whole_percent(likely)} sure"
+    return f"{said}, {whole_percent(likely)} sure"
 
 
-def _whole_percent(share: float) -> str:
+def whole_percent(share: float) -> str:
     """Write a probability in whole per cent, rounded down: 94.9 % are not the 95 % asked for."""
     return f"{min(int(100 * share + 1e-9), 99)} %"
 
