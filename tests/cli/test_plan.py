@@ -10,26 +10,8 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from tests.cli.commands import retropole_here
 
-DRAWN = (
-    "--lidar",
-    "a",
-    "VLP-16",
-    0,
-    0,
-    1.5,
-    0,
-    5,
-    0,
-    "--lidar",
-    "b",
-    "VLP-16",
-    1,
-    2,
-    1.5,
-    0,
-    5,
-    20,
-)
+DRAWN: tuple[object, ...] = ("--lidar", "a", "VLP-16", 0, 0, 1.5, 0, 5, 0)
+DRAWN += ("--lidar", "b", "VLP-16", 1, 2, 1.5, 0, 5, 20)
 SMALL = ("--allow", 3, -1, 5, 2)
 
 
