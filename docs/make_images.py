@@ -123,8 +123,8 @@ def draw_pair(folder: Path, path: Path) -> None:
     Image.open(whole).convert("RGB").quantize(32).save(path, optimize=True)
 
 
-def photograph(page: Path, path: Path) -> None:
-    """Take a picture of the report's top as a desktop shows it."""
+def photograph(page: Path, path: Path, part: str = "") -> None:
+    """Take a picture of a page as a desktop shows it, from its top or from a part on."""
     try:
         from selenium import webdriver
     except ImportError:
@@ -140,9 +140,10 @@ def photograph(page: Path, path: Path) -> None:
         options.add_argument(f"--{flag}")
     chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
     try:
-        chrome.get(page.resolve().as_uri())
+        chrome.get(page.resolve().as_uri() + part)
         time.sleep(5)
         chrome.save_screenshot(str(path))
+        Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
     finally:
         chrome.quit()
 
@@ -162,6 +163,9 @@ def main() -> None:
         run("simulate", "street", "--seed", 1, "--out", folder, "-q")
         run("detect", scans[0], "--out", folder, "-q")
         shutil.copy(folder / "detect.png", out / "detect.png")
+        sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
+        run("plan", *scans, *sensors, "--out", folder / "p", "-q")
+        photograph(folder / "p" / "plan.html", out / "plan.png", "#place")
         run("calibrate", *scans, "--out", folder / "r", "-q")
         photograph(folder / "r" / "report.html", out / "report.png")
         plot = EXAMPLES / "plot_placement.py"
