@@ -8,16 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
-from ..simulation.raycast import Cylinder, Material
+from ..simulation.arrangement import FOOT_HEIGHT
+from ..simulation.raycast import Cylinder
 from ..simulation.recorded import RecordedBeams
+from ..simulation.scenes import TAPE
 from .place import Place, Station
-
-TAPE = Material(0.9, retro=True)
-
-FOOT_HEIGHT = 0.05
-"""The tape begins so high above the ground, metres."""
 
 LEANS = (np.radians(20.0), np.radians(35.0))
 """Leans that are tried beside upright, rad (docs/placing.md)."""
@@ -180,10 +176,3 @@ def thinned(feet: Array, spacing: float) -> Array:
 def leans_of(axis: Array) -> Array:
     """Angles (N,) of axes (N, 3) from upright, rad."""
     return np.asarray(np.arccos(np.clip(np.abs(axis[..., 2]), 0.0, 1.0)))
-
-
-def gap_between(a: Cylinder, b: Cylinder) -> float:
-    """Least distance of the axes of two poles, metres."""
-    steps = np.linspace(-0.5, 0.5, 21)
-    first, second = (one.centre + one.length * steps[:, None] * one.axis for one in (a, b))
-    return float(se3.lengths((first[:, None] - second).reshape(-1, 3)).min())
