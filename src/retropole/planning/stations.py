@@ -20,7 +20,7 @@ from ..scene.icp_refinement import registered
 from ..scene.registration import prepare, voxel_downsample
 from ..scene.scans import find_poles
 from ..scene.visibility import tree_of
-from ..simulation.devices import NoiseModel
+from ..simulation.devices import TYPICAL
 from ..simulation.raycast import Box, Material, Surface
 from ..simulation.recorded import recorded_beams
 from ..simulation.scanning import scan
@@ -30,8 +30,8 @@ from .place import Station
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
 """A rough pose is good to 10° and 1 m; what settles farther away than this is another."""
 
-ASPHALT, DRAWN = Material(0.2), NoiseModel()
-"""Ground that is drawn, and how it is recorded: with the noise of the sensor alone."""
+ASPHALT = Material(0.2)
+"""Of ground that is drawn."""
 
 MOVERS = 30
 """So many voxels of the scene conflict with a pose that is right, since people walk and plants
@@ -65,14 +65,21 @@ def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -
     for i in range(1, len(scans)):
         others = sorted(range(i), key=lambda j: _apart(rough[j], rough[i]))
         # The nearest of those that stand already shares most with it.
-        found = Settled(rough[i], by_place=False)
+        found, conflicts = Settled(rough[i], by_place=False), []
         for j in others:
             T = se3.inverse(poses[j]) @ rough[i]
-            settled = settle(names[j], names[i], scans[j], scans[i], T)
+            try:
+                settled = settle(names[j], names[i], scans[j], scans[i], T)
+            except Refusal as conflict:
+                conflicts.append(conflict)
+                continue
             if settled.by_place or j == others[0]:
                 found = Settled(poses[j] @ settled.T, settled.by_place)
             if settled.by_place:
                 break
+        # Where another settles it, one that sees little of the same is no witness.
+        if conflicts and not found.by_place:
+            raise conflicts[0]
         is_settled.append(found.by_place)
         poses.append(found.T)
     level = place_frame(scans[0].cloud)
@@ -100,7 +107,7 @@ def stand_drawn(
     surfaces: list[Surface] = [ground(ASPHALT), *boxes]
     scans = []
     for k, (sensor, T) in enumerate(zip(sensors, poses, strict=True)):
-        recorded = scan(surfaces, sensor, T, np.random.default_rng(k), DRAWN)
+        recorded = scan(surfaces, sensor, T, np.random.default_rng(k), TYPICAL)
         scans.append(bare_scan(recorded.cloud, sensor))
     # The first LiDAR is the datum, and the ground below it the origin.
     level = place_frame(scans[0].cloud) @ se3.inverse(poses[0])
