@@ -4,7 +4,7 @@ In each place the LiDARs and all their errors are drawn (`field`), the place is 
 poles, the poses are known to 4° and 0.4 m on each axis (1 σ), and `plan` says where the poles
 should stand. There they are put and calibrated several times, each time with other LiDARs of the
 same models; and so are random placements of the same poles that keep the rules of
-docs/placing.md: 3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning.
+docs/placing.md: 3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning by 20°.
 Tables, one line for each kind of place:
 
 1. places planned and refused; planned poles that a LiDAR does not see along thin, exact beams, that
@@ -40,7 +40,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.pipeline import calibrate
-from retropole.planning.choice import error_of
+from retropole.planning.candidates import Candidates, who_sees
+from retropole.planning.choice import error_of, rules_of
+from retropole.planning.information import divergences_of
 from retropole.planning.planner import Planned, plan, worst_at
 from retropole.planning.stations import bare_scan, stand
 from retropole.simulation import (
@@ -63,7 +65,7 @@ from retropole.site.description import Frame, Site, SiteLidar
 KINDS = ("street", "harbor", "square", "camber", "kerb", "bare")
 ROUGH = np.radians(4.0), 0.4
 AT = 30.0
-SETS = 200
+SETS, DRAWS = 200, 300
 LIDARS, PLACEMENTS, SITE_POLES = 4, 2, 3
 OFF_GROUND = 0.1
 """A foot that is farther from the ground, metres, is off it."""
@@ -113,23 +115,17 @@ def errors(
     return error_at(found.T_target_source, pair.T_target_source), alone
 
 
-def planned_poles(pair: SimulatedPair, planned: Planned, numbers: Sequence[int]) -> list[Cylinder]:
-    """Give the planned poles in the world, where somebody stands them who trusts the plan."""
+def stood(
+    pair: SimulatedPair, planned: Planned, poles: Candidates, numbers: Sequence[int]
+) -> list[Cylinder]:
+    """Stand some poles in the world, as somebody does who trusts the plan."""
     T = pair.T_world_target @ se3.inverse(planned.stations[0].T_place_recording)
-    return [in_world(planned.candidates.pole(k), T) for k in numbers]
+    return [in_world(poles.pole(k), T) for k in numbers]
 
 
 def in_world(pole: Cylinder, T: Array) -> Cylinder:
     """Express a pole in another frame by its pose (4, 4)."""
     return replace(pole, centre=se3.apply(T, pole.centre[None])[0], axis=T[:3, :3] @ pole.axis)
-
-
-def by_the_rules(planned: Planned, chosen: Sequence[int]) -> bool:
-    """Whether two poles stand as docs/placing.md says: 3 to 7 m away, 1 to 2.5 m apart."""
-    feet = planned.candidates.foot[list(chosen), :2]
-    away = [np.linalg.norm(feet - station.at[:2], axis=1) for station in planned.stations]
-    gaps = np.linalg.norm(np.diff(feet, axis=0), axis=1)
-    return bool(np.min(away) >= 3.0 and np.max(away) <= 7.0 and np.all((gaps >= 1) & (gaps <= 2.5)))
 
 
 def random_sets(planned: Planned, count: int, rng: np.random.Generator) -> list[list[int]]:
@@ -146,15 +142,37 @@ def random_sets(planned: Planned, count: int, rng: np.random.Generator) -> list[
     return found
 
 
-def pairs_by_the_rules(planned: Planned, count: int, rng: np.random.Generator) -> list[list[int]]:
-    """Draw pairs of candidates that keep the rules of docs/placing.md; fewer where there are."""
-    every = [
-        [i, j]
-        for i in range(len(planned.candidates))
-        for j in range(i)
-        if by_the_rules(planned, [i, j]) and planned.design.rules.allow(i, [j])
-    ]
-    return [every[k] for k in rng.permutation(len(every))[:count]]
+def pair_by_the_rules(planned: Planned, rng: np.random.Generator) -> Candidates | None:
+    """Draw two poles as docs/placing.md has them; None where many draws gave none.
+
+    3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning by 20°, free, and seen.
+    """
+    feet = planned.place.feet
+    away = [np.linalg.norm(feet[:, :2] - each.at[:2], axis=1) for each in planned.stations]
+    near = feet[np.all([(each >= 3) & (each <= 7) for each in away], axis=0)]
+    if not len(near):
+        return None
+    poles, widths = planned.candidates, divergences_of(planned.stations)
+    for _ in range(DRAWS):
+        first = near[rng.integers(len(near))]
+        gap = np.linalg.norm(near[:, :2] - first[:2], axis=1)
+        others = near[(gap >= 1.0) & (gap <= 2.5)]
+        if not len(others):
+            continue
+        turn, lean = rng.uniform(0, 2 * np.pi), np.radians(20.0)
+        leaning = np.r_[np.sin(lean) * np.array([np.cos(turn), np.sin(turn)]), np.cos(lean)]
+        drawn = Candidates(
+            np.stack([first, others[rng.integers(len(others))]]),
+            np.stack([[0.0, 0.0, 1.0], leaning]),
+            poles.length,
+            poles.radius,
+        )
+        free = planned.place.are_free(drawn.foot, drawn.axis, drawn.length).all()
+        if free and who_sees(drawn, planned.stations, widths).all():
+            at = [each.at for each in planned.stations]
+            if rules_of(drawn, np.ones((2, 2), dtype=bool), at).allow(0, [1]):
+                return drawn
+    return None
 
 
 def run(job: tuple[str, int, int, int]) -> Found | None:
@@ -177,7 +195,7 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
             planned = plan(stations, poles=count)
         except Refusal as refusal:
             return Found(kind, refused=refusal.code)
-        poles = planned_poles(pair, planned, planned.numbers)
+        poles = stood(pair, planned, planned.candidates, planned.numbers)
         assert planned.rehearsal is not None
         views = [
             poles_in_view(pair.surroundings, poles, sensor, pose, np.random.default_rng(seed))
@@ -192,9 +210,10 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
         lifted = [replace(p, centre=p.centre + 0.2 * p.axis) for p in poles]
         found = [errors(pair, poles, (seed, 2, r)) for r in range(runs)]
         others = []
-        drawn = pairs_by_the_rules(planned, runs, np.random.default_rng([seed, 3]))
-        for r, numbers in enumerate(drawn if count == 2 else []):
-            others.append(errors(pair, planned_poles(pair, planned, numbers), (seed, 4, r)))
+        for r in range(runs if count == 2 else 0):
+            drawn = pair_by_the_rules(planned, np.random.default_rng([seed, 3, r]))
+            if drawn is not None:
+                others.append(errors(pair, stood(pair, planned, drawn, [0, 1]), (seed, 4, r)))
         own = np.array([each for each in found if each is not None]).reshape(-1, 2)
         there = np.array([each for each in others if each is not None]).reshape(-1, 2)
         middle = np.median(own, axis=0) if len(own) else np.full(2, np.nan)
@@ -260,7 +279,7 @@ def site_errors(
     )
     names = tuple(str(p + 1) for p in range(len(placements)))
     frame = Frame("LiDAR lidar 0")
-    answer = calibrate_site(Site("a site", lidars, names, drawn.radius, frame))
+    answer = calibrate_site(Site("a site", lidars, names, radius=drawn.radius, frame=frame))
     return worst_of(answer, at.poses)
 
 

@@ -31,6 +31,9 @@ MIN_RETURNS, MIN_RINGS = 14, 4
 """Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as
 many again as the least that is detected, since real tape and real ground are not as drawn."""
 
+MIN_CORE = 10
+"""… and those of infinitely thin beams: 8 on 3 rings are what the simulator takes for seen."""
+
 IN_VIEW = 0.7
 """Share of the beams toward a pole that must reach it: less, and something hides it."""
 
@@ -100,6 +103,12 @@ def is_seen(met: Met, beams: RecordedBeams) -> bool:
     )
 
 
+def sees_core(met: Met, beams: RecordedBeams) -> bool:
+    """Whether enough beams meet a pole with their middle: what a wide beam touches is no bargain."""
+    rings = np.unique(beams.rings[met.beam])
+    return len(met.beam) >= MIN_CORE and (rings[0] < 0 or len(rings) >= MIN_RINGS)
+
+
 def who_sees(
     candidates: Candidates, stations: Sequence[Station], divergences: Sequence[float]
 ) -> BoolArray:
@@ -108,7 +117,9 @@ def who_sees(
     for i, (station, divergence) in enumerate(zip(stations, divergences, strict=True)):
         beams = station.seen_from_place()
         for k in range(len(candidates)):
-            seen[k, i] = is_seen(beams_met(candidates.pole(k), beams, divergence), beams)
+            pole = candidates.pole(k)
+            seen[k, i] = is_seen(beams_met(pole, beams, divergence), beams)
+            seen[k, i] &= sees_core(beams_met(pole, beams, 0.0), beams)
     return seen
 
 
