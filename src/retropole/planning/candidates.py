@@ -104,7 +104,7 @@ def is_seen(met: Met, beams: RecordedBeams) -> bool:
 
 
 def sees_core(met: Met, beams: RecordedBeams) -> bool:
-    """Whether enough beams meet a pole with their middle: what a wide beam touches is no bargain."""
+    """Whether enough beams meet a pole with their middle, and do not only touch it."""
     rings = np.unique(beams.rings[met.beam])
     return len(met.beam) >= MIN_CORE and (rings[0] < 0 or len(rings) >= MIN_RINGS)
 
