@@ -185,7 +185,7 @@ def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
     return pair.source.select(~np.isin(pair.labels[1], [first + k for k in which]))
 
 
-@pytest.mark.parametrize("which", [(0,), (0, 1)])
+@pytest.mark.parametrize("which", [(0,), pytest.param((0, 1), marks=pytest.mark.slow)])
 def test_a_hidden_pole_is_refused_where_two_are_asked_for(
     corridor: SimulatedPair, which: tuple[int, ...]
 ) -> None:
@@ -230,7 +230,7 @@ def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
         assert metres < 0.1
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
     one = simulate_pair("street", np.random.default_rng(seed))
     other = simulate_pair("harbor", np.random.default_rng(seed + 50))

@@ -81,6 +81,7 @@ def between(a: Cylinder, b: Cylinder) -> tuple[float, float]:
     return float(np.arcsin(size)), abs(float((a.centre - b.centre) @ across)) / size
 
 
+@pytest.mark.slow
 def test_another_pole_does_not_show_one_that_slides() -> None:
     for seed in range(4):
         site, blunder = wrong("slide", "posts", seed, lidars=2, placements=1, poles=2)

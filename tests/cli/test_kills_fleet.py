@@ -76,7 +76,7 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
         assert {each for each, _ in reading.read(str(folder / "history"))} == IDS
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)
 

@@ -27,7 +27,12 @@ BOXES: tuple[Box, ...] = (
     box(np.array([5.0, 1.0, 0.75]), np.array([0.5, 0.5, 0.75]), 0.3, CONCRETE),
 )
 POSES = pose(0.0, -1.0, 1.2), pose(0.5, 2.0, 1.6, 120.0)
-AREA = Area(np.array([2.5, -2.5]), np.array([5.0, 2.0]))
+AREAS = (
+    Area(np.array([4.6, -2.4]), np.array([5.2, -1.8])),
+    Area(np.array([4.6, -0.2]), np.array([5.2, 0.4])),
+    Area(np.array([6.2, -1.4]), np.array([6.8, -0.8])),
+)
+"""Where poles may stand: so few places that a plan takes no time."""
 
 
 @cache
@@ -38,5 +43,5 @@ def stations(sensor: str = "VLP-16") -> tuple[Station, ...]:
 
 @cache
 def planned() -> Planned:
-    """A plan in a part of the yard, for two poles."""
-    return plan(stations(), allowed=[AREA])
+    """A plan for two poles."""
+    return plan(stations(), allowed=AREAS)

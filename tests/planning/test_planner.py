@@ -4,12 +4,12 @@ import pytest
 from retropole.base.errors import Refusal
 from retropole.planning.place import Area
 from retropole.planning.planner import plan, worst_at
-from tests.planning.places import AREA, planned, stations
+from tests.planning.places import AREAS, planned, stations
 
 
 def test_swapped_lidars_are_planned_alike() -> None:
     """The place turns with its frame: the error is the same but for the grid that feet stand on."""
-    swapped = plan(stations()[::-1], allowed=[AREA])
+    swapped = plan(stations()[::-1], allowed=AREAS)
     error = worst_at(planned().predicted, 30.0)
     assert worst_at(swapped.predicted, 30.0) == pytest.approx(error, rel=0.2)
 
@@ -24,7 +24,7 @@ def test_one_more_is_never_worse() -> None:
 
 
 def test_too_little_ground_is_refused() -> None:
-    corner = Area(np.array([4.0, -1.0]), np.array([4.6, -0.4]))
+    corner = Area(np.array([4.0, -1.0]), np.array([4.3, -0.7]))
     with pytest.raises(Refusal) as refusal:
         plan(stations(), allowed=[corner])
     assert refusal.value.code in ("nowhere_seen", "no_ground")
