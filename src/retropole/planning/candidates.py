@@ -34,6 +34,10 @@ many again as the least that is detected, since real tape and real ground are no
 MIN_CORE = 10
 """… and those of infinitely thin beams: 8 on 3 rings are what the simulator takes for seen."""
 
+FAR = 600.0
+"""A LiDAR sees a pole as far away as so many times its radius: one of 4 cm up to 12 m. With poles 10
+m from masts nearly all runs are answered, 15 m from them a fifth is not (benchmarks/masts.py)."""
+
 IN_VIEW = 0.7
 """Share of the beams toward a pole that must reach it: less, and something hides it."""
 
@@ -118,6 +122,8 @@ def who_sees(
         beams = station.seen_from_place()
         for k in range(len(candidates)):
             pole = candidates.pole(k)
+            if np.linalg.norm(pole.centre - station.at) > FAR * pole.radius:
+                continue
             seen[k, i] = is_seen(beams_met(pole, beams, divergence), beams)
             seen[k, i] &= sees_core(beams_met(pole, beams, 0.0), beams)
     return seen
