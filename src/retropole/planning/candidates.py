@@ -36,7 +36,7 @@ MIN_CORE = 10
 
 FAR = 600.0
 """A LiDAR sees a pole as far away as so many times its radius: one of 4 cm up to 12 m. With poles
-10 m from masts nearly all runs are answered, 15 m from them a fifth is not (benchmarks/masts.py)."""
+10 m from masts nearly all runs are answered, 15 m from them a fifth is not (masts.py)."""
 
 IN_VIEW = 0.7
 """Share of the beams toward a pole that must reach it: less, and something hides it."""
