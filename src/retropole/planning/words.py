@@ -247,7 +247,7 @@ def sentences(
     if worst.budget:
         first_entry = worst.budget[0]
         yield (
-            f"Most of the error is {source_words(first_entry.name, first_entry.sensor)} "
+            f"Main error source: {source_words(first_entry.name, first_entry.sensor)} "
             f"({percent(first_entry.share_at_30m)} of the variance at 30 m)."
         )
     for each in planned.more:
