@@ -87,7 +87,7 @@ class PlanPicture:
         What predicts the error with the surfaces, and by the poles alone.
     spacing, angle, lean
         Least distance of the feet of two poles, metres; least angle between their axes, and least
-        difference of the leans of two that stand alone, rad.
+        difference of the leans of two or three that stand together, rad.
     """
 
     lidars: Array

@@ -108,7 +108,7 @@
       const both = seers(j).filter((i) => seen(k, i));
       return both.length < 2 ? `No two LiDARs see both ${a} and ${b}.` : `${a} and ${b} stand in one line with a LiDAR: one may hide the other.`;
     }
-    if (plan.names[placementOf[names.indexOf(a)]].length === 2 && Math.abs(leanOf(j) - leanOf(k)) < plan.lean) {
+    if (plan.names[placementOf[names.indexOf(a)]].length <= 3 && Math.abs(leanOf(j) - leanOf(k)) < plan.lean) {
       return `${a} and ${b} lean by the same angle: nothing tells which is which.`;
     }
     return "";
