@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from ..result import RunConfig
-from .common import listening, show, show_written
+from .common import command_line, listening, show, show_written
 from .options import CLOUD, METRES, OUT, TOPICS, Number, run_options
 
 if TYPE_CHECKING:
@@ -138,6 +138,9 @@ def plan(
     elif not quiet:
         show(describe_plan(made.document))
         show_written(*written)
+        show(
+            f"once the poles stand: {command_line('calibrate', 'TARGET', 'SOURCE', '--plan', out)}"
+        )
     return 0
 
 
