@@ -12,7 +12,7 @@ from tests.cli.commands import retropole_here
 
 DRAWN: tuple[object, ...] = ("--lidar", "a", "VLP-16", 0, 0, 1.5, 0, 5, 0)
 DRAWN += ("--lidar", "b", "VLP-16", 1, 2, 1.5, 0, 5, 20)
-SMALL = ("--allow", 4.6, -1.5, 5.2, -0.9, "--allow", 4.6, 0.6, 5.2, 1.2)
+SMALL = ("--allow", 4.6, -1.5, 5.0, -1.1, "--allow", 4.6, 0.6, 5.0, 1.0)
 
 
 @pytest.fixture(scope="module")

@@ -28,9 +28,9 @@ BOXES: tuple[Box, ...] = (
 )
 POSES = pose(0.0, -1.0, 1.2), pose(0.5, 2.0, 1.6, 120.0)
 AREAS = (
-    Area(np.array([4.6, -2.4]), np.array([5.2, -1.8])),
-    Area(np.array([4.6, -0.2]), np.array([5.2, 0.4])),
-    Area(np.array([6.2, -1.4]), np.array([6.8, -0.8])),
+    Area(np.array([4.6, -2.4]), np.array([4.9, -2.1])),
+    Area(np.array([4.6, -0.2]), np.array([4.9, 0.1])),
+    Area(np.array([6.2, -1.4]), np.array([6.5, -1.1])),
 )
 """Where poles may stand: so few places that a plan takes no time."""
 
