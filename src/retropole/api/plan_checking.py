@@ -12,8 +12,8 @@ from ..base.uncertainty.purpose import DEFAULT_AT
 from ..planning.comparison import against_plan
 from ..result import PoleDoc, ResultDoc
 from ..result.decoding import parsed
+from ..result.folder import PLAN_FILE
 from ..result.pole_plan import PolePlanDoc
-from .planning import PLAN_FILE
 from .stored import loaded
 
 COSTLY = 1.25

@@ -24,6 +24,7 @@ from ..planning.stations import bare_scan, stand, stand_drawn
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..result import RunConfig, encode
+from ..result.folder import PLAN_FILE, PLAN_PAGE
 from ..result.pole_plan import PolePlanDoc
 from ..simulation.raycast import Material
 from ..simulation.scenes import box
@@ -35,8 +36,6 @@ from .site_inputs import site_file_in
 
 CONCRETE = Material(0.4)
 """Of boxes that are drawn."""
-
-PLAN_FILE, PLAN_PAGE = "plan.json", "plan.html"
 
 
 @dataclass(frozen=True, eq=False)

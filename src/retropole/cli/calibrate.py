@@ -68,11 +68,14 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
-    from ..api.plan_checking import cost_of, load_plan
     from ..report.text import describe_result
 
     # A plan that cannot be read is told before the work.
-    wanted = None if plan is None else load_plan(plan)
+    wanted = None
+    if plan is not None:
+        from ..api.plan_checking import cost_of, load_plan
+
+        wanted = load_plan(plan)
     with older_set_aside(out):
         if options["at_m"] is not None and options["need_m"] is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")

@@ -145,20 +145,11 @@ def candidate_poles(
     (C, L) bool
         Which LiDAR sees which.
     """
-    feet = place.feet
-    for spacing in SPACINGS:
-        if len(feet) <= 4 * MOST_FEET:
-            break
-        feet = thinned(place.feet, spacing)
+    feet = at_most(place.feet, 4 * MOST_FEET)
     upright = Candidates(feet, np.tile([0.0, 0.0, 1.0], (len(feet), 1)), length, radius)
     upright = upright.select(place.are_free(upright.foot, upright.axis, length))
     seen = who_sees(upright, stations, divergences)
-    shared = upright.foot[seen.sum(axis=1) >= 2]
-    feet = shared
-    for spacing in SPACINGS:
-        if len(feet) <= MOST_FEET:
-            break
-        feet = thinned(shared, spacing)
+    feet = at_most(upright.foot[seen.sum(axis=1) >= 2], MOST_FEET)
     found = leaning(feet, LEANS, DIRECTIONS, length, radius)
     found = found.select(place.are_free(found.foot, found.axis, length))
     seen = who_sees(found, stations, divergences)
@@ -178,6 +169,16 @@ def leaning(
     return Candidates(
         np.repeat(feet, len(axes), axis=0), np.tile(axes, (len(feet), 1)), length, radius
     )
+
+
+def at_most(feet: Array, count: int) -> Array:
+    """Keep so many feet (F, 3) at most, as near to each other as that allows."""
+    kept = feet
+    for spacing in SPACINGS:
+        if len(kept) <= count:
+            break
+        kept = thinned(feet, spacing)
+    return kept
 
 
 def thinned(feet: Array, spacing: float) -> Array:

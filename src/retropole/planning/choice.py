@@ -42,6 +42,11 @@ NOT_BEHIND = float(np.radians(2.0))
 other."""
 
 
+def unsure(unknowns: Unknowns) -> Array:
+    """(6 L,) precision of poses that nothing is known of."""
+    return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
+
+
 @dataclass(frozen=True, eq=False)
 class Rules:
     """Which poles may stand together in one placement (docs/placing.md).
@@ -121,7 +126,7 @@ class Design:
         free = np.arange(POSE, self.unknowns.kept)
         for information in self.informations:
             total = information.copy()
-            total[poses, poses] += np.tile(np.repeat(UNSURE, 3) ** -2.0, self.unknowns.lidars)
+            total[poses, poses] += unsure(self.unknowns)
             for k in chosen:
                 place, root = self.roots[k]
                 total[np.ix_(place, place)] += root @ root.T

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..scene.descent import inverse_of
-from .choice import UNSURE, Design
+from .choice import Design, unsure
 
 SHARED = (24, 36, 48)
 """So many directions are kept beside those of the poses: the first number that is enough."""
@@ -85,7 +85,7 @@ def _enough(
     unknowns = design.unknowns
     poses, free = np.arange(unknowns.poses), np.arange(POSE, unknowns.kept)
     total = information.copy()
-    total[poses, poses] += np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
+    total[poses, poses] += unsure(unknowns)
     root = _root_of(inverse_of(total[np.ix_(free, free)]))
     looks = []
     for place, own in design.roots:

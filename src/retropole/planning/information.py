@@ -8,7 +8,6 @@ LiDARs in units of what they are drawn to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,10 +19,8 @@ from ..alignment.state import JointState
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
 from ..alignment.views import MAX_ROUNDS, WIDEST
-from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
-from ..base.sensors import Sensor
-from ..simulation.inserting import DIVERGENCE, RANGE_NOISE
+from ..simulation.inserting import DIVERGENCE, in_sensor_frame, range_noise
 from ..simulation.raycast import Cylinder
 from .candidates import Candidates, beams_met
 from .place import Station
@@ -40,41 +37,29 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
     return [DIVERGENCE if s.sensor is None else s.sensor.divergence for s in stations]
 
 
-def range_noise(sensor: Sensor | None) -> float:
-    """1 σ of a LiDAR's ranges, metres."""
-    return RANGE_NOISE if sensor is None else sensor.range_noise
+def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
+    """Give what a LiDAR would record of a pole that stands in the frame of the place.
 
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """The returns of one LiDAR on one pole, in its own frame, and the cloud around them."""
-
-    pole: Pole
-    cloud: PointCloud
-
-
-def seen_by(station: Station, pole: Cylinder, divergence: float) -> Seen:
-    """Give what a LiDAR would record of a pole that stands in the frame of the place."""
-    T = se3.inverse(station.T)
-    centre, axis = se3.apply(T, pole.centre[None])[0], T[:3, :3] @ pole.axis
-    own = Cylinder(centre, axis, pole.radius, pole.length, pole.material)
+    The returns on it, in the LiDAR's own frame, and the cloud around them.
+    """
+    (own,) = in_sensor_frame([pole], station.T)
     beams = station.beams
     met = beams_met(own, beams, divergence)
     # The same pole is recorded with the same noise: returns without any would be taken for exact.
     noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
     xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
-    away = float(np.linalg.norm(centre))
+    away = float(np.linalg.norm(own.centre))
     reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
-    near = beams.directions @ (centre / away) > np.sqrt(1 - (reach / away) ** 2)
+    near = beams.directions @ (own.centre / away) > np.sqrt(1 - (reach / away) ** 2)
     near &= np.isfinite(beams.ranges)
     near[met.beam] = False
     around = beams.ranges[near, None] * beams.directions[near]
     cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
     rings = len(np.unique(beams.rings[met.beam]))
     index = np.arange(len(xyz))
-    length = float(np.ptp(xyz @ axis)) if len(xyz) else 0.0
-    found = Pole(xyz.mean(axis=0), axis, xyz, length, pole.radius / 2, rings, index)
-    return Seen(found, cloud)
+    length = float(np.ptp(xyz @ own.axis)) if len(xyz) else 0.0
+    found = Pole(xyz.mean(axis=0), own.axis, xyz, length, pole.radius / 2, rings, index)
+    return found, cloud
 
 
 def network_of(
@@ -105,7 +90,7 @@ def network_of(
     for i, station in enumerate(stations):
         for k in np.flatnonzero(seen[:, i]).tolist():
             found = seen_by(station, candidates.pole(k), widths[i])
-            beams = beams_of([(found.pole, found.cloud)], station.sensor)
+            beams = beams_of([found], station.sensor)
             sights.append(Sight(i, beams, np.array([k])))
     noise = np.array([range_noise(s.sensor) for s in stations])
     log_noise = np.log(noise[:, None] * np.array([1.0, LATERAL_NOISE]))

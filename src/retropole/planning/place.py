@@ -118,13 +118,10 @@ class Place:
         (F, 3) where a foot can stand, the middle of each cell on the ground.
     standing
         What was recorded above the ground, to keep away from.
-    points
-        (N, 3) all that was recorded.
     """
 
     feet: Array
     standing: cKDTree
-    points: Array
 
     def are_free(self, foot: Array, axis: Array, length: float) -> BoolArray:
         """Which poles (K,) with feet (K, 3) and axes (K, 3) keep `CLEARANCE` from all around."""
@@ -185,7 +182,7 @@ def survey(
     # Where nothing low is near, what was recorded stands on something.
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
-    return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]), points)
+    return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
 
 
 def _cells(points: Array) -> tuple[Array, Array, IntArray, Array]:

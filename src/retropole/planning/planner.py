@@ -13,9 +13,9 @@ from ..base.datatypes import DEFAULT_RADIUS, BoolArray, Calibration
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
-from ..base.uncertainty.purpose import Need
+from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from .candidates import Candidates, candidate_poles
-from .choice import UNSURE, Design, choose, errors_of, rules_of
+from .choice import Design, choose, errors_of, rules_of, unsure
 from .information import divergences_of, network_of, prior_of, roots_of
 from .place import Area, Place, Station, survey
 from .prediction import (
@@ -31,9 +31,6 @@ from .rehearsal import rehearse
 
 LENGTH = 2.0
 """Of the poles where nothing else is said, metres."""
-
-RANGE = 30.0
-"""Range at which the error is made small where nothing else is said, metres."""
 
 ROUNDS = 5
 """Of views of the axes, where many poles are compared: the errors of 200 random pairs of a street
@@ -128,7 +125,7 @@ def plan(
     placements: int = 1,
     length: float = LENGTH,
     radius: float = DEFAULT_RADIUS,
-    reach: float = RANGE,
+    reach: float = DEFAULT_AT,
     need: Need | None = None,
     allowed: Sequence[Area] = (),
     forbidden: Sequence[Area] = (),
@@ -249,8 +246,7 @@ def design_of(
     alone[errors, errors] = prior_of(unknowns, known)
     informations = alone + scene_information(stations, surfaces, unknowns), alone
     rules = rules_of(candidates, seen, [each.at for each in stations])
-    unsure = np.tile(np.repeat(UNSURE, 3) ** -2.0, len(stations))
-    before = np.r_[unsure, np.diag(alone)[unknowns.poses :]]
+    before = np.r_[unsure(unknowns), np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
     return Design(roots, informations, unknowns, reach, rules)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.factor import PoleFactor
 from ..alignment.network import factor_of
@@ -26,9 +27,6 @@ from .place import Station
 
 KNOWN = np.radians(2.0), 0.3
 """1 σ of a pose that the place gave, before the surfaces settle it, rad and m."""
-
-RADIUS_SHARE = 0.02
-"""1 σ of the radius of poles as a part of it, as `calibrate` takes it at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ def surfaces_of(stations: Sequence[Station]) -> Surfaces:
 def model_of(stations: Sequence[Station], radius: float = DEFAULT_RADIUS) -> ErrorModel:
     """Sizes of the errors of all LiDARs, and of the radius, as a calibration takes them."""
     sizes = tuple(error_sizes(each.cloud, each.sensor) for each in stations)
-    return ErrorModel(sizes, RADIUS_SHARE * radius)
+    return ErrorModel(sizes, RADIUS_TOLERANCE * radius)
 
 
 def known_poses(stations: Sequence[Station], bands: Sequence[IntArray]) -> PoleFactor:

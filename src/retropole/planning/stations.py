@@ -21,17 +21,14 @@ from ..scene.registration import prepare, voxel_downsample
 from ..scene.scans import find_poles
 from ..scene.visibility import tree_of
 from ..simulation.devices import TYPICAL
-from ..simulation.raycast import Box, Material, Surface
+from ..simulation.raycast import Box, Surface
 from ..simulation.recorded import recorded_beams
 from ..simulation.scanning import scan
-from ..simulation.scenes import ground
+from ..simulation.scenes import ASPHALT, ground
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
 """A rough pose is good to 10° and 1 m; what settles farther away than this is another."""
-
-ASPHALT = Material(0.2)
-"""Of ground that is drawn."""
 
 MOVERS = 30
 """So many voxels of the scene conflict with a pose that is right, since people walk and plants

@@ -33,6 +33,11 @@ FLUCTUATION = 0.15
 """1 σ of the fluctuation of the strength of tape, of 1 (as `NoiseModel.intensity_noise`)."""
 
 
+def range_noise(sensor: Sensor | None) -> float:
+    """1 σ of a LiDAR's ranges, metres."""
+    return RANGE_NOISE if sensor is None else sensor.range_noise
+
+
 def in_sensor_frame(poles: Sequence[Cylinder], T_target_cloud: Array) -> list[Cylinder]:
     """Express poles of the target's frame in a cloud's, by its pose (4, 4)."""
     T = se3.inverse(T_target_cloud)
@@ -56,9 +61,8 @@ def with_poles(
     The biases are those of ranges to tape, metres: of each ring, and last where none is known.
     """
     hits, met = met_by(beams, poles, width)
-    noise = RANGE_NOISE if sensor is None else sensor.range_noise
     ranges = hits.ranges[met] + biases[beams.rings[met]]
-    ranges += noise * rng.normal(size=len(met))
+    ranges += range_noise(sensor) * rng.normal(size=len(met))
     points = beams.origin + ranges[:, None] * beams.directions[met]
     # Returns stay in their places in the file; beams that had none come last.
     count = len(cloud)
