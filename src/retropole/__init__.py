@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .api.calibration import calibrate
     from .api.detection import detect
     from .api.evaluation import evaluate
+    from .api.planning import plan
     from .api.result import CalibrationResult, load_result
     from .api.simulation import simulate
     from .api.site import SiteResult, calibrate_site, load_site_result
@@ -41,6 +42,7 @@ _MODULES = {
     "evaluate": "api.evaluation",
     "load_result": "api.result",
     "load_site_result": "api.site",
+    "plan": "api.planning",
     "read_cloud": "io",
     "simulate": "api.simulation",
 }
@@ -62,6 +64,7 @@ __all__ = [
     "evaluate",
     "load_result",
     "load_site_result",
+    "plan",
     "read_cloud",
     "simulate",
 ]

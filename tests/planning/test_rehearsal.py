@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
+from retropole.base.datatypes import Calibration
 from retropole.base.uncertainty import predicted_error
 from retropole.planning.planner import worst_at
 from tests.planning.places import planned
@@ -10,7 +11,7 @@ from tests.planning.places import planned
 def test_the_rehearsal_finds_the_poses_that_it_was_made_with() -> None:
     found = planned()
     answer = found.rehearsal
-    assert answer is not None
+    assert isinstance(answer, Calibration)
     assert answer.status == "ok"
     assert answer.T_target_source is not None
     assert answer.covariance is not None

@@ -10,10 +10,11 @@ from ..base.errors import UsageError
 from ..base.quantities import counted, error
 from ..base.uncertainty.purpose import DEFAULT_AT
 from ..planning.comparison import against_plan
-from ..result import PoleDoc, ResultDoc
+from ..result import PoleDoc, pole_documents
 from ..result.decoding import parsed
 from ..result.folder import PLAN_FILE
 from ..result.pole_plan import PolePlanDoc
+from .result import CalibrationResult
 from .stored import loaded
 
 COSTLY = 1.25
@@ -52,7 +53,7 @@ def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = Non
     return lines
 
 
-def cost_of(plan: PolePlanDoc, result: ResultDoc) -> list[str]:
+def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
     """Say where the poles of a calibration stood against the plan, and what that cost.
 
     Parameters
@@ -60,13 +61,19 @@ def cost_of(plan: PolePlanDoc, result: ResultDoc) -> list[str]:
     plan
         Of the same two LiDARs, in the same order.
     result
-        Of the first placement.
+        Of a run; each of its placements is held against that of the plan which it fits best.
     """
     lines = []
-    for role, station in zip(("target", "source"), plan.lidars, strict=False):
-        stood = against_plan(plan, getattr(result.poles, role), station.name)
-        lines += [f"{station.name}: {each.words}" for each in stood.deviations]
-    stated = {each.range_m: each.sigma_m for each in result.predicted_error or []}
+    placements = result.placements or ()
+    for placement in placements:
+        for scan, station in zip(placement.scans, plan.lidars, strict=False):
+            stood = against_plan(plan, pole_documents(scan.poles), station.name)
+            where = f"placement {stood.placement + 1}, " if len(plan.placements) > 1 else ""
+            lines += [f"{where}{station.name}: {each.words}" for each in stood.deviations]
+    if len(placements) != len(plan.placements):
+        recorded = counted(len(placements), "placement")
+        lines.append(f"{recorded} recorded, {len(plan.placements)} planned")
+    stated = {each.range_m: each.sigma_m for each in result.document.predicted_error or []}
     planned = {each.range_m: each.sigma_m for each in plan.predicted[0].predicted_error}
     at = DEFAULT_AT
     if at in stated and at in planned:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,12 +23,13 @@ from ..planning.planner import plan as plan_poles
 from ..planning.stations import bare_scan, stand, stand_drawn
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
-from ..result import RunConfig, encode
+from ..result import DEFAULT_CONFIG, RunConfig, encode
 from ..result.folder import PLAN_FILE, PLAN_PAGE
 from ..result.pole_plan import PolePlanDoc
 from ..simulation.raycast import Material
 from ..simulation.scenes import box
-from .inputs import SILENT, Input, Listener, input_documents, read_input
+from .inputs import SILENT, CloudSource, Input, Listener, input_documents, read_input
+from .options import run_config
 from .plan_picture import picture_of
 from .site import load_site_result
 from .site_file import SiteFile, read_site_file
@@ -94,9 +95,71 @@ class PolePlan:
         return document, page
 
 
+def plan(
+    target: CloudSource,
+    source: CloudSource,
+    *,
+    rough: Array | str | Path | None = None,
+    poles: int = 2,
+    placements: int = 1,
+    length: float = LENGTH,
+    radius: float = DEFAULT_CONFIG.radius_m,
+    need: float | None = None,
+    at: float | None = None,
+    allowed: Sequence[tuple[float, float, float, float]] = (),
+    forbidden: Sequence[tuple[float, float, float, float]] = (),
+    sensor_target: str = DEFAULT_CONFIG.sensor_target,
+    sensor_source: str = DEFAULT_CONFIG.sensor_source,
+    target_topic: str | None = None,
+    source_topic: str | None = None,
+    frames: slice | None = None,
+    max_points: int = DEFAULT_CONFIG.max_points,
+    unit: str = DEFAULT_CONFIG.unit,
+    unit_source: str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> PolePlan:
+    """Plan where to stand the poles, from recordings of the place without poles.
+
+    Parameters
+    ----------
+    target, source
+        As `calibrate` takes them.
+    rough
+        (4, 4) maps points of the source into the target's frame, good to 10° and 1 m, or a file
+        that `export` reads; None asks the place for it.
+    poles, placements
+        How many stand at once, and how often they are moved.
+    length, radius
+        Of the poles, metres.
+    need, at
+        How accurate the answer must be, as `calibrate` takes it.
+    allowed, forbidden
+        Rectangles (x, y, x, y) of the ground, metres, from the point on the ground below the
+        target, x where its x axis points.
+    sensor_target, sensor_source, target_topic, source_topic, frames, max_points, unit, unit_source
+        As `calibrate` takes them.
+    progress
+        Called with the name of each step as it starts.
+
+    Raises
+    ------
+    Refusal
+        Where there is no such plan; see `planner.plan`.
+    UsageError
+        Where the pose is needed and not given, and for options that make no sense.
+    ReadError, MissingExtraError
+        Where a file cannot be read.
+    """
+    config = run_config(locals())
+    areas = tuple(allowed), tuple(forbidden)
+    wish = Wish(poles, placements, length, config.radius_m, config.need, *areas)
+    pose = Path(rough) if isinstance(rough, str) else rough
+    return plan_pair(target, source, wish, config, pose, Listener(progress))
+
+
 def plan_pair(
-    target: Path,
-    source: Path,
+    target: CloudSource,
+    source: CloudSource,
     wish: Wish,
     config: RunConfig,
     rough: Array | Path | None = None,
@@ -243,9 +306,9 @@ def _ask(stations: Sequence[Station], wish: Wish, listener: Listener) -> Planned
         )
 
 
-def _names(paths: Sequence[Path], roles: tuple[str, str]) -> list[str]:
+def _names(given: Sequence[CloudSource], roles: tuple[str, str]) -> list[str]:
     """Name two LiDARs by their files, where these differ and are short."""
-    stems = [path.stem for path in paths]
+    stems = [Path(each).stem if isinstance(each, str | Path) else "" for each in given]
     good = len(set(stems)) == len(stems) and all(0 < len(each) <= 20 for each in stems)
     return stems if good else list(roles)
 

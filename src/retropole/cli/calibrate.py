@@ -91,7 +91,7 @@ def calibrate(
     describe = partial(describe_result, result.document, following=following, verbose=verbose)
     code = result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)
     if wanted is not None and not quiet:
-        for line in cost_of(wanted, result.document):
+        for line in cost_of(wanted, result):
             say(f"plan: {line}")
     return code
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ DIRECTIONS = 4
 
 MOST_FEET = 40
 """Places that are looked at first: they are as far apart as that takes."""
+
+FEET_OF_TWO = 8
+"""Of several LiDARs, those that every two see together: with less, far ones had none."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """How far apart that may be, metres."""
@@ -145,16 +149,24 @@ def candidate_poles(
     (C, L) bool
         Which LiDAR sees which.
     """
-    feet = at_most(place.feet, 4 * MOST_FEET)
+    feet = at_most(place.feet, 4 * MOST_FEET * (len(stations) - 1))
     upright = Candidates(feet, np.tile([0.0, 0.0, 1.0], (len(feet), 1)), length, radius)
     upright = upright.select(place.are_free(upright.foot, upright.axis, length))
     seen = who_sees(upright, stations, divergences)
-    feet = at_most(upright.foot[seen.sum(axis=1) >= 2], MOST_FEET)
+    feet = seen_together(upright.foot, seen)
     found = leaning(feet, LEANS, DIRECTIONS, length, radius)
     found = found.select(place.are_free(found.foot, found.axis, length))
     seen = who_sees(found, stations, divergences)
     kept = seen.sum(axis=1) >= 2
     return found.select(kept), seen[kept]
+
+
+def seen_together(feet: Array, seen: BoolArray) -> Array:
+    """Keep feet (F, 3) of each two LiDARs that see poles there, evenly over what they share."""
+    shared = [feet[seen[:, i] & seen[:, j]] for i, j in combinations(range(seen.shape[1]), 2)]
+    count = MOST_FEET if len(shared) == 1 else FEET_OF_TWO
+    kept = np.concatenate([at_most(own, count) for own in shared])
+    return np.unique(kept, axis=0) if len(shared) > 1 else kept
 
 
 def leaning(

@@ -7,11 +7,13 @@ optimal experiments). Nothing is drawn at random.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import islice, permutations
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
@@ -27,6 +29,18 @@ MOST_ROUNDS = 10
 GAIN = 0.999
 """An exchange must bring the error below this part of it."""
 
+
+WALK = 0.005
+"""Part of the error that one metre less between placements is worth."""
+
+MOST_TRIED = 10
+"""Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
+
+DEARER = 1.25
+"""So many times the error may be where a LiDAR hangs on one pole less."""
+
+HANGS = 1.0
+"""A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
 """Of two poles: between their feet, metres; between their axes, rad; and between their leans where
@@ -106,6 +120,8 @@ class Design:
         Range that the error is predicted at, metres.
     rules
         Which of them may stand together.
+    feet
+        (C, 2) where each stands, metres.
     """
 
     roots: Sequence[tuple[IntArray, Array]]
@@ -113,107 +129,175 @@ class Design:
     unknowns: Unknowns
     reach: float
     rules: Rules
+    feet: Array
 
     @property
     def weight(self) -> Array:
         """(6,) of the variances of a pose in the squared error at the reach (`predicted_error`)."""
         return np.array([2 / 3 * self.reach**2] * 3 + [1.0] * 3)
 
-    def inverses(self, chosen: Sequence[int]) -> list[Array]:
-        """Covariances (K, K) of all unknowns under some poles, with the surfaces and without."""
-        found = []
+    def inverse(self, chosen: Sequence[int], *, alone: bool = False) -> Array:
+        """(K, K) covariance of all unknowns under some poles, with the surfaces or without."""
+        total = self.informations[int(alone)].copy()
         poses = np.arange(self.unknowns.poses)
         free = np.arange(POSE, self.unknowns.kept)
-        for information in self.informations:
-            total = information.copy()
-            total[poses, poses] += unsure(self.unknowns)
-            for k in chosen:
-                place, root = self.roots[k]
-                total[np.ix_(place, place)] += root @ root.T
-            inverse = np.zeros_like(total)
-            inverse[np.ix_(free, free)] = inverse_of(total[np.ix_(free, free)])
-            found.append(inverse)
-        return found
+        total[poses, poses] += unsure(self.unknowns)
+        for k in chosen:
+            place, root = self.roots[k]
+            total[np.ix_(place, place)] += root @ root.T
+        inverse = np.zeros_like(total)
+        inverse[POSE:, POSE:] = inverse_of(total[np.ix_(free, free)])
+        return inverse
 
     def squares(self, inverse: Array) -> Array:
         """(L - 1,) squared error at the reach of each LiDAR's pose but the first."""
         variance = np.diag(inverse)[POSE : self.unknowns.poses].reshape(-1, POSE)
         return np.asarray(variance @ self.weight)
 
+    def change(self, inverse: Array, k: int, sign: float) -> Array:
+        """(L - 1,) by how much one pole more (1), or less (-1), changes the squared errors.
+
+        Of what the pole says, ``u uᵀ``, the covariance ``C`` changes by ``C u (1 ± uᵀ C u)⁻¹ uᵀ C``
+        (Woodbury).
+        """
+        place, root = self.roots[k]
+        own = inverse[: self.unknowns.poses, place] @ root
+        inner = np.eye(root.shape[1]) + sign * (root.T @ inverse[np.ix_(place, place)] @ root)
+        less = np.einsum("ij,ji->i", own, np.linalg.solve(inner, own.T))
+        return np.asarray(-sign * (less[POSE:].reshape(-1, POSE) @ self.weight))
+
     def with_each(self, inverse: Array) -> Array:
-        """(C,) largest error of all LiDARs, metres, with each pole more."""
-        found, squares = np.empty(len(self.roots)), self.squares(inverse)
-        poses = slice(POSE, self.unknowns.poses)
-        for k, (place, root) in enumerate(self.roots):
-            moved = inverse[:, place] @ root
-            inner = np.eye(root.shape[1]) + root.T @ moved[place]
-            own = moved[poses]
-            less = np.einsum("ij,ji->i", own, np.linalg.solve(inner, own.T))
-            gained = less.reshape(-1, POSE) @ self.weight
-            found[k] = np.sqrt(max(float((squares - gained).max()), 1e-18))
-        return found
+        """(C,) error of all LiDARs, metres, with each pole more; see `error_of`."""
+        squares = self.squares(inverse)
+        changed = [squares + self.change(inverse, k, 1.0) for k in range(len(self.roots))]
+        return np.asarray(np.sqrt(np.maximum(np.mean(changed, axis=1), 1e-18)))
 
 
-def choose(design: Design, poles: int, placements: int = 1) -> list[list[int]] | None:
+def choose(
+    design: Design, poles: int, placements: int = 1, begun: Sequence[Sequence[int]] = ()
+) -> list[list[int]] | None:
     """Choose the poles of each placement.
+
+    Parameters
+    ----------
+    design
+        What there is to choose from.
+    poles, placements
+        How many.
+    begun
+        Fewer that were chosen before.
 
     Returns
     -------
     list of list of int
         For each placement the numbers of its poles; None where so many may not stand together.
     """
-    chosen: list[list[int]] = [[] for _ in range(placements)]
-    for _ in range(poles):
+    chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
+    for count in range(poles):
         for p in range(placements):
+            if len(chosen[p]) > count:
+                continue
             best = _best(design, chosen, p)
             if best is None:
                 return None
             chosen[p].append(best[0])
-    error = error_of(design, chosen)
     for _ in range(MOST_ROUNDS):
-        before = error
+        before = [list(own) for own in chosen]
         for p in range(placements):
             for _ in range(poles):
                 # The longest there goes first.
                 first, *others = chosen[p]
+                own = error_of(design, chosen) * walk_factor(design, chosen, p)[first]
                 chosen[p] = others
                 best = _best(design, chosen, p)
-                better = best is not None and best[1] < GAIN * error
+                better = best is not None and best[1] < GAIN * own
                 chosen[p] = [*others, best[0] if better and best is not None else first]
-                error = best[1] if better and best is not None else error
-        if error == before:
+        if chosen == before:
             break
+    return carried(design, held_twice(design, chosen))
+
+
+def carried(design: Design, chosen: list[list[int]]) -> list[list[int]]:
+    """Order the poles of each placement so that each is carried to the nearest place."""
+    for p in range(1, len(chosen)):
+        away = cdist(design.feet[chosen[p - 1]], design.feet[chosen[p]])
+        chosen[p] = [chosen[p][k] for k in linear_sum_assignment(away)[1]]
+    return chosen
+
+
+def walk_factor(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Array:
+    """(C,) what carrying a pole to each place from the nearest of other placements costs."""
+    others = [k for q, own in enumerate(chosen) if q != p for k in own]
+    if not others:
+        return np.ones(len(design.feet))
+    return np.asarray(1.0 + WALK * cdist(design.feet, design.feet[others]).min(axis=1))
+
+
+def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
+    """Count, over all poles, the LiDARs that those left do not hold when one is taken away."""
+    every = [k for own in chosen for k in own]
+    inverse = design.inverse(every, alone=True)
+    left = [design.squares(inverse) + design.change(inverse, k, -1.0) for k in every]
+    return int(np.count_nonzero(np.array(left) > HANGS**2))
+
+
+def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
+    """Exchange poles where LiDARs hang on one, as far as that helps.
+
+    A blunder of a pole that nothing checks does not show. Two poles always hang on each other.
+    """
+    now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
+    most = DEARER * error_of(design, chosen)
+    for p, own in enumerate(chosen):
+        for n in range(len(own)):
+            if now == 0:
+                return chosen
+            rest = [*chosen[:p], own[:n] + own[n + 1 :], *chosen[p + 1 :]]
+            for k, error in islice(_ranked(design, rest, p), MOST_TRIED):
+                if error > most:
+                    break
+                other = [*rest[:p], [*own[:n], k, *own[n + 1 :]], *rest[p + 1 :]]
+                count = hanging(design, other)
+                if count < now:
+                    chosen, own, now = other, other[p], count
     return chosen
 
 
 def errors_of(design: Design, chosen: Sequence[Sequence[int]]) -> tuple[Array, Array]:
     """(L - 1,) errors of all LiDARs at the reach, metres, with the surfaces and without."""
+    every = [k for own in chosen for k in own]
     together, alone = (
-        np.sqrt(design.squares(each))
-        for each in design.inverses([k for one in chosen for k in one])
+        np.sqrt(design.squares(design.inverse(every, alone=each))) for each in (False, True)
     )
     return together, alone
 
 
 def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
-    """Geometric mean of the largest errors with the surfaces and without, metres.
+    """Geometric mean of the errors with the surfaces and without, metres.
 
-    What the surfaces alone hold says the same of all poles. Then the poles decide: they are what
-    the surfaces are checked by.
+    Each is the root mean square over all LiDARs: the largest would not say which pole is the first
+    step where several LiDARs are held by none yet. What the surfaces alone hold says the same of
+    all poles. Then the poles decide: they are what the surfaces are checked by.
     """
-    together, alone = (float(each.max()) for each in errors_of(design, chosen))
+    together, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
     return float(np.sqrt(together * alone))
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
     """Find the best pole more for a placement, and the error with it; None where none may stand."""
-    together, alone = map(design.with_each, design.inverses([k for each in chosen for k in each]))
-    error = np.sqrt(together * alone)
-    taken = {k for each in chosen for k in each}
+    return next(_ranked(design, chosen, p), None)
+
+
+def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
+    """Yield the poles that may stand in a placement, too, and the error with each, best first."""
+    taken = [k for each in chosen for k in each]
+    together, alone = (
+        design.with_each(design.inverse(taken, alone=each)) for each in (False, True)
+    )
+    error = np.sqrt(together * alone) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():
         if k not in taken and design.rules.allow(k, chosen[p]):
-            return k, float(error[k])
-    return None
+            yield k, float(error[k])
 
 
 def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -> Rules:

@@ -66,9 +66,9 @@ def compress(design: Design) -> tuple[Compressed, Compressed]:
     found = []
     # Many small matrices: threads that wait for each other take a hundred times as long.
     with threadpool_limits(1, user_api="blas"):
-        inverses = [design.inverses(each) for each in sets[BASIS:]]
-        for k, information in enumerate(design.informations):
-            squares = np.array([design.squares(each[k]) for each in inverses])
+        for alone, information in zip((False, True), design.informations, strict=True):
+            inverses = (design.inverse(each, alone=alone) for each in sets[BASIS:])
+            squares = np.array([design.squares(each) for each in inverses])
             found.append(_enough(design, information, sets, squares))
     return found[0], found[1]
 

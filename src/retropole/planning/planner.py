@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from ..alignment.network import Network
-from ..base.datatypes import DEFAULT_RADIUS, BoolArray, Calibration
+from ..base.datatypes import DEFAULT_RADIUS, BoolArray
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from .candidates import Candidates, candidate_poles
-from .choice import Design, choose, errors_of, rules_of, unsure
+from .choice import HANGS, Design, choose, errors_of, rules_of, unsure
 from .information import divergences_of, network_of, prior_of, roots_of
 from .place import Area, Place, Station, survey
 from .prediction import (
@@ -27,7 +27,7 @@ from .prediction import (
     settled,
     surfaces_of,
 )
-from .rehearsal import rehearse
+from .rehearsal import Rehearsal, rehearse
 
 LENGTH = 2.0
 """Of the poles where nothing else is said, metres."""
@@ -38,9 +38,6 @@ are then within 3 % of those after thirty, in a fraction of the time."""
 
 WORTH = 0.15
 """One pole or placement more is worth it where it takes so large a part of the error away."""
-
-LOST = 1.0
-"""A LiDAR whose error stays above this, metres, is held by no pole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +91,10 @@ class Planned:
     more
         What one pole and one placement more would bring.
     rehearsal
-        The calibration of two LiDARs with poles put into the recordings; None of more.
+        The calibration with poles put into the recordings.
     with_more
-        Where its verdict is not ok, the same with one pole more.
+        Where its verdict is not ok, the same with one pole more, or else one placement; None where
+        no more may stand.
     """
 
     stations: tuple[Station, ...]
@@ -109,8 +107,8 @@ class Planned:
     predicted: Prediction
     alone: Prediction
     more: tuple[More, ...]
-    rehearsal: Calibration | None
-    with_more: Calibration | None
+    rehearsal: Rehearsal
+    with_more: tuple[More, Rehearsal] | None
 
     @property
     def numbers(self) -> list[int]:
@@ -189,31 +187,31 @@ def plan(
     _check_linked(stations, design, chosen)
     progress("predict")
 
-    def ask(numbers: Sequence[Sequence[int]], *, alone: bool = False) -> Prediction:
+    def ask(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
         at = np.array([k for each in numbers for k in each])
         stood = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
-        return predict(stations, surfaces, candidates.select(at), seen[at], stood, alone=alone)
+        return predict(stations, surfaces, candidates.select(at), seen[at], stood)
 
-    predicted, alone = ask(chosen), ask(chosen, alone=True)
+    predicted, alone = ask(chosen)
     now = worst_at(predicted, reach)
     more = []
-    for what, other in _more(design, poles, placements):
-        error = worst_at(ask(other), reach)
-        by_poles = worst_at(ask(other, alone=True), reach)
+    for what, other in _more(design, chosen):
+        error, by_poles = (worst_at(each, reach) for each in ask(other))
         more.append(More(what, other, error, by_poles, 1.0 - error / now))
-    rehearsal, with_more = None, None
-    if len(stations) == 2:
-        progress("rehearse")
+    progress("rehearse")
 
-        def run(numbers: Sequence[Sequence[int]]) -> Calibration:
-            standing = [[candidates.pole(k) for k in each] for each in numbers]
-            return rehearse(stations, standing, radius, need)
+    def run(numbers: Sequence[Sequence[int]]) -> Rehearsal:
+        standing = [[candidates.pole(k) for k in each] for each in numbers]
+        return rehearse(stations, standing, radius, need)
 
-        rehearsal = run(chosen)
-        # What the place cannot decide, one pole more may.
-        third = next((each for each in more if each.what == "pole"), None)
-        if rehearsal.status != "ok" and third is not None:
-            with_more = run(third.chosen)
+    rehearsal = run(chosen)
+    with_more = None
+    # What the place cannot decide, one pole more may.
+    for each in more if rehearsal.status != "ok" else ():
+        progress(f"rehearse with one {each.what} more")
+        with_more = each, run(each.chosen)
+        if with_more[1].status == "ok":
+            break
     return Planned(
         tuple(stations),
         place,
@@ -248,33 +246,34 @@ def design_of(
     rules = rules_of(candidates, seen, [each.at for each in stations])
     before = np.r_[unsure(unknowns), np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
-    return Design(roots, informations, unknowns, reach, rules)
+    return Design(roots, informations, unknowns, reach, rules, candidates.foot[:, :2])
 
 
 def _check_linked(
     stations: Sequence[Station], design: Design, chosen: Sequence[Sequence[int]]
 ) -> None:
-    errors = errors_of(design, chosen)[0]
-    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > LOST]
+    errors = errors_of(design, chosen)[1]
+    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > HANGS]
     if lost:
         raise Refusal(
             "not_linked",
-            f"{', '.join(lost)} would not be held by these poles: ask for another placement, or "
-            "allow ground that these LiDARs see together with others",
+            f"these poles would not link {', '.join(lost)} to {stations[0].name}: ask for another "
+            "placement, or allow ground that these LiDARs see together with others",
             {"names": ", ".join(lost)},
         )
 
 
 def _more(
-    design: Design, poles: int, placements: int
+    design: Design, begun: Sequence[Sequence[int]]
 ) -> Iterator[tuple[Literal["pole", "placement"], list[list[int]]]]:
     """Choose with one pole more in each placement, and with one placement more."""
+    poles, placements = len(begun[0]), len(begun)
     asked: list[tuple[Literal["pole", "placement"], int, int]] = [
         ("pole", poles + 1, placements),
         ("placement", poles, placements + 1),
     ]
     for what, count, times in asked:
-        chosen = choose(design, count, times)
+        chosen = choose(design, count, times, begun)
         if chosen is not None:
             yield what, chosen
 

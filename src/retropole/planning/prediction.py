@@ -120,9 +120,7 @@ def predict(
     poles: Candidates,
     seen: BoolArray,
     placement: IntArray,
-    *,
-    alone: bool = False,
-) -> Prediction:
+) -> tuple[Prediction, Prediction]:
     """Predict what a calibration will state.
 
     Parameters
@@ -131,20 +129,27 @@ def predict(
         The LiDARs, settled, and what they share.
     poles, seen, placement
         Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each stands in.
-    alone
-        Whether the poles are asked without the surfaces.
+
+    Returns
+    -------
+    Prediction, Prediction
+        With the surfaces, and by the poles alone.
     """
     network = network_of(stations, poles, seen, placement, surfaces.bands)
-    asked = Surfaces((), surfaces.bands) if alone else surfaces
-    problem = problem_of(factor_of(network, ridge=1e-6), stations, asked, poles.radius)
-    end = minimise(problem)
-    parts = parts_of(problem, end)
-    covariance = joint_covariance(parts)
+    factor = factor_of(network, ridge=1e-6)
     names = [each.name for each in stations] if len(stations) > 2 else None
-    return Prediction(
-        tuple(
-            relative(end.T[0], end.T[i], joint_of(covariance, 0, i)).covariance
-            for i in range(1, len(stations))
-        ),
-        tuple(budget_of(parts, i, names) for i in range(1, len(stations))),
-    )
+
+    def ask(asked: Surfaces) -> Prediction:
+        problem = problem_of(factor, stations, asked, poles.radius)
+        end = minimise(problem)
+        parts = parts_of(problem, end)
+        covariance = joint_covariance(parts)
+        others = range(1, len(stations))
+        return Prediction(
+            tuple(
+                relative(end.T[0], end.T[i], joint_of(covariance, 0, i)).covariance for i in others
+            ),
+            tuple(budget_of(parts, i, names) for i in others),
+        )
+
+    return ask(surfaces), ask(Surfaces((), surfaces.bands))

@@ -11,8 +11,14 @@ from ..base.uncertainty.purpose import Need
 from ..pipeline import calibrate
 from ..simulation.inserting import in_sensor_frame, with_poles
 from ..simulation.raycast import Cylinder
+from ..site.answer import SiteCalibration
+from ..site.calibration import calibrate_site
+from ..site.description import Site, SiteLidar
 from .information import divergences_of
 from .place import Station
+
+Rehearsal = Calibration | SiteCalibration
+"""What two LiDARs answer, or a site of more."""
 
 
 def recordings_with(
@@ -33,10 +39,17 @@ def rehearse(
     placements: Sequence[Sequence[Cylinder]],
     radius: float,
     need: Need | None = None,
-) -> Calibration:
-    """Calibrate two LiDARs with the poles of all placements, as if they stood there already."""
+) -> Rehearsal:
+    """Calibrate with the poles of all placements, as if they stood there already."""
     rng = np.random.default_rng(0)
     clouds = [recordings_with(stations, poles, rng) for poles in placements]
-    targets, sources = zip(*clouds, strict=True)
-    sensors = stations[0].sensor, stations[1].sensor
-    return calibrate(targets, sources, radius=radius, sensors=sensors, need=need)
+    by_lidar = list(zip(*clouds, strict=True))
+    if len(stations) == 2:
+        sensors = stations[0].sensor, stations[1].sensor
+        return calibrate(*by_lidar, radius=radius, sensors=sensors, need=need)
+    lidars = tuple(
+        SiteLidar(each.name, own, sensor=each.sensor)
+        for each, own in zip(stations, by_lidar, strict=True)
+    )
+    names = tuple(str(p + 1) for p in range(len(placements)))
+    return calibrate_site(Site("rehearsal", lidars, names, radius=radius, need=need))

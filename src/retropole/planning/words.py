@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,10 +30,12 @@ from ..result.pole_plan import (
     StationDoc,
     TapeDoc,
 )
+from ..site.answer import SiteCalibration
 from .candidates import beams_met
 from .information import divergences_of
 from .place import Station
 from .planner import Planned
+from .rehearsal import Rehearsal
 
 ASIDE = np.radians(45.0)
 """Within this angle a pole leans towards a LiDAR, away from it, or to a side, rad."""
@@ -72,7 +75,6 @@ def plan_document(
     met = None
     if need is not None:
         met = min(fitness(each.covariance, need).probability for each in predicted)
-    rehearsal = planned.rehearsal
     return PolePlanDoc(
         lidars=lidars,
         placements=list(_placements(planned)),
@@ -92,11 +94,20 @@ def plan_document(
             )
             for each in planned.more
         ],
-        rehearsal=None if rehearsal is None else document_of(RehearsalDoc, rehearsal),
+        rehearsal=_rehearsed(planned.rehearsal),
         words=list(sentences(planned, predicted, need, met)),
         version=made.version,
         created=made.created,
     )
+
+
+def _rehearsed(rehearsal: Rehearsal) -> RehearsalDoc:
+    if not isinstance(rehearsal, SiteCalibration):
+        return document_of(RehearsalDoc, rehearsal)
+    # Of the LiDAR that is known least.
+    errors = [one.predicted_error for one in rehearsal.lidars]
+    worst = max(errors, key=lambda each: each[-1].sigma_m, default=())
+    return document_of(RehearsalDoc, rehearsal, margin=None, predicted_error=list(worst))
 
 
 def _predicted(planned: Planned) -> Iterator[PredictedDoc]:
@@ -232,18 +243,18 @@ def sentences(
         yes = "will be met" if met >= 0.95 else "will hardly be met" if met < 0.5 else "may be met"
         yield f"The need, {need.words}, {yes}: probability {whole_percent(met)}."
     rehearsal = planned.rehearsal
-    if rehearsal is not None and rehearsal.status == "ok":
+    if rehearsal.status == "ok":
         yield "Poles put into your recordings were found and calibrated: verdict ok."
-    elif rehearsal is not None:
+    else:
         first = rehearsal.reasons[0]
         yield (
             f"Poles put into your recordings gave the verdict {rehearsal.status} "
             f"({first.code}): {first.message}."
         )
-        if planned.with_more is not None:
-            other = planned.with_more
-            why = f" ({other.reasons[0].code})" if other.reasons else ""
-            yield f"With one pole more it would be {other.status}{why}."
+    if planned.with_more is not None:
+        more, other = planned.with_more
+        why = f" ({other.reasons[0].code})" if other.reasons else ""
+        yield f"With one {more.what} more it would be {other.status}{why}."
     if worst.budget:
         first_entry = worst.budget[0]
         yield (
@@ -262,5 +273,14 @@ def sentences(
                 f"The pose of {station.name} is as you gave it: the recordings share too little to "
                 "settle it."
             )
+    feet = planned.candidates.foot
+    names = map(_letter, range(len(planned.numbers)))
+    named = [[(next(names), feet[k]) for k in own] for own in planned.chosen]
+    for p, (before, after) in enumerate(pairwise(named), 2):
+        carried = (
+            f"{a} to {b} ({np.linalg.norm(there - here):.1f} m)"
+            for (a, here), (b, there) in zip(before, after, strict=True)
+        )
+        yield f"For placement {p} carry {', '.join(carried)}."
     count = len(planned.candidates)
     yield f"Chosen from {counted(count, 'pole')} that could stand on the ground that was recorded."
