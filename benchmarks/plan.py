@@ -196,7 +196,6 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
         except Refusal as refusal:
             return Found(kind, refused=refusal.code)
         poles = stood(pair, planned, planned.candidates, planned.numbers)
-        assert planned.rehearsal is not None
         views = [
             poles_in_view(pair.surroundings, poles, sensor, pose, np.random.default_rng(seed))
             for sensor, pose in zip(
@@ -328,7 +327,7 @@ def run_site(job: tuple[str, int, int, int]) -> Found | None:
         there = [each for each in others if each is not None]
         return Found(
             kind,
-            verdict="",
+            verdict=planned.rehearsal.status,
             poles=len(poles),
             hidden=hidden,
             in_the_way=sum(not stands_free(pole, surroundings[1:]) for pole in lifted),

@@ -205,6 +205,7 @@ def plan(
         return rehearse(stations, standing, radius, need)
 
     rehearsal = run(chosen)
+    _check_poses(rehearsal)
     with_more = None
     # What the place cannot decide, one pole more may.
     for each in more if rehearsal.status != "ok" else ():
@@ -261,6 +262,19 @@ def _check_linked(
             "placement, or allow ground that these LiDARs see together with others",
             {"names": ", ".join(lost)},
         )
+
+
+def _check_poses(rehearsal: Rehearsal) -> None:
+    """Refuse poses that what stands in the place denies: no pole moved here."""
+    for reason in rehearsal.reasons:
+        if rehearsal.status == "refused" and reason.code == "scene_contradicts":
+            said = reason.message.partition(": did a pole move")[0]
+            raise Refusal(
+                "pose_contradicted",
+                f"with poles put into the recordings, {said}: correct the rough poses, they must "
+                "be good to 10° and 1 m",
+                reason.values,
+            )
 
 
 def _more(
