@@ -77,6 +77,7 @@ def log_likelihood(
 
 
 @pytest.mark.parametrize("surroundings", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_gradient_is_that_of_the_likelihood_of_corrected_beams(surroundings: bool) -> None:
     """Over the pose, every error, and the axes; of each LiDAR and of each pole by itself."""
     if surroundings:

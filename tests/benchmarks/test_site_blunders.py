@@ -59,6 +59,7 @@ def test_a_bumped_pole_is_elsewhere_for_those_that_record_later() -> None:
         assert seeing - moved
 
 
+@pytest.mark.slow
 def test_exchanged_files_are_those_of_the_other_recording() -> None:
     for seed in range(3):
         site, blunder = wrong("files", seed=seed)

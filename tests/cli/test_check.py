@@ -69,6 +69,7 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
     assert answer["power"] > 0.95
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_was_asked_for_is_held_to(site: Path) -> None:
     weak = ("r.json", "same", "--sigma-deg", "0.02", "--sigma-m", "0.02")
     words = ("--to", "json", "--out", "r.json")

@@ -61,6 +61,7 @@ def test_what_is_mapped_comes_in_order_and_is_done_here_where_a_worker_dies() ->
     assert len(client.given) == 4
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_bytes_of_one_process(fleet: Path, tmp_path: Path) -> None:
     sites = find_sites([str(fleet)])
     calibrate_fleet(sites, str(tmp_path / "here"), here)

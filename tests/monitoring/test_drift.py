@@ -80,6 +80,7 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
     assert "poles_no_intensity" in [reason.code for reason in answer.reasons]
 
 
+@pytest.mark.slow
 def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
     street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +99,7 @@ def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
         check(stored, astray.target, astray.source)
 
 
+@pytest.mark.slow
 def test_errors_of_the_same_devices_cancel(
     street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
 ) -> None:
@@ -117,6 +119,7 @@ def test_errors_of_the_same_devices_cancel(
     assert same_devices.chi2 < 16.8
 
 
+@pytest.mark.slow
 def test_poles_that_moved_between_the_recordings_do_not_make_a_movement(
     street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
 ) -> None:

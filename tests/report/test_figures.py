@@ -66,6 +66,7 @@ def test_any_detection_can_be_drawn(case: str, pair: SimulatedPair, tmp_path: Pa
     assert pixels(tmp_path / "d.png").std() > 5
 
 
+@pytest.mark.slow
 def test_many_poles_are_drawn(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     draw_detection(
@@ -91,6 +92,7 @@ def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: P
     assert pixels(tmp_path / "none.png").std() > 5
 
 
+@pytest.mark.slow
 def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path) -> None:
     line = np.c_[np.linspace(-9, 9, 200), np.zeros((200, 2))]
     nothing, poles = np.zeros((0, 3)), ((), ())

@@ -149,6 +149,7 @@ def test_a_letter_that_no_exact_hypothesis_has_is_an_error(
             calibrate(pair.target, pair.source, by_hand=name)
 
 
+@pytest.mark.slow
 def test_where_the_scene_decides_its_choice_by_hand_is_the_same_with_a_warning() -> None:
     pair = simulate_pair("street", np.random.default_rng(12))
     by_scene, by_hand = (calibrate(pair.target, pair.source, by_hand=name) for name in (None, "a"))

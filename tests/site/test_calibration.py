@@ -153,6 +153,7 @@ def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
     assert np.all((ratios > 0.7) & (ratios < 1.4))
 
 
+@pytest.mark.slow
 def test_more_poles_and_lidars_make_no_pair_less_sure(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -183,6 +184,7 @@ def test_lidars_that_share_no_poles_are_refused_with_their_names(
     assert len(found.pairs) == 3
 
 
+@pytest.mark.slow
 def test_a_recording_without_intensity_is_done_without(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -222,6 +224,7 @@ def test_a_ring_that_is_cut_is_refused_with_its_lidars() -> None:
     assert "ring-2" in str(found.reasons[0].values["lidars"])
 
 
+@pytest.mark.slow
 def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     loose = tuple(structs.replace(each, sigma=3.0) for each in site.poles)
@@ -298,6 +301,7 @@ def test_poles_stand_where_they_are_adjusted(
     assert max(distances + turns) < 4.0
 
 
+@pytest.mark.slow
 def test_a_refusal_says_that_the_returns_deny_the_radius(
     simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

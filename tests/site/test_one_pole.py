@@ -109,6 +109,7 @@ def test_without_surroundings_it_is_linked_to_nothing() -> None:
     assert not refused.lidars
 
 
+@pytest.mark.slow
 def test_the_order_of_the_lidars_changes_nothing(
     hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
@@ -121,6 +122,7 @@ def test_the_order_of_the_lidars_changes_nothing(
         assert off(between(answer, i, j), other.T_i_j) < 2.0
 
 
+@pytest.mark.slow
 def test_the_frame_of_the_lidar_that_hangs_may_be_that_of_the_site(
     hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
@@ -137,6 +139,7 @@ def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
     assert calibrate_site(moved.as_site()).status == "refused"
 
 
+@pytest.mark.slow
 def test_a_pole_that_was_pushed_a_little_is_told(hidden: SimulatedSite) -> None:
     """Where it alone holds a part of the pose that is `not_checked`, where not it is refused."""
     pushed = with_pole_moved(hidden, 2, np.array([0.04, 0.03, 0.0]))

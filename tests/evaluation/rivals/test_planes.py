@@ -78,6 +78,7 @@ def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair)
     assert 0 < found.rms < 0.05
 
 
+@pytest.mark.slow
 def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None:
     there = planar_surfaces(corridor.target, corridor.source, np.random.default_rng(0))
     back = planar_surfaces(corridor.source, corridor.target, np.random.default_rng(1))
