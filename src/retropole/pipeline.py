@@ -57,6 +57,7 @@ def calibrate(
     deceiving: float | None = None,
     candidates: bool = True,
     need: Need | None = None,
+    mast_sway: float | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -93,6 +94,9 @@ def calibrate(
         Whether to try the candidate poles where the confirmed ones give no answer.
     need
         How accurate the answer must be, which the verdict answers; None only asks for usable.
+    mast_sway
+        1 σ of the angle that the masts of both LiDARs are said to sway by, rad; None only takes
+        what the sweeps of a recording show.
     progress
         Called with the name of each step as it starts.
 
@@ -113,7 +117,7 @@ def calibrate(
     known = {"radius": radius, "radius_sigma": radius_sigma}
     seconds: dict[str, float] = {}
     step = partial(timed, seconds, progress)
-    find = partial(find_poles, radius=radius, search=poles != 0)
+    find = partial(find_poles, radius=radius, search=poles != 0, mast_sway=mast_sway)
     chosen = Chosen((), ())
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None

@@ -28,6 +28,7 @@ from .certainty import (
     parts_of_errors,
     scatter_of_poles,
     solve_factor,
+    sways,
     uncertainty_of_pair,
 )
 from .error_sizes import WORKING_SHARE, considered, group_scales, prior_precision, working_sigma
@@ -138,6 +139,7 @@ def align_beams(
     sizes: tuple[Sizes, Sizes] = (Sizes(), Sizes()),
     placement: IntArray | None = None,
     by_place: bool = False,
+    left: tuple[Array, ...] = (),
 ) -> BeamAlignment:
     """Align matched poles by what both LiDARs' beams can have met.
 
@@ -156,6 +158,8 @@ def align_beams(
         (K,) index of that which each pole stood in; None where there is one.
     by_place
         Whether the place, and not the poles, gives what `T_start` has beside them.
+    left
+        What is left of the sway of both LiDARs; see `ErrorModel`.
 
     Raises
     ------
@@ -177,7 +181,7 @@ def align_beams(
     known = (KnownPose("the place", 1, T_start, PLACE_SIGMA),) if by_place else ()
     model = ErrorModel(sizes, given_sigma)
     found = align_all(state, sights, model, stood, OF_SOURCE, surveyed=Surveyed(poses=known))
-    return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma))
+    return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma, left))
 
 
 def without_poles(T: Array, radius: float) -> BeamAlignment:
@@ -299,7 +303,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     """
     end = found.maximum.point
     noise = np.exp(end.log_noise)
-    factor = factor_of(found.network)
+    factor = factor_of(found.network, left=model.left)
     unknowns, groups = factor.unknowns, factor.unknowns.groups()
     known = model.sigmas(groups)
     precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
@@ -312,6 +316,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
             *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),
             scatter_of_poles(POLES, factor, estimate.inverse),
             *floors(factor.T, factor.free),
+            *sways(factor.T, factor.free, factor.left),
         ]
     )
     covariance = uncertainty.covariance

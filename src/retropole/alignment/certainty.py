@@ -28,6 +28,9 @@ FLOOR = "unmodelled errors"
 POLES = "scatter of the poles' returns"
 """What it calls that."""
 
+SWAY = "sway while it recorded"
+"""What it calls what is left of that."""
+
 BUDGET_RANGE = 30.0
 """Range at which shares of the budget are told, metres."""
 
@@ -151,8 +154,7 @@ def root_of(square: Array) -> Array:
 def floors(T: Array, free: BoolArray) -> list[Part]:
     """State the unmodelled errors: half of its variance for each LiDAR of a pair.
 
-    It turns and shifts a LiDAR's own frame. That of a LiDAR whose frame is the datum moves all
-    others against it.
+    It turns and shifts a LiDAR's own frame.
 
     Parameters
     ----------
@@ -161,20 +163,40 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
     free
         (6 L,) which of their parameters are estimated.
     """
-    half = np.linalg.cholesky(floor() / 2)
-    is_datum = np.array([not each.any() for each in free.reshape(-1, POSE)])
+    half = np.asarray(np.linalg.cholesky(floor() / 2))
+    return [part_of(FLOOR, _of_frame(T, free, lidar, half)) for lidar in range(len(T))]
+
+
+def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
+    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty where all stand.
+
+    Parameters as of `floors`.
+    """
     found = []
-    for lidar, own in enumerate(T):
-        root = np.zeros((len(T), POSE, POSE))
-        if is_datum[lidar]:
-            for other in np.flatnonzero(~is_datum):
-                move = np.eye(POSE)
-                move[3:, :3] = -se3.hat(T[other][:3, 3] - own[:3, 3])
-                root[other] = -move @ half
-        else:
-            root[lidar] = half
-        found.append(part_of(FLOOR, root.reshape(-1, POSE)))
+    for lidar, covariance in enumerate(left):
+        if covariance.any():
+            turn = np.kron(np.eye(2), T[lidar, :3, :3])
+            root = _of_frame(T, free, lidar, turn @ root_of(covariance))
+            size = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+            found.append(Part(SWAY, lidar, size, "rad", None, root, is_random=True))
     return found
+
+
+def _of_frame(T: Array, free: BoolArray, lidar: int, root: Array) -> Array:
+    """(6 L, 6) what an error of one LiDAR's own frame, given by a root (6, 6), does to all poses.
+
+    That of a LiDAR whose frame is the datum moves all others against it.
+    """
+    is_datum = np.array([not each.any() for each in free.reshape(-1, POSE)])
+    found = np.zeros((len(T), POSE, POSE))
+    if is_datum[lidar]:
+        for other in np.flatnonzero(~is_datum):
+            move = np.eye(POSE)
+            move[3:, :3] = -se3.hat(T[other][:3, 3] - T[lidar][:3, 3])
+            found[other] = -move @ root
+    else:
+        found[lidar] = root
+    return np.asarray(found.reshape(-1, POSE))
 
 
 def joint_covariance(parts: Sequence[Part]) -> Array:

@@ -12,7 +12,7 @@ pair the target's pose is the identity and held: it is the frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -42,6 +42,9 @@ class PoleFactor:
     redundancy
         Returns more than parameters: the degrees of freedom of their noise; infinite where a
         covariance is given.
+    left
+        (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
+        rotation and translation, axes of its own; empty where all stand.
     """
 
     T: Array
@@ -50,6 +53,7 @@ class PoleFactor:
     information: Array
     vector: Array
     redundancy: float
+    left: Array = field(default_factory=lambda: np.zeros((0, POSE, POSE)))
 
     def weakened(self, share: float) -> PoleFactor:
         """Give the same with a part of its information."""

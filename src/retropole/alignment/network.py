@@ -262,7 +262,7 @@ def about(network: Network, T: Array) -> Network:
     return replace(network, state=replace(network.state, T=T), observations=observations)
 
 
-def factor_of(network: Network, ridge: float = 0.0) -> PoleFactor:
+def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) -> PoleFactor:
     """Eliminate axes and control points: what poles and survey say of poses and errors.
 
     Parameters
@@ -272,6 +272,8 @@ def factor_of(network: Network, ridge: float = 0.0) -> PoleFactor:
     ridge
         Precision that axes and points get which little or nothing is said of: of an axis, one end
         that was surveyed.
+    left
+        What is left of the sway of each LiDAR; see `PoleFactor`.
     """
     information, gradient = network.total()
     unknowns = network.unknowns
@@ -292,4 +294,5 @@ def factor_of(network: Network, ridge: float = 0.0) -> PoleFactor:
         (reduced + reduced.T) / 2,
         np.asarray(vector + reduced @ network.start[kept]),
         network.redundancy,
+        np.array(left),
     )

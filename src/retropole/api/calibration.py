@@ -45,6 +45,7 @@ def calibrate(
     up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
+    mast_sway_deg: float | None = None,
     hypothesis: str | None = None,
     target_topic: str | None = None,
     source_topic: str | None = None,
@@ -87,6 +88,9 @@ def calibrate(
     prior_rpy_deg, prior_sigma_deg
         Expected roll, pitch and yaw of the source in the target's frame, degrees, instead of `up`;
         and 1 σ of either.
+    mast_sway_deg
+        1 σ of the angle that the masts of both LiDARs sway by, degrees: recordings of one or two
+        sweeps do not show it. None takes what the sweeps show.
     hypothesis
         Letter of the hypothesis to take, in the list that the same run gives without it: for where
         you know the place and the scene does not decide. It is refused where the scene conflicts
@@ -165,6 +169,7 @@ def calibrate_with(
             trust_poles=config.trust_poles,
             deceiving=config.deceiving_share,
             need=config.need,
+            mast_sway=config.mast_sway,
             by_hand=config.hypothesis,
             prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
             progress=listener.progress,

@@ -28,6 +28,7 @@ from ..io.failures import naming
 from ..io.units import Unit
 from ..result.options import (
     Intensity,
+    MastSway,
     MaxPoints,
     Radius,
     RadiusSigma,
@@ -109,6 +110,7 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
     up: Upwards | None = None
     up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
+    mast_sway_deg: MastSway | None = None
 
     def reading(self, max_points: int) -> Reading:
         """How its recordings are read, with at most so many points of a cloud."""

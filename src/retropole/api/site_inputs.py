@@ -182,6 +182,7 @@ def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
                 lidar.threshold,
                 lidar.serial,
                 _up(lidar),
+                None if lidar.mast_sway_deg is None else float(np.radians(lidar.mast_sway_deg)),
             )
             for k, lidar in enumerate(file.lidar)
         ),

@@ -18,6 +18,7 @@ from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
+from .sway import Sway
 from .uncertainty import ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
 from .uncertainty.confirmation import Confirmation
 from .uncertainty.purpose import Fitness
@@ -260,12 +261,15 @@ class Scan:
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
     detection, refusal
         What was found; or why the cloud cannot be searched for poles.
+    sway
+        How the LiDAR swayed meanwhile, which the cloud is without; None where it stood.
     """
 
     cloud: PointCloud
     sensor: Sensor | None = None
     detection: Detection | None = None
     refusal: Refusal | None = None
+    sway: Sway | None = None
 
     @property
     def poles(self) -> tuple[Pole, ...]:

@@ -67,6 +67,7 @@ Code = Literal[
     "weak_direction",
     "offset_not_separable",
     "one_place_decides",
+    "sways",
     # plan
     "no_ground",
     "nowhere_seen",

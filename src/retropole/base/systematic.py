@@ -277,10 +277,22 @@ def by_error(
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What is known of the errors before the data: sizes for each LiDAR, 1 σ of the radius, m."""
+    """What is known of the errors before the data.
+
+    Attributes
+    ----------
+    sizes
+        For each LiDAR.
+    radius_sigma
+        1 σ of the radius, metres.
+    left
+        (6, 6) for each LiDAR, how far its recordings are from where it rests (`base.sway`); none
+        where all stand.
+    """
 
     sizes: tuple[Sizes, ...] = (Sizes(), Sizes())
     radius_sigma: float = 0.0004
+    left: tuple[Array, ...] = ()
 
     def sigmas(self, groups: Groups) -> Array:
         """(G,) 1 σ of each group of errors, in its own unit."""

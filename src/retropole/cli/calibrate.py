@@ -23,6 +23,7 @@ from .options import CLOUD, OUT, SENSORS, TOPICS, placement_arguments, run_optio
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
+@run_options("mast_sway_deg")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(

@@ -23,6 +23,7 @@ from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import error_sizes
+from ..matching.placements import left_in
 from ..pipeline import calibrate
 from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
 from ..scene.preference import preferences
@@ -119,7 +120,8 @@ def _answered(
             return CheckResult("cannot_tell", (swapped,))
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
-    clouds = Clouds(recorded.target.cloud, recorded.source.cloud)
+    left = left_in([recorded])
+    clouds = Clouds(recorded.target.cloud, recorded.source.cloud, left)
     new = by_poles(question.stored, clouds, again, calibrate_again)
     answer = _tested(question, clouds, new)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
@@ -147,7 +149,7 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     """Test the pose that the poles give, or else the scene, against the stored one."""
     stored, sensors = question.stored, question.sensors
     sizes = error_sizes(clouds.target, sensors[0]), error_sizes(clouds.source, sensors[1])
-    model = ErrorModel(sizes)
+    model = ErrorModel(sizes, left=clouds.left)
     reasons, found = new.reasons, None
     if new.pose is not None:
         answer = _compared(question, new, "poles", reasons)

@@ -56,10 +56,14 @@ class NewPose:
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The new recordings, without what moved, and both views where they are asked for."""
+    """The new recordings, without what moved, and both views where they are asked for.
+
+    `left` is what is left of the sway of both LiDARs.
+    """
 
     target: PointCloud
     source: PointCloud
+    left: tuple[Array, ...] = ()
 
     @cached_property
     def views(self) -> tuple[View, View]:

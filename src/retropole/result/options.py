@@ -38,6 +38,7 @@ Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
+MastSway = Annotated[float, Meta(gt=0, le=1)]
 Frames = tuple[int | None, int | None, int | None]
 
 THINNEST = 0.005
@@ -166,6 +167,13 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Distance | None,
         told(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
     ] = None
+    mast_sway_deg: Annotated[
+        MastSway | None,
+        told(
+            "1 sigma of the angle that the masts of both LiDARs sway by. Needed of recordings of "
+            "one or two sweeps, which do not show it.  [default: what the sweeps show]"
+        ),
+    ] = None
     threshold_target: Annotated[
         Intensity | None,
         told(
@@ -208,6 +216,11 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def source_unit(self) -> Unit:
         """Unit of the source: its own, or else that of the target."""
         return self.unit_source or self.unit
+
+    @property
+    def mast_sway(self) -> float | None:
+        """1 σ of the sway that was stated, rad."""
+        return None if self.mast_sway_deg is None else math.radians(self.mast_sway_deg)
 
     @property
     def need(self) -> Need | None:

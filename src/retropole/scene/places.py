@@ -22,6 +22,7 @@ from ..alignment.certainty import (
     part_of,
     parts_of_errors,
     scatter_of_poles,
+    sways,
 )
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -174,4 +175,5 @@ def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tupl
         *parts_of_surfaces(end),
         scatter_of_poles(scatter, factor, end.inverse),
         *floors(end.T, factor.free),
+        *sways(end.T, factor.free, factor.left),
     )

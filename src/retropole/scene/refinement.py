@@ -30,7 +30,7 @@ from ..base.datatypes import Array, PointCloud, PoseEstimate
 from ..base.systematic import DEVICE_KINDS, ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..extraction.sensor_pattern import error_sizes
-from ..matching.placements import PairedPlacement, merge_clouds
+from ..matching.placements import PairedPlacement, left_in, merge_clouds
 from .decisive import Decisive, without_decisive
 from .descent import End, RefinementProblem, approach, converge, support_of
 from .patch_pairs import without_errors
@@ -127,7 +127,11 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
         merge_clouds([scan.cloud for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
-        model=ErrorModel((first, second), aligned.radius.given_sigma),
+        model=ErrorModel(
+            (first, second),
+            aligned.radius.given_sigma,
+            left_in([each.placement for each in paired]),
+        ),
     )
 
 
@@ -171,6 +175,8 @@ def refine(
     if not scenes:
         return None
     given = gaussian_factor(poles) if factor is None else factor
+    if model is not None:
+        given = replace(given, left=np.array(model.left))
     factor = given.with_bands([np.unique(each.bands) for each in patches])
     groups = factor.unknowns.groups()
     known = (ErrorModel() if model is None else model).sigmas(groups)

@@ -9,6 +9,7 @@ from ..extraction.extent import located
 from ..extraction.poles import extract_poles
 from .copies import without_copies
 from .static import remove_dynamic_points
+from .sway import steadied
 
 
 def find_poles(
@@ -18,17 +19,22 @@ def find_poles(
     threshold: float | None,
     radius: float,
     search: bool = True,
+    mast_sway: float | None = None,
 ) -> Scan:
-    """Find the poles in a cloud, if asked to; of several frames, without what moved.
+    """Find the poles in a cloud, if asked to; of several frames, without what moved, at rest.
+
+    `mast_sway` is 1 σ of the angle that the LiDAR's mast is said to sway by, rad.
 
     Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
     found elsewhere is not lost.
     """
+    sway = None
     try:
         cloud = remove_dynamic_points(located(without_copies(cloud), radius))
+        cloud, sway = steadied(cloud, mast_sway)
         if not search:
-            return Scan(cloud, sensor)
+            return Scan(cloud, sensor, sway=sway)
         detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
-        return Scan(cloud, sensor, None, refusal)
-    return Scan(cloud, sensor, detection)
+        return Scan(cloud, sensor, None, refusal, sway)
+    return Scan(cloud, sensor, detection, sway=sway)

@@ -30,9 +30,6 @@ WET_BRIGHTNESS = 0.2
 """Reflectance times cosine of incidence from which a wet ground loses no returns: asphalt at normal
 incidence (chosen)."""
 
-SWAY_RATE = 2 * np.pi
-"""Of a mast's oscillation, rad/s: 1 Hz."""
-
 
 @dataclass(frozen=True, eq=False)
 class Mover:
@@ -127,15 +124,28 @@ class Sway:
         Rad.
     phase
         At time 0, rad.
+    frequency
+        Hz.
+    foot
+        (3,) where the axis is, in the world, metres; None where it goes through the LiDAR.
     """
 
     axis: Array
     amplitude: float
     phase: float
+    frequency: float = 1.0
+    foot: Array | None = None
+
+    def origin(self, rest: Array, time: float) -> Array:
+        """(3,) where the beams of a LiDAR that rests at a point (3,) start at a time, s."""
+        if self.foot is None:
+            return rest
+        return np.asarray(self.foot + self.turn((rest - self.foot)[None], np.array([time]))[0])
 
     def turn(self, rays: Array, times: Array) -> Array:
         """Turn rays (N, 3) of the world as the mast stands at times (N,), s."""
-        angle = self.amplitude * np.sin(SWAY_RATE * times + self.phase)[:, None]
+        phase = 2 * np.pi * self.frequency * times + self.phase
+        angle = self.amplitude * np.sin(phase)[:, None]
         along = (rays @ self.axis)[:, None] * self.axis
         return np.asarray(
             along + np.cos(angle) * (rays - along) + np.sin(angle) * np.cross(self.axis, rays)

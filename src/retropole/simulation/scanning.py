@@ -11,13 +11,16 @@ import numpy as np
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.sensors import Sensor
 from .devices import TYPICAL, Device, NoiseModel, draw_device
-from .environment import Mover, draw_sway, is_ground, wet_loss
+from .environment import Mover, Sway, draw_sway, is_ground, wet_loss
 from .footprint import Materials, report
 from .intensity import Echoes, intensities, with_glow
 from .raycast import Surface, cast
 
 SWEEP_SECONDS = 0.1
 """Time of one sweep: LiDARs run at 10 Hz by default."""
+
+PARTS = 20
+"""Of a sweep, in which a mast that turns about its foot has its LiDAR at one point each."""
 
 GOLDEN = (np.sqrt(5.0) - 1) / 2
 SILVER = np.sqrt(2.0) - 1
@@ -109,6 +112,7 @@ def scan(
     device: Device | None = None,
     movers: Sequence[Mover] = (),
     start: float = 0.0,
+    sway: Sway | None = None,
 ) -> LabelledScan:
     """Record a scene.
 
@@ -133,6 +137,8 @@ def scan(
         Things that move, in the world frame.
     start
         Time at which the recording starts, s: movers are where they are then.
+    sway
+        How the mast sways; None draws one of the size in `noise`.
 
     Returns
     -------
@@ -141,7 +147,8 @@ def scan(
     """
     sources = Sources(*rng.spawn(len(Sources._fields)))
     device = draw_device(sensor, noise, sources.device) if device is None else device
-    sway = draw_sway(noise.sway, sources.directions) if noise.sway else None
+    if sway is None and noise.sway:
+        sway = draw_sway(noise.sway, sources.directions)
     parts = []
     for k in range(frames):
         sweep = beams(sensor, sources.phases)
@@ -150,20 +157,33 @@ def scan(
             # The part along the ray has no effect on its direction.
             shot = shot + noise.pointing_noise * sources.directions.normal(size=shot.shape)
             shot /= np.sqrt(np.einsum("ni,ni->n", shot, shot))[:, None]
-        world = shot @ T_world_sensor[:3, :3].T
+        world, begun = shot @ T_world_sensor[:3, :3].T, start + k * SWEEP_SECONDS
+        rest = T_world_sensor[:3, 3]
+        at_once: list[tuple[IntArray, Array]] = [(np.arange(len(world)), rest)]
         if sway is not None:
-            world = sway.turn(world, start + k * SWEEP_SECONDS + sweep.times)
-        present = [*surfaces, *(each.at(start + k * SWEEP_SECONDS) for each in movers)]
-        echoes = _echoes(
-            present, sensor, T_world_sensor[:3, 3], world, sweep.rings, device, noise, sources
-        )
-        points = echoes.ranges[:, None] * sweep.rays[echoes.beam]
-        if noise.isotropic_noise:
-            points += noise.isotropic_noise * sources.returns.normal(size=points.shape)
-        labels = np.where(echoes.surface < len(surfaces), echoes.surface, -1)
-        time = sweep.times[echoes.beam] + k * SWEEP_SECONDS
-        frame = np.full(len(points), k, dtype=np.int64)
-        parts.append((points, echoes.intensity, sweep.rings[echoes.beam], time, frame, labels))
+            world = sway.turn(world, begun + sweep.times)
+        if sway is not None and sway.foot is not None:
+            # Within a part the beams start at one point, which moves by a part of a millimetre.
+            part = np.searchsorted(np.linspace(0, SWEEP_SECONDS, PARTS + 1)[1:-1], sweep.times)
+            at_once = [
+                (
+                    np.flatnonzero(part == p),
+                    sway.origin(rest, begun + (p + 0.5) * SWEEP_SECONDS / PARTS),
+                )
+                for p in range(PARTS)
+            ]
+        present = [*surfaces, *(each.at(begun) for each in movers)]
+        for own, origin in at_once:
+            of = sweep.rings[own]
+            echoes = _echoes(present, sensor, origin, world[own], of, device, noise, sources)
+            beam = own[echoes.beam]
+            points = echoes.ranges[:, None] * sweep.rays[beam]
+            if noise.isotropic_noise:
+                points += noise.isotropic_noise * sources.returns.normal(size=points.shape)
+            labels = np.where(echoes.surface < len(surfaces), echoes.surface, -1)
+            time = sweep.times[beam] + k * SWEEP_SECONDS
+            frame = np.full(len(points), k, dtype=np.int64)
+            parts.append((points, echoes.intensity, sweep.rings[beam], time, frame, labels))
     xyz, intensity, ring, time, frame, labels = map(np.concatenate, zip(*parts, strict=True))
     rings = ring if sensor.pattern == "spinning" else None
     cloud = PointCloud(xyz, intensity, rings, time, frame if frames > 1 else None)

@@ -26,6 +26,7 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
+from ..base.sway import left_of
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..extraction.sensor_pattern import error_sizes
 from ..scene.descent import End, RefinementProblem, minimise
@@ -77,6 +78,14 @@ class Recorded:
             error_sizes(next(cloud for cloud in lidar.clouds if cloud is not None), lidar.sensor)
             for lidar in self.site.lidars
         )
+
+    @cached_property
+    def left(self) -> tuple[Array, ...]:
+        """What is left of the sway of each LiDAR; none where all stood."""
+        rows = [self.scans.used(i) for i in range(len(self.site.lidars))]
+        if not any(scan.sway for row in rows for scan in row):
+            return ()
+        return tuple(left_of([scan.sway for scan in row]) for row in rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +158,8 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         scene_bands=[none if one is None else np.unique(one.bands) for one in recorded.patches],
         most_noise=_most_noise(sights, site),
     )
-    factor, groups = factor_of(aligned.network), aligned.network.unknowns.groups()
+    factor = factor_of(aligned.network, left=recorded.left)
+    groups = aligned.network.unknowns.groups()
     known = ErrorModel(recorded.sizes, aligned.radius_sigma).sigmas(groups)
     problem = RefinementProblem(factor, tuple(recorded.scenes), groups, known)
     end = minimise(problem, few=few)
@@ -174,7 +184,8 @@ def search_as_pair(recorded: Recorded, adjusted: Adjusted) -> Adjusted:
         The site, without what did not fit.
     """
     aligned, problem = adjusted.aligned, adjusted.problem
-    poles = _poles_of_pair(aligned, ErrorModel(recorded.sizes, aligned.radius_sigma))
+    model = ErrorModel(recorded.sizes, aligned.radius_sigma, recorded.left)
+    poles = _poles_of_pair(aligned, model)
     if poles is None or not problem.scenes:
         return adjusted
     own, far = recorded.patches[0], recorded.patches[1]

@@ -49,6 +49,8 @@ class SiteLidar:
         Serial number; empty where not given.
     up
         Which way is up in its frame; None where nothing measured it.
+    mast_sway
+        1 σ of the angle that its mast is said to sway by, rad; None takes what its sweeps show.
     """
 
     name: str
@@ -57,6 +59,7 @@ class SiteLidar:
     threshold: float | None = None
     serial: str = ""
     up: Up | None = None
+    mast_sway: float | None = None
 
 
 class SurveyedPole(

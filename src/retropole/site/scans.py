@@ -103,7 +103,13 @@ def find_scans(site: Site) -> SiteScans:
 
 def _scan(lidar: SiteLidar, cloud: PointCloud, origin: Array, radius: float) -> Scan:
     about = replace(cloud, xyz=cloud.xyz - origin, origin=cloud.origin - origin)
-    return find_poles(about, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
+    return find_poles(
+        about,
+        sensor=lidar.sensor,
+        threshold=lidar.threshold,
+        radius=radius,
+        mast_sway=lidar.mast_sway,
+    )
 
 
 def _checked(name: str, scan: Scan | None) -> Scan | None:

@@ -17,7 +17,7 @@ from ..matching.placements import PairedPlacement
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from ..scene.choice import ambiguous
 from ..scene.confirmation import MAX_WRONG, check_confirmation, confirm
-from ..verdict import check_angles, check_noise, check_returns, check_sensor
+from ..verdict import check_angles, check_noise, check_returns, check_sensor, check_sway
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
 from .blunders import POOR, place_of, worst_test
@@ -208,6 +208,7 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
     for i, lidar in enumerate(site.lidars):
         for scan in scans.used(i)[:1]:
             yield from check_sensor(lidar.name, scan)
+        yield from check_sway(lidar.name, scans.used(i))
         seen = [pole.seen[i] for pole in poles if i in pole.seen]
         if seen:
             yield from check_returns(lidar.name, seen)

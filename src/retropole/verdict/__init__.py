@@ -79,6 +79,8 @@ def weaknesses(
         *(() if is_by_place(paired) else _weak_choice(hypotheses)),
         *check_sensor("target", paired[0].placement.target),
         *check_sensor("source", paired[0].placement.source),
+        *check_sway("target", [each.placement.target for each in paired]),
+        *check_sway("source", [each.placement.source for each in paired]),
         *_angles(paired, confirmation),
         *check_returns("target", [pole for each in paired for pole in each.target_poles]),
         *check_returns("source", [pole for each in paired for pole in each.source_poles]),
@@ -115,6 +117,36 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
         f"shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
         {"poles": len(poles), "lead": lead},
     )
+
+
+def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
+    """Say that a LiDAR swayed while it recorded: the worst of its recordings."""
+    found = [scan.sway for scan in scans if scan.sway is not None]
+    if not found:
+        return
+    worst = max(found, key=lambda each: each.left_rad)
+    values: dict[str, float | int | str] = {
+        "lidar": lidar,
+        "angle_rad": worst.angle_rad,
+        "left_rad": worst.left_rad,
+    }
+    if not worst.is_seen:
+        yield Reason(
+            "sways",
+            f"{lidar} is said to sway by ± {np.degrees(worst.angle_rad):.2g}°, and its recording "
+            "does not show where it rests: the stated error has all of it; record 10 s or more",
+            values,
+        )
+        return
+    said = (
+        f"{lidar} swayed by ± {np.degrees(worst.angle_rad):.2g}° at {worst.frequency:.2g} Hz "
+        f"while it recorded, {worst.periods:.1f} periods; where it rests is known to "
+        f"± {np.degrees(worst.left_rad):.1g}°"
+    )
+    more = worst.seconds_more
+    if more > 0:
+        said += f": record {np.ceil(more):.0f} s more"
+    yield Reason("sways", said, values | {"frequency_hz": worst.frequency or 0.0})
 
 
 def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:

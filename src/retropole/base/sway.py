@@ -1,0 +1,77 @@
+"""How a LiDAR swayed while it recorded, and how far its mean pose may be from where it rests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from .bounded import Covariance, Number, Size
+from .se3 import Array
+
+ENOUGH = 2.0
+"""So many periods tell where a mast rests to a tenth of its sway (benchmarks/sway.py)."""
+
+LEVER = 6.0
+"""A mast that turns shifts its LiDAR by so many metres a radian: the height of a lamppost, whose
+top bends by less. Where nothing measures the shift this is taken for it."""
+
+
+class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):
+    """Motion of one LiDAR about its rest while it recorded, axes of its own frame.
+
+    Attributes
+    ----------
+    angle_rad
+        Root mean square of the angle from rest that was seen; of a sway that was stated and not
+        seen, what was stated.
+    frequency
+        Of the oscillation, Hz; None where it was stated.
+    seconds
+        How long the recording took.
+    covariance
+        (6, 6) of what is left between the pose that all points were brought to and rest, over
+        rotation and translation, rad and m.
+    times_s, angles_rad
+        The motion as it was seen, from the first sweep on: the angle in its main direction.
+    """
+
+    angle_rad: Size
+    frequency: Size | None
+    seconds: Size
+    covariance: Covariance
+    times_s: tuple[Number, ...] = ()
+    angles_rad: tuple[Number, ...] = ()
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the recording shows it."""
+        return self.frequency is not None
+
+    @property
+    def left_rad(self) -> float:
+        """1 σ of the angle between the recording and rest, about the axis where it is largest."""
+        return float(np.sqrt(np.linalg.eigvalsh(np.asarray(self.covariance)[:3, :3])[-1]))
+
+    @property
+    def seconds_more(self) -> float:
+        """How much longer to record for `ENOUGH` periods, s; 0 where they are there."""
+        return max(ENOUGH / self.frequency - self.seconds, 0.0) if self.frequency else 0.0
+
+    @property
+    def periods(self) -> float:
+        """How many periods were recorded; 0 of a sway that was stated."""
+        return self.seconds * (self.frequency or 0.0)
+
+
+def stated_sway(sigma: float) -> Sway:
+    """Give what a mast is said to sway by, 1 σ in rad, where a recording shows nothing of it."""
+    covariance = np.diag(np.repeat([sigma, LEVER * sigma], 3) ** 2)
+    return Sway(sigma, None, 0.0, covariance)
+
+
+def left_of(sways: Sequence[Sway | None]) -> Array:
+    """(6, 6) covariance of what is left of the sway of one LiDAR in the mean of its recordings."""
+    left = sum((each.covariance for each in sways if each is not None), np.zeros((6, 6)))
+    return np.asarray(left / max(len(sways), 1) ** 2)

@@ -1,0 +1,284 @@
+"""A mast that sways: its motion while it recorded, and how far the recording's mean is from rest.
+
+All sweeps of a recording show the same surfaces; how they lie against each other shows how the
+LiDAR moved (`sweeps`), but for what all have in common: where it rests. That follows from how a
+mast moves. It oscillates about rest, at a frequency and with a size that are not known beforehand::
+
+    ξ(t) = Σ_j  a_j cos(2π f_j t) + b_j sin(2π f_j t),    a_j, b_j ~ N(0, diag(σ², (ℓσ)²)),
+
+ξ the turn and shift of the LiDAR, the f_j next to one frequency or spread over all. Each
+combination of frequencies, σ and ℓ is a hypothesis with the evidence of the returns; what is stated
+is the mean over all hypotheses. A recording that is shorter than a period sees a drift: hypotheses
+of few and of many degrees then say the same of it, and other things of where it rests. What they
+differ by is the uncertainty (MacKay 2003, Information theory, inference, and learning algorithms,
+ch. 28).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.datatypes import Array, PointCloud
+from ..base.sway import Sway, stated_sway
+from .static import MAX_TURN, MIN_FRAMES, turned_by
+from .sweeps import Observed, Timed, observe, timed, without
+
+LOWEST, HIGHEST = 0.2, 3.0
+"""Of the frequencies of masts, Hz; within, each octave is as probable."""
+
+SPACING, RESOLVED = 0.15, 0.7
+"""From one frequency that is tried to the next: as a part of it, and in what a recording tells
+apart, which is one over its length."""
+
+BESIDE = 0.1
+"""A mast does not keep its frequency exactly: so far beside it, as a part, it moves as well."""
+
+BROAD = 10
+"""Frequencies of the hypothesis that a mast moves at all of them."""
+
+SIZES = np.radians([0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
+"""1 σ of the turn of a mast, rad."""
+
+LEVERS = 0.3, 2.0, 8.0
+"""Shift of the LiDAR by its turn, m/rad: about itself, and at the end of what bends."""
+
+SHIFTS = 0.002, 0.01, 0.05
+"""1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
+half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by less than 0.03°."""
+
+SEEN, LEAST = 3.0, float(np.radians(0.003))
+"""Logarithm of how much more probable the returns are with sway than without, or with a shift
+alone, from which it is seen, 20 times; and its least angle, rad, 1.5 mm at 30 m."""
+
+NEGLIGIBLE = 1e-4
+"""Hypotheses of less probability are left out."""
+
+PASSES, AT_REST = 8, float(np.radians(2e-4))
+"""The cells of the returns are made without the motion as it is known, and the motion estimated
+anew, so many times at most, or until it changes by less, rad."""
+
+GROUPS = 50
+"""Of sweeps, by which the noise of the motion is judged."""
+
+MEDIAN_SQUARE = 0.4549
+"""Median of χ² with one degree of freedom."""
+
+STORED = 200
+"""Values of the motion that are kept to be drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The motion as the returns have it.
+
+    Attributes
+    ----------
+    evidence
+        Logarithm of how much more probable they are with it than without, or with shifts alone.
+    motion
+        (B, 6) turn and shift from rest of each part.
+    covariance
+        (6, 6) of their mean over the recording.
+    frequency
+        Hz, its geometric mean.
+    best
+        Features (B, F) of the most probable hypothesis, and its coefficients (6 F,).
+    """
+
+    evidence: float
+    motion: Array
+    covariance: Array
+    frequency: float
+    best: tuple[Array, Array]
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether it is sway, and so large that it counts."""
+        return self.evidence > SEEN and self.angle > LEAST
+
+    @property
+    def angle(self) -> float:
+        """Root mean square of the angle from rest, rad."""
+        return float(np.sqrt(np.mean(np.sum(self.motion[:, :3] ** 2, axis=1))))
+
+
+def steadied(cloud: PointCloud, stated: float | None = None) -> tuple[PointCloud, Sway | None]:
+    """Bring the returns of all sweeps to where the LiDAR rests.
+
+    Parameters
+    ----------
+    cloud
+        Without what moved in the scene.
+    stated
+        1 σ of the angle that the mast is said to sway by, rad; None where nothing is said: then
+        only what is seen counts.
+
+    Returns
+    -------
+    PointCloud, Sway
+        The same cloud and None where it is not seen to sway, or moved otherwise.
+    """
+    if cloud.frame is None or len(np.unique(cloud.frame)) < MIN_FRAMES:
+        return cloud, None if stated is None else stated_sway(stated)
+    when = timed(cloud)
+    sizes = SIZES if stated is None else stated * np.array([0.5, 1.0, 2.0])
+    found = motion_of(cloud, when, sizes)
+    if found is None or (stated is None and not found.is_seen) or turned_by(cloud) > MAX_TURN:
+        # What turned by more is refused: a LiDAR that was bumped does not sway.
+        return cloud, None if stated is None else stated_sway(stated)
+    still = without(cloud.xyz, cloud.origin, found.motion[when.of_all])
+    return replace(cloud, xyz=still), _stated(found, when)
+
+
+def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
+    """Estimate the motion, from cells that are made anew without it until it rests.
+
+    None where the returns lie on no flat cell.
+    """
+    xyz = cloud.xyz[when.index]
+    found = None
+    motion, noise = np.zeros((len(when.times), 6)), 1.0
+    for _ in range(PASSES):
+        observed = observe(xyz, cloud.origin, when, motion)
+        if not len(observed.plane):
+            return None
+        found = infer(observed, when.times, sizes, noise)
+        noise = noise_of(observed, found)
+        found = infer(observed, when.times, sizes, noise)
+        change = float(np.abs(found.motion - motion)[:, :3].max())
+        motion = found.motion
+        if not found.is_seen or change < AT_REST:
+            break
+    return found
+
+
+def infer(observed: Observed, times: Array, sizes: Array, noise: float = 1.0) -> Motion:
+    """Weigh all hypotheses of the motion by the returns.
+
+    Parameters
+    ----------
+    observed
+        What the returns say.
+    times
+        (B,) of the parts, s.
+    sizes
+        1 σ of the turn that is tried, rad.
+    noise
+        So many times the variance of the returns that they state themselves.
+    """
+    evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
+    for frequency, share, features in hypotheses(times):
+        left, pull = (each / noise for each in observed.about(features))
+        for size in sizes:
+            for lever in LEVERS:
+                one = weigh(left, pull, size, lever * size)
+                evidence.append(one.evidence)
+                prior.append(share / (len(sizes) * len(LEVERS)))
+                frequencies.append(frequency)
+                found.append((features, one))
+        for shift in SHIFTS:
+            alone = weigh(left, pull, 0.0, shift).evidence
+            shifted.append(alone + float(np.log(share / len(SHIFTS))))
+    log_probability = np.array(evidence) + np.log(prior)
+    total = float(np.logaddexp.reduce(log_probability))
+    probability = np.exp(log_probability - total)
+    motion, mean = np.zeros((len(times), 6)), np.zeros(6)
+    square = np.zeros((6, 6))
+    for p in np.flatnonzero(probability > NEGLIGIBLE):
+        features, one = found[p]
+        coefficients = one.coefficients.reshape(-1, 6)
+        own = features.mean(axis=0)
+        here = own @ coefficients
+        spread = np.einsum("i,ixk->xk", own, one.root.reshape(len(own), 6, -1))
+        motion += probability[p] * (features @ coefficients)
+        mean += probability[p] * here
+        square += probability[p] * (spread @ spread.T + np.outer(here, here))
+    features, one = found[int(np.argmax(probability))]
+    return Motion(
+        total - float(np.logaddexp.reduce(shifted)),
+        motion,
+        square - np.outer(mean, mean),
+        float(np.exp(probability @ np.log(frequencies))),
+        (features, one.coefficients),
+    )
+
+
+class Weighed(NamedTuple):
+    """Logarithm of the evidence of a hypothesis; its coefficients (K,), and a root (K, K) of their
+    covariance."""
+
+    evidence: float
+    coefficients: Array
+    root: Array
+
+
+def weigh(left: Array, pull: Array, turn: float, shift: float) -> Weighed:
+    """Estimate coefficients with information (K, K) and gradient (K,) under a prior, rad and m."""
+    scale = np.tile(np.repeat([turn, shift], 3), len(pull) // 6)
+    value, way = np.linalg.eigh(left * scale[:, None] * scale)
+    value = np.maximum(value, 0.0)
+    along = way.T @ (pull * scale)
+    evidence = 0.5 * float(np.sum(along**2 / (1 + value) - np.log1p(value)))
+    way *= scale[:, None]
+    return Weighed(evidence, way @ (along / (1 + value)), way / np.sqrt(1 + value))
+
+
+def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
+    """Yield frequencies that a mast may have, how probable each is, and its features (B, F)."""
+    length = float(np.ptp(times)) + float(np.median(np.diff(times)))
+    tried = [LOWEST]
+    while tried[-1] < HIGHEST:
+        tried.append(tried[-1] + min(SPACING * tried[-1], RESOLVED / length))
+    middles = np.array(tried)
+    shares = np.gradient(np.log(middles)) if len(middles) > 1 else np.ones(1)
+    for f, share in zip(middles, shares / shares.sum(), strict=True):
+        beside = min(BESIDE * f, 0.5 / length)
+        yield float(f), 0.5 * float(share), waves(times, f + beside * np.array([-1.0, 0.0, 1.0]))
+    every = np.geomspace(LOWEST, HIGHEST, BROAD)
+    yield float(np.sqrt(LOWEST * HIGHEST)), 0.5, waves(times, every)
+
+
+def waves(times: Array, frequencies: Array) -> Array:
+    """(B, 2 F) cosines and sines of some frequencies, Hz, whose squares sum to one."""
+    angle = 2 * np.pi * times[:, None] * frequencies
+    both = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(both / np.sqrt(len(frequencies)))
+
+
+def noise_of(observed: Observed, found: Motion) -> float:
+    """How many times the variance that the returns state what the motion leaves has; 1 at least.
+
+    Returns of one wall err alike; the sweeps then scatter by more than each one's returns let
+    expect.
+    """
+    parts = len(found.motion)
+    group = np.arange(parts) * min(GROUPS, parts) // parts
+    own = (group[:, None] == np.arange(group[-1] + 1)).astype(np.float64)
+    features, coefficients = found.best
+    left, pull = observed.about(np.concatenate([own, features], axis=1))
+    size = 6 * own.shape[1]
+    rest = pull[:size] - left[:size, size:] @ coefficients
+    value, way = np.linalg.eigh(left[:size, :size])
+    told = value > 1e-6 * value[-1]
+    square = (way.T @ rest)[told] ** 2 / value[told]
+    return max(1.0, float(np.median(square)) / MEDIAN_SQUARE)
+
+
+def _stated(found: Motion, when: Timed) -> Sway:
+    """State the motion: its size, its frequency, and the angle in its main direction over time."""
+    turn = found.motion[:, :3]
+    main = np.linalg.svd(turn, full_matrices=False)[2][0]
+    every = max(1, -(-len(when.times) // STORED))
+    length = float(np.ptp(when.times)) + float(np.median(np.diff(when.times)))
+    return Sway(
+        found.angle,
+        found.frequency,
+        length,
+        found.covariance,
+        tuple(when.times[::every].tolist()),
+        tuple((turn @ main)[::every].tolist()),
+    )
