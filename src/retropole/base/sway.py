@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import msgspec
@@ -45,11 +46,6 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
     angles_rad: tuple[Number, ...] = ()
 
     @property
-    def is_seen(self) -> bool:
-        """Whether the recording shows it."""
-        return self.frequency is not None
-
-    @property
     def left_rad(self) -> float:
         """1 σ of the angle between the recording and rest, about the axis where it is largest."""
         return float(np.sqrt(np.linalg.eigvalsh(np.asarray(self.covariance)[:3, :3])[-1]))
@@ -58,6 +54,21 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
     def seconds_more(self) -> float:
         """How much longer to record for `ENOUGH` periods, s; 0 where they are there."""
         return max(ENOUGH / self.frequency - self.seconds, 0.0) if self.frequency else 0.0
+
+    @property
+    def words(self) -> str:
+        """How much it was, how well is known where the LiDAR rests, and how long to record."""
+        angle = f"± {math.degrees(self.angle_rad):.2g}°"
+        if self.frequency is None:
+            return (
+                f"{angle} as stated; the recording does not show where it rests, so the stated "
+                "error has all of it: record 10 s or more"
+            )
+        more = f": record {math.ceil(self.seconds_more)} s more" if self.seconds_more else ""
+        return (
+            f"{angle} at {self.frequency:.2g} Hz, {self.periods:.1f} periods; where it rests is "
+            f"known to ± {math.degrees(self.left_rad):.1g}°{more}"
+        )
 
     @property
     def periods(self) -> float:

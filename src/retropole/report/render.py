@@ -23,6 +23,7 @@ from .plan import plan_of
 from .poses import poses, transform
 from .recorded import poles, run
 from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
+from .sway import sways
 from .uncertainty import certainty
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
@@ -138,6 +139,7 @@ def _render(
         next_steps(subject),
         hypotheses(subject.pair),
         certainty(subject),
+        sways(subject),
         # What was found comes first where it is all there is.
         found if refused else EMPTY,
         pairs(site),

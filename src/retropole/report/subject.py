@@ -37,7 +37,7 @@ COLOURS = 8
 """So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
 
 SHARED = (
-    *("status", "reasons", "notes", "covariance_order", "covariance_frame"),
+    *("status", "reasons", "notes", "covariance_order", "covariance_frame", "sways"),
     *("version", "created", "seconds"),
 )
 """Fields that the documents of a pair and of a site have alike."""

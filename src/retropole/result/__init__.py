@@ -30,6 +30,7 @@ from ..base.bounded import (
 from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
+from ..base.sway import Sway
 from ..base.uncertainty import BudgetEntry as BudgetEntry
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
@@ -123,6 +124,24 @@ class PlacementDoc(msgspec.Struct, frozen=True):
     left_out_translation_m: Size | None
 
 
+class SwayDoc(msgspec.Struct, frozen=True, eq=False):
+    """How a LiDAR swayed while it recorded a placement: their indices, those of a pair 0 and 1."""
+
+    lidar: Count
+    placement: Count
+    sway: Sway
+
+
+def sway_documents(scans: Sequence[Sequence[Scan | None]]) -> list[SwayDoc]:
+    """List what swayed of the scans of each LiDAR, one for each placement."""
+    return [
+        SwayDoc(i, p, scan.sway)
+        for i, row in enumerate(scans)
+        for p, scan in enumerate(row)
+        if scan is not None and scan.sway is not None
+    ]
+
+
 class Document(msgspec.Struct, frozen=True, eq=False):
     """A whole document; one that is written the same is the same."""
 
@@ -157,6 +176,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     vertical: Vector | None = None
     poles: PolesDoc
     placements: list[PlacementDoc] = []
+    sways: Annotated[list[SwayDoc], Meta(max_length=LONGEST_LIST)] = []
     inputs: list[InputDoc]
     config: RunConfig
     version: Text
@@ -246,6 +266,9 @@ def result_document(
         ],
         poles=PolesDoc(pole_documents(first.target.poles), pole_documents(first.source.poles)),
         placements=_placements(calibration.placements),
+        sways=sway_documents(
+            list(zip(*(each.scans for each in calibration.placements), strict=True))
+        ),
         inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
     )

@@ -46,11 +46,13 @@ from . import (
     InputDoc,
     PoleDoc,
     ReasonDoc,
+    SwayDoc,
     document_of,
     finite,
     made_now,
     pole_documents,
     reason_document,
+    sway_documents,
     with_threshold,
 )
 from .contents import RejectedDoc, rejected_documents
@@ -199,6 +201,9 @@ class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     found: list[list[FoundDoc | None]]
     surveyed_poles: list[SurveyedPole]
     control_points: list[ControlPoint]
+    sways: Annotated[list[SwayDoc], Meta(max_length=LONGEST_LIST)] = msgspec.field(
+        default_factory=list
+    )
     inputs: Annotated[list[RecordingDoc], Meta(max_length=LONGEST_LIST)]
     config: SiteConfig
     version: Text
@@ -258,6 +263,7 @@ def site_document(
         loops=[document_of(LoopDoc, loop) for loop in calibration.loops],
         tests=[document_of(TestDoc, test) for test in calibration.tests],
         found=[[found_document(scan) for scan in of_lidar] for of_lidar in scans],
+        sways=sway_documents(scans),
         surveyed_poles=list(site.poles),
         control_points=list(site.points),
         # A run that was refused early has looked at no scan.

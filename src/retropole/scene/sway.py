@@ -4,31 +4,32 @@ All sweeps of a recording show the same surfaces; how they lie against each othe
 LiDAR moved (`sweeps`), but for what all have in common: where it rests. That follows from how a
 mast moves. It oscillates about rest, at a frequency and with a size that are not known beforehand::
 
-    ξ(t) = Σ_j  a_j cos(2π f_j t) + b_j sin(2π f_j t),    a_j, b_j ~ N(0, diag(σ², (ℓσ)²)),
+    ξ(t) = Σ_j  a_j cos(2π f_j t) + b_j sin(2π f_j t),    a_j, b_j ~ N(0, σ² S),
 
-ξ the turn and shift of the LiDAR, the f_j next to one frequency or spread over all. Each
-combination of frequencies, σ and ℓ is a hypothesis with the evidence of the returns; what is stated
-is the mean over all hypotheses. A recording that is shorter than a period sees a drift: hypotheses
-of few and of many degrees then say the same of it, and other things of where it rests. What they
-differ by is the uncertainty (MacKay 2003, Information theory, inference, and learning algorithms,
-ch. 28).
+ξ the turn and shift of the LiDAR, the f_j next to one frequency or spread over all, S any way or
+the one that was seen. Each combination of frequencies, σ and S is a hypothesis with the evidence of
+the returns; what is stated is the mean over all hypotheses. A recording that is shorter than a
+period sees a drift: hypotheses of few and of many degrees then say the same of it, and other things
+of where it rests. What they differ by is the uncertainty (MacKay 2003, Information theory,
+inference, and learning algorithms, ch. 28).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ..alignment.certainty import root_of
 from ..base.datatypes import Array, PointCloud
 from ..base.sway import Sway, stated_sway
 from .static import MAX_TURN, MIN_FRAMES, turned_by
 from .sweeps import Observed, Timed, observe, timed, without
 
 LOWEST, HIGHEST = 0.2, 3.0
-"""Of the frequencies of masts, Hz; within, each octave is as probable."""
+"""Of the frequencies of masts, Hz; within, each period is as probable."""
 
 SPACING, RESOLVED = 0.15, 0.7
 """From one frequency that is tried to the next: as a part of it, and in what a recording tells
@@ -41,10 +42,14 @@ BROAD = 10
 """Frequencies of the hypothesis that a mast moves at all of them."""
 
 SIZES = np.radians([0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
-"""1 σ of the turn of a mast, rad."""
+"""1 σ of the turn of a mast, rad, each as probable as it is large: a third of a period about a
+turning point would else be taken for a whole one of less."""
 
 LEVERS = 0.3, 2.0, 8.0
 """Shift of the LiDAR by its turn, m/rad: about itself, and at the end of what bends."""
+
+ASIDE = 0.25
+"""Part of the turn that a mast moves aside of the way that was seen, 1 σ."""
 
 SHIFTS = 0.002, 0.01, 0.05
 """1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
@@ -53,6 +58,11 @@ half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by 
 SEEN, LEAST = 3.0, float(np.radians(0.003))
 """Logarithm of how much more probable the returns are with sway than without, or with a shift
 alone, from which it is seen, 20 times; and its least angle, rad, 1.5 mm at 30 m."""
+
+COUNTED = 1 / 3
+"""Part of the evidence that hypotheses are weighed by: no mast moves quite as one of them, and
+recordings of a third of a period about a turning point, 24 drawn in a hall (tests), lay up to 6 σ
+off where all of it counted."""
 
 NEGLIGIBLE = 1e-4
 """Hypotheses of less probability are left out."""
@@ -146,9 +156,10 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
         observed = observe(xyz, cloud.origin, when, motion)
         if not len(observed.plane):
             return None
-        found = infer(observed, when.times, sizes, noise)
+        roots = kinds(sizes, motion)
+        found = infer(observed, when.times, roots, noise)
         noise = noise_of(observed, found)
-        found = infer(observed, when.times, sizes, noise)
+        found = infer(observed, when.times, roots, noise)
         change = float(np.abs(found.motion - motion)[:, :3].max())
         motion = found.motion
         if not found.is_seen or change < AT_REST:
@@ -156,7 +167,9 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
     return found
 
 
-def infer(observed: Observed, times: Array, sizes: Array, noise: float = 1.0) -> Motion:
+def infer(
+    observed: Observed, times: Array, roots: Sequence[tuple[float, Array]], noise: float = 1.0
+) -> Motion:
     """Weigh all hypotheses of the motion by the returns.
 
     Parameters
@@ -165,27 +178,26 @@ def infer(observed: Observed, times: Array, sizes: Array, noise: float = 1.0) ->
         What the returns say.
     times
         (B,) of the parts, s.
-    sizes
-        1 σ of the turn that is tried, rad.
+    roots
+        How probable each kind of motion is, and a root (6, 6) of its covariance; see `kinds`.
     noise
         So many times the variance of the returns that they state themselves.
     """
     evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
     for frequency, share, features in hypotheses(times):
         left, pull = (each / noise for each in observed.about(features))
-        for size in sizes:
-            for lever in LEVERS:
-                one = weigh(left, pull, size, lever * size)
-                evidence.append(one.evidence)
-                prior.append(share / (len(sizes) * len(LEVERS)))
-                frequencies.append(frequency)
-                found.append((features, one))
+        for one_of, root in roots:
+            one = weigh(left, pull, root)
+            evidence.append(one.evidence)
+            prior.append(share * one_of)
+            frequencies.append(frequency)
+            found.append((features, one))
         for shift in SHIFTS:
-            alone = weigh(left, pull, 0.0, shift).evidence
+            alone = weigh(left, pull, np.diag(np.repeat([0.0, shift], 3))).evidence
             shifted.append(alone + float(np.log(share / len(SHIFTS))))
-    log_probability = np.array(evidence) + np.log(prior)
-    total = float(np.logaddexp.reduce(log_probability))
-    probability = np.exp(log_probability - total)
+    total = float(np.logaddexp.reduce(np.array(evidence) + np.log(prior)))
+    weighed = COUNTED * np.array(evidence) + np.log(prior)
+    probability = np.exp(weighed - np.logaddexp.reduce(weighed))
     motion, mean = np.zeros((len(times), 6)), np.zeros(6)
     square = np.zeros((6, 6))
     for p in np.flatnonzero(probability > NEGLIGIBLE):
@@ -216,15 +228,46 @@ class Weighed(NamedTuple):
     root: Array
 
 
-def weigh(left: Array, pull: Array, turn: float, shift: float) -> Weighed:
-    """Estimate coefficients with information (K, K) and gradient (K,) under a prior, rad and m."""
-    scale = np.tile(np.repeat([turn, shift], 3), len(pull) // 6)
-    value, way = np.linalg.eigh(left * scale[:, None] * scale)
-    value = np.maximum(value, 0.0)
-    along = way.T @ (pull * scale)
+def weigh(left: Array, pull: Array, root: Array) -> Weighed:
+    """Estimate coefficients with information (K, K) and gradient (K,) under a prior.
+
+    `root` (6, 6) is of the covariance of each six of them, over turn and shift, rad and m.
+    """
+    whole = np.kron(np.eye(len(pull) // 6), root)
+    value, way = np.linalg.eigh(whole.T @ left @ whole)
+    value, way = np.maximum(value, 0.0), whole @ way
+    along = way.T @ pull
     evidence = 0.5 * float(np.sum(along**2 / (1 + value) - np.log1p(value)))
-    way *= scale[:, None]
     return Weighed(evidence, way @ (along / (1 + value)), way / np.sqrt(1 + value))
+
+
+def kinds(sizes: Array, motion: Array) -> list[tuple[float, Array]]:
+    """List kinds of motion: how probable each is, and a root (6, 6) of its covariance.
+
+    Half of them go any way, with turn and shift in several proportions. The others go the way that
+    was seen: a mast that moves to and fro in one plane would else be taken for one that moves less,
+    since it moves in no other.
+
+    Parameters
+    ----------
+    sizes
+        1 σ of the turn, rad.
+    motion
+        (B, 6) as it is known; zero where it is not.
+    """
+    shares = sizes / sizes.sum()
+    found = [
+        (0.5 * float(share) / len(LEVERS), np.diag(np.repeat([size, lever * size], 3)))
+        for size, share in zip(sizes, shares, strict=True)
+        for lever in LEVERS
+    ]
+    apart = motion - motion.mean(axis=0)
+    spread = apart.T @ apart / len(apart)
+    turn = float(np.trace(spread[:3, :3]))
+    if turn > 0:
+        way = root_of(spread / turn + np.diag(np.repeat([ASIDE, LEVERS[1] * ASIDE], 3) ** 2))
+        found += [(0.5 * s, size * way) for size, s in zip(sizes, shares.tolist(), strict=True)]
+    return found
 
 
 def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
@@ -234,7 +277,7 @@ def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
     while tried[-1] < HIGHEST:
         tried.append(tried[-1] + min(SPACING * tried[-1], RESOLVED / length))
     middles = np.array(tried)
-    shares = np.gradient(np.log(middles)) if len(middles) > 1 else np.ones(1)
+    shares = np.gradient(middles) / middles**2
     for f, share in zip(middles, shares / shares.sum(), strict=True):
         beside = min(BESIDE * f, 0.5 / length)
         yield float(f), 0.5 * float(share), waves(times, f + beside * np.array([-1.0, 0.0, 1.0]))

@@ -18,9 +18,9 @@ from scipy import sparse
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.se3 import lengths
 
-SIDES = (2.0, 6.0)
-"""Of the cells, metres: large ones take ground where rings lie so far apart that no small one does.
-"""
+SIDES = (2.0, 1.0, 6.0)
+"""Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
+rings lie so far apart that no smaller one has two."""
 
 RETURNS = 90_000
 """That are asked, evenly of all sweeps: with so many a sweep's turn is known to 0.002°."""
@@ -33,7 +33,7 @@ THICKEST, LEAST_WIDTH, FLATNESS = 0.05, 0.2, 0.02
 plane's lesser extent more, and the ratio of both variances less."""
 
 USUAL = 3.0
-"""A cell counts that is no more than so many times as thick as most: a plane through a bush is none.
+"""A cell is no more than so many times as thick as most: a plane through a bush does not count.
 On a square one such cell gave the turn about the vertical alone, 0.07° off."""
 
 LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
@@ -242,6 +242,8 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
     rays = xyz - origin
     rays /= lengths(rays)[:, None]
     for side in SIDES:
+        if len(left) < LEAST_RETURNS:
+            return
         corner = np.floor(xyz[left] / side).astype(np.int64)
         _, own = np.unique(corner, axis=0, return_inverse=True)
         own = own.reshape(-1)

@@ -125,28 +125,16 @@ def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
     if not found:
         return
     worst = max(found, key=lambda each: each.left_rad)
-    values: dict[str, float | int | str] = {
-        "lidar": lidar,
-        "angle_rad": worst.angle_rad,
-        "left_rad": worst.left_rad,
-    }
-    if not worst.is_seen:
-        yield Reason(
-            "sways",
-            f"{lidar} is said to sway by ± {np.degrees(worst.angle_rad):.2g}°, and its recording "
-            "does not show where it rests: the stated error has all of it; record 10 s or more",
-            values,
-        )
-        return
-    said = (
-        f"{lidar} swayed by ± {np.degrees(worst.angle_rad):.2g}° at {worst.frequency:.2g} Hz "
-        f"while it recorded, {worst.periods:.1f} periods; where it rests is known to "
-        f"± {np.degrees(worst.left_rad):.1g}°"
+    yield Reason(
+        "sways",
+        f"{lidar} swayed while it recorded: {worst.words}",
+        {
+            "lidar": lidar,
+            "angle_rad": worst.angle_rad,
+            "frequency_hz": worst.frequency or 0.0,
+            "left_rad": worst.left_rad,
+        },
     )
-    more = worst.seconds_more
-    if more > 0:
-        said += f": record {np.ceil(more):.0f} s more"
-    yield Reason("sways", said, values | {"frequency_hz": worst.frequency or 0.0})
 
 
 def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:

@@ -1,0 +1,54 @@
+"""A LiDAR in a hall that moves a little while it records: small, and the motion is known."""
+
+import numpy as np
+
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
+
+HALF = np.array([6.0, 5.0, 2.0])
+"""Half of the sides of the hall, metres."""
+
+SWEEP = 0.1
+
+
+def beams() -> Array:
+    """Unit vectors of 24 rings, each of 240 beams."""
+    azimuth = np.radians(np.arange(0.0, 360.0, 1.5))
+    elevation = np.radians(np.linspace(-35.0, 25.0, 24))
+    level, up = np.cos(elevation), np.sin(elevation)
+    x, y = np.cos(azimuth)[:, None] * level, np.sin(azimuth)[:, None] * level
+    return np.stack(np.broadcast_arrays(x, y, up), axis=-1).reshape(-1, 3)
+
+
+def recorded(
+    motions: Array, rng: np.random.Generator, noise: float = 0.01, *, parts: int = 8
+) -> PointCloud:
+    """Record with turn and shift (F × parts, 6) of each part of each sweep, one after the other."""
+    rays = beams()
+    part = np.arange(len(rays)) * parts // len(rays)
+    xyz, time, frame = [], [], []
+    for k, own in enumerate(motions.reshape(-1, parts, 6)):
+        for p in range(parts):
+            mine = rays[part == p]
+            R, origin = se3.exp_so3(own[p, :3]), own[p, 3:]
+            world = mine @ R.T
+            towards = np.where(world > 0, HALF - origin, HALF + origin)
+            away = towards / np.maximum(np.abs(world), 1e-12)
+            ranges = away.min(axis=1) + noise * rng.normal(size=len(mine))
+            xyz.append(ranges[:, None] * mine)
+            time.append(np.full(len(mine), (k + (p + 0.5) / parts) * SWEEP))
+            frame.append(np.full(len(mine), k))
+    at, when = np.concatenate(time), np.concatenate(frame).astype(np.int64)
+    return PointCloud(np.concatenate(xyz), time=at, frame=when)
+
+
+def swaying(
+    sweeps: int, sigma: float, frequency: float, rng: np.random.Generator, parts: int = 8
+) -> Array:
+    """(sweeps × parts, 6) motion of a mast about a level axis, 5 m above its foot, 1 σ in rad."""
+    times = (np.arange(sweeps * parts) + 0.5) * SWEEP / parts
+    heading, phase = rng.uniform(0, 2 * np.pi, 2)
+    axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+    angle = np.sqrt(2) * sigma * np.sin(2 * np.pi * frequency * times + phase)
+    turn = angle[:, None] * axis
+    return np.concatenate([turn, np.cross(turn, [0.0, 0.0, 5.0])], axis=1)

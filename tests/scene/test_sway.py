@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.scene.sway import steadied
+from tests.scene.swaying import HALF, recorded, swaying
+
+SIGMA = float(np.radians(0.05))
+
+
+def test_a_lidar_that_stands_is_left_as_it_is() -> None:
+    for seed in range(3):
+        cloud = recorded(np.zeros((80, 6)), np.random.default_rng(seed))
+        same, sway = steadied(cloud)
+        assert sway is None
+        assert same is cloud
+
+
+@pytest.mark.parametrize("times", [True, False])
+def test_what_sways_is_brought_to_rest(times: bool) -> None:
+    rng = np.random.default_rng(0)
+    motion = swaying(30, SIGMA, 1.0, rng)
+    moved = recorded(motion, rng, 0.003)
+    rest = recorded(np.zeros_like(motion), np.random.default_rng(0), 0.003)
+    given = moved if times else replace(moved, time=None)
+    steady, sway = steadied(given)
+    assert sway is not None
+    assert sway.angle_rad == pytest.approx(SIGMA, rel=0.15)
+    assert sway.frequency == pytest.approx(1.0, rel=0.1)
+    assert sway.seconds == pytest.approx(3.0)
+    assert sway.seconds_more == 0
+    before, after, noise = (
+        np.sqrt(np.mean(np.abs(HALF - np.abs(each.xyz)).min(axis=1) ** 2))
+        for each in (moved, steady, rest)
+    )
+    assert before > 1.5 * noise
+    assert after < (1.02 if times else 1.2) * noise
+    assert sway.left_rad < SIGMA / 10
+
+
+def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period() -> None:
+    """Of masts drawn as they are assumed to be; too wide would show as well as too narrow."""
+    squares = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        frequency = 0.3 if seed % 2 else 1.0
+        motion = swaying(10, np.radians(rng.choice([0.02, 0.05, 0.1])), frequency, rng)
+        cloud = recorded(motion, rng)
+        steady, sway = steadied(cloud)
+        assert sway is not None
+        # What was taken out of the returns, over all: a turn and a shift of each.
+        lever = np.concatenate(
+            [-_hats(cloud.xyz), np.tile(np.eye(3), (len(cloud), 1, 1))], axis=2
+        ).reshape(-1, 6)
+        taken = np.linalg.lstsq(lever, (steady.xyz - cloud.xyz).reshape(-1), rcond=None)[0]
+        off = taken - motion.mean(axis=0)
+        squares.append(float(off @ np.linalg.solve(np.asarray(sway.covariance), off)))
+    # The mean of χ² with six degrees of freedom is 6, of 16 of them 6 ± 0.9.
+    assert 1.0 < np.mean(squares) < 9.0
+    assert np.count_nonzero(np.array(squares) < 12.6) >= 13
+
+
+def _hats(xyz: np.ndarray) -> np.ndarray:
+    x, y, z = xyz.T
+    none = np.zeros_like(x)
+    rows = [[none, -z, y], [z, none, -x], [-y, x, none]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def test_a_vehicle_that_creeps_does_not_sway() -> None:
+    motion = np.zeros((80, 6))
+    motion[:, 4] = np.linspace(0.0, 0.04, 80)
+    cloud = recorded(motion, np.random.default_rng(0))
+    assert steadied(cloud) == (cloud, None)
+
+
+def test_one_sweep_takes_what_is_stated() -> None:
+    cloud = replace(recorded(np.zeros((8, 6)), np.random.default_rng(0)), frame=None)
+    assert steadied(cloud)[1] is None
+    same, sway = steadied(cloud, SIGMA)
+    assert same is cloud
+    assert sway is not None
+    assert sway.frequency is None
+    assert sway.left_rad == pytest.approx(SIGMA)
+    assert "does not show where it rests" in sway.words
+
+
+def test_sweeps_that_show_no_sway_narrow_what_is_stated() -> None:
+    cloud = recorded(np.zeros((240, 6)), np.random.default_rng(0))
+    _, sway = steadied(cloud, SIGMA)
+    assert sway is not None
+    assert sway.left_rad < SIGMA / 10
