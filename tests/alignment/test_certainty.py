@@ -9,6 +9,7 @@ from retropole.alignment.certainty import (
     parts_of_errors,
     scatter_of_poles,
     solve_factor,
+    sways,
     uncertainty_of_pair,
 )
 from retropole.alignment.error_sizes import (
@@ -16,6 +17,7 @@ from retropole.alignment.error_sizes import (
 )
 from retropole.alignment.factor import OF_SOURCE, PoleFactor, poses_of_pair
 from retropole.alignment.unknowns import POSE, Unknowns
+from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel
 from retropole.base.uncertainty import (
@@ -163,3 +165,27 @@ def test_few_degrees_of_freedom_keep_what_is_stated() -> None:
     assert np.all(np.diff(widths) < 0)
     assert widths[-1] == pytest.approx(1.0, abs=1e-4)
     assert few_freedom(0.5) == few_freedom(3.0)
+
+
+def test_sway_moves_the_frame_of_the_lidar_that_swayed() -> None:
+    """By sampling: each LiDAR turned and shifted about its own origin, the pose between both."""
+    rng = np.random.default_rng(0)
+    T = se3.from_rt(se3.exp_so3(np.array([0.1, -0.2, 1.4])), np.array([4.0, -2.0, 0.5]))
+    roots = 1e-4 * rng.normal(size=(2, 6, 6))
+    left = np.einsum("lij,lkj->lik", roots, roots)
+    parts = sways(poses_of_pair(T), OF_SOURCE, left)
+    assert [part.lidar for part in parts] == [0, 1]
+    stated = sum(part.root[POSE:] @ part.root[POSE:].T for part in parts)
+    steps = []
+    for _ in range(4000):
+        first, second = (
+            se3.from_rt(se3.exp_so3(own[:3]), own[3:])
+            for own in (root @ rng.normal(size=6) for root in roots)
+        )
+        steps.append(se3.local(T, se3.inverse(first) @ T @ second))
+    drawn = np.cov(np.array(steps).T)
+    way = np.linalg.inv(np.linalg.cholesky(stated))
+    sizes = np.linalg.eigvalsh(way @ drawn @ way.T)
+    assert sizes[0] > 0.85
+    assert sizes[-1] < 1.15
+    assert not sways(poses_of_pair(T), OF_SOURCE, np.zeros((2, 6, 6)))

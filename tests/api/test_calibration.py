@@ -254,3 +254,19 @@ def test_the_file_of_a_sensor_is_found_from_elsewhere_too(
     config = run_config({"sensor_target": "front.toml", "sensor_source": "VLP-16"})
     assert config.sensor_target == str(tmp_path / "front.toml")
     assert config.sensor_source == "VLP-16"
+
+
+def test_a_stated_sway_widens_what_is_stated_and_is_told() -> None:
+    both = tables()
+    still = rp.calibrate(both.target, both.source)
+    swaying = rp.calibrate(both.target, both.source, mast_sway_deg=0.1)
+    assert still.T_target_source is not None
+    assert swaying.T_target_source == pytest.approx(still.T_target_source)
+    assert "sways" not in [note.code for note in still.notes]
+    assert [note.code for note in swaying.notes].count("sways") == 2
+    at = [[e.sigma_m for e in each.document.predicted_error or []][-1] for each in (still, swaying)]
+    # At 60 m two masts that turn by 0.1° about three axes: 60 · 0.0017 · √(2 · 3 · 2 / 3) m.
+    assert 0.2 < at[1] < 0.22
+    assert at[0] < 0.08
+    with pytest.raises(rp.UsageError, match="mast_sway_deg"):
+        rp.calibrate(both.target, both.source, mast_sway_deg=7.0)

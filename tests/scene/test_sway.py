@@ -42,23 +42,23 @@ def test_what_sways_is_brought_to_rest(times: bool) -> None:
 def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period() -> None:
     """Of masts drawn as they are assumed to be; too wide would show as well as too narrow."""
     squares = []
-    for seed in range(16):
-        rng = np.random.default_rng(seed)
-        frequency = 0.3 if seed % 2 else 1.0
-        motion = swaying(10, np.radians(rng.choice([0.02, 0.05, 0.1])), frequency, rng)
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        motion = swaying(10, SIGMA * (1 + seed % 2), 0.3 if seed % 3 else 1.0, rng)
         cloud = recorded(motion, rng)
         steady, sway = steadied(cloud)
         assert sway is not None
-        # What was taken out of the returns, over all: a turn and a shift of each.
+        # What was taken out of the returns, over all: a turn and a shift.
         lever = np.concatenate(
             [-_hats(cloud.xyz), np.tile(np.eye(3), (len(cloud), 1, 1))], axis=2
         ).reshape(-1, 6)
         taken = np.linalg.lstsq(lever, (steady.xyz - cloud.xyz).reshape(-1), rcond=None)[0]
-        off = taken - motion.mean(axis=0)
-        squares.append(float(off @ np.linalg.solve(np.asarray(sway.covariance), off)))
-    # The mean of χ² with six degrees of freedom is 6, of 16 of them 6 ± 0.9.
-    assert 1.0 < np.mean(squares) < 9.0
-    assert np.count_nonzero(np.array(squares) < 12.6) >= 13
+        off = (taken - motion.mean(axis=0))[:3]
+        covariance = np.asarray(sway.covariance)[:3, :3]
+        squares.append(float(off @ np.linalg.solve(covariance, off)))
+    # χ² with three degrees of freedom: 3 in the mean, and 95 % below 7.8.
+    assert 0.5 < np.median(squares) < 6.0
+    assert np.count_nonzero(np.array(squares) < 7.8) >= 10
 
 
 def _hats(xyz: np.ndarray) -> np.ndarray:

@@ -122,3 +122,12 @@ def test_sway_has_no_mean_over_recordings_and_its_amplitude_in_each() -> None:
     # A level axis of any heading and any phase: a sine of either in each of two directions.
     assert tilt.std() == pytest.approx(amplitude / 2, rel=0.2)
     assert np.abs(tilt.mean(axis=0)).max() < 4 * tilt.std() / np.sqrt(len(tilt))
+
+
+def test_a_mast_turns_about_its_foot() -> None:
+    foot, rest = np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, 5.0])
+    sway = Sway(np.array([1.0, 0.0, 0.0]), 1e-3, 0.0, 0.5, foot)
+    assert sway.origin(rest, 0.0) == pytest.approx(rest)
+    # A quarter of a period later it leans by the amplitude.
+    assert sway.origin(rest, 0.5) == pytest.approx([1.0, 1.995, 5.0], abs=1e-5)
+    assert Sway(sway.axis, 1e-3, 0.0).origin(rest, 0.3) is rest

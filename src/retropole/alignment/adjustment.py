@@ -152,14 +152,12 @@ def align_beams(
     radius, radius_sigma
         Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. Where the
         returns conflict with it, they alone decide.
-    sizes
-        Of the systematic errors of both LiDARs.
+    sizes, left
+        Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.
     placement
         (K,) index of that which each pole stood in; None where there is one.
     by_place
         Whether the place, and not the poles, gives what `T_start` has beside them.
-    left
-        What is left of the sway of both LiDARs; see `ErrorModel`.
 
     Raises
     ------

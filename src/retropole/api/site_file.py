@@ -1,7 +1,6 @@
 """The site file: which LiDARs recorded what, and what was surveyed, as TOML.
 
-It stands in `api`, above `site`: to make a site of it, clouds are read as `calibrate` reads them,
-and no other part of the program needs it.
+It stands in `api`, above `site`: clouds of a site are read as `calibrate` reads them.
 """
 
 from __future__ import annotations
@@ -51,7 +50,6 @@ MOST_LIDARS, MOST_PLACEMENTS, MOST_SURVEYED = 100, 100, 1000
 """Of one site."""
 
 LONGEST_PATH = 4096
-
 FARTHEST_SEEN = 1000.0
 """Of a control point from the LiDAR that sees it, metres: none reaches it."""
 

@@ -259,10 +259,8 @@ class Scan:
     ----------
     cloud, sensor
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
-    detection, refusal
-        What was found; or why the cloud cannot be searched for poles.
-    sway
-        How the LiDAR swayed meanwhile, which the cloud is without; None where it stood.
+    detection, refusal, sway
+        What was found; why it cannot be searched for poles; how the LiDAR swayed, or None.
     """
 
     cloud: PointCloud
@@ -321,13 +319,12 @@ class Calibration:
         All ways of laying the poles on each other, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.
     vertical
-        (3,) the ground's normal, target axes; None where not found, or one hypothesis alone stands.
-    predicted_error, weakest
-        At several ranges; the direction in which it is least certain; empty and None when refused.
+        (3,) the ground's normal, target axes; None where not found, or one alone stands.
+    predicted_error, weakest, uncertainty, radius
+        At several ranges; the direction in which it is least certain; `covariance` in its two
+        kinds, with the budget; the poles' radius; empty and None when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
-    uncertainty, radius
-        `covariance` in its two kinds, the error budget, and the poles' radius; None when refused.
     confirmation, fitness
         What stands in the scene says of the pose, and whether it is as accurate as asked; or None.
     """

@@ -30,7 +30,6 @@ from ..base.bounded import (
 from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
-from ..base.sway import Sway
 from ..base.uncertainty import BudgetEntry as BudgetEntry
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
@@ -40,6 +39,7 @@ from ..base.version import __version__
 from .options import DEFAULT_CONFIG as DEFAULT_CONFIG
 from .options import Reading as Reading
 from .options import RunConfig as RunConfig
+from .sway import SwayDoc, sway_documents
 
 Input = TypeVar("Input", bound="InputDoc")
 Made = TypeVar("Made", bound=msgspec.Struct)
@@ -122,24 +122,6 @@ class PlacementDoc(msgspec.Struct, frozen=True):
     poles_source: Count
     left_out_rotation_rad: Size | None
     left_out_translation_m: Size | None
-
-
-class SwayDoc(msgspec.Struct, frozen=True, eq=False):
-    """How a LiDAR swayed while it recorded a placement: their indices, those of a pair 0 and 1."""
-
-    lidar: Count
-    placement: Count
-    sway: Sway
-
-
-def sway_documents(scans: Sequence[Sequence[Scan | None]]) -> list[SwayDoc]:
-    """List what swayed of the scans of each LiDAR, one for each placement."""
-    return [
-        SwayDoc(i, p, scan.sway)
-        for i, row in enumerate(scans)
-        for p, scan in enumerate(row)
-        if scan is not None and scan.sway is not None
-    ]
 
 
 class Document(msgspec.Struct, frozen=True, eq=False):

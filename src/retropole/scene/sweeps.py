@@ -22,6 +22,9 @@ SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
 rings lie so far apart that no smaller one has two."""
 
+CUTS = 20
+"""Parts of a side, in one of which cells begin."""
+
 RETURNS = 90_000
 """That are asked, evenly of all sweeps: with so many a sweep's turn is known to 0.002°."""
 
@@ -244,7 +247,7 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
     for side in SIDES:
         if len(left) < LEAST_RETURNS:
             return
-        corner = np.floor(xyz[left] / side).astype(np.int64)
+        corner = np.floor((xyz[left] - _free(xyz[left], side)) / side).astype(np.int64)
         _, own = np.unique(corner, axis=0, return_inverse=True)
         own = own.reshape(-1)
         returns = np.bincount(own)
@@ -258,6 +261,17 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
         kept = flat[own]
         yield left[kept], np.cumsum(flat)[own[kept]] - 1, middle[flat], axes[flat]
         left = left[~kept]
+
+
+def _free(xyz: Array, side: float) -> Array:
+    """(3,) where cells of a side may begin along each axis: where the fewest returns are.
+
+    Ground that lies between two cells would be cut by its own noise, and by the motion.
+    """
+    step = side / CUTS
+    place = np.floor(np.mod(xyz, side) / step).astype(np.int64) % CUTS
+    fewest = [int(np.argmin(np.bincount(own, minlength=CUTS))) for own in place.T]
+    return np.asarray((np.array(fewest) + 0.5) * step)
 
 
 def _spread(xyz: Array, own: IntArray, returns: IntArray) -> tuple[Array, Array, Array]:
@@ -287,7 +301,7 @@ def _weights(residual: Array, plane: Array, cell: IntArray, cells: int) -> Array
 
 def _ridge(weights: Array) -> Array:
     """(3, 3) that keeps a cell solvable whose returns do not span it."""
-    return 1e-6 * float(weights.mean()) * np.eye(3)
+    return 1e-6 * float(weights.sum() + 1.0) / (len(weights) + 1) * np.eye(3)
 
 
 def _sums(own: IntArray, count: int, left: Array, right: Array, weights: Array) -> Array:
