@@ -3,9 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.base.datatypes import PointCloud
+from retropole.io import read_cloud
+from retropole.scene.static import remove_dynamic_points
 from retropole.scene.sway import steadied
+from tests.paths import SHARED
 from tests.scene.swaying import HALF, recorded, swaying
 
+DATA = SHARED / "pandaset"
 SIGMA = float(np.radians(0.05))
 
 
@@ -91,3 +96,15 @@ def test_sweeps_that_show_no_sway_narrow_what_is_stated() -> None:
     _, sway = steadied(cloud, SIGMA)
     assert sway is not None
     assert sway.left_rad < SIGMA / 10
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is absent: the real recordings are not here")
+@pytest.mark.parametrize("name", ["pandar64", "pandargt"])
+def test_a_real_vehicle_that_stands_does_not_sway(name: str) -> None:
+    """Three sweeps of half a second, in which the vehicle creeps by some cm and does not turn."""
+    clouds = [
+        read_cloud(DATA / f"pandaset002_{number}_{name}.pcd") for number in ("00", "01", "05")
+    ]
+    frames = np.repeat([0, 1, 5], [len(cloud) for cloud in clouds])
+    xyz = np.concatenate([cloud.xyz for cloud in clouds])
+    assert steadied(remove_dynamic_points(PointCloud(xyz, frame=frames)))[1] is None
