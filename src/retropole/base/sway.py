@@ -12,7 +12,8 @@ from .bounded import Covariance, Number, Size
 from .se3 import Array
 
 ENOUGH = 2.0
-"""So many periods tell where a mast rests to a tenth of its sway (benchmarks/sway.py)."""
+"""So many periods are asked for; after three, rest is known to less than a tenth of the sway
+(tests/scene/test_sway.py)."""
 
 LEVER = 6.0
 """A mast that turns shifts its LiDAR by so many metres a radian: the height of a lamppost, whose
