@@ -16,7 +16,7 @@ from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..base.errors import Refusal
-from ..base.sway import left_of
+from ..base.sway import left_of_each
 from ..extraction.sensor_pattern import error_sizes
 from .budget import NOTHING, Tried
 
@@ -199,10 +199,8 @@ def align(
 
 def left_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
     """What is left of the sway of target and source, (6, 6) each; none where both stood."""
-    scans = list(zip(*(each.scans for each in placements), strict=True))
-    if not any(scan.sway for own in scans for scan in own):
-        return ()
-    return tuple(left_of([scan.sway for scan in own]) for own in scans)
+    both = zip(*(each.scans for each in placements), strict=True)
+    return left_of_each([[scan.sway for scan in own] for own in both])
 
 
 def is_by_place(paired: Sequence[PairedPlacement]) -> bool:

@@ -157,8 +157,9 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
             return None
         roots = kinds(sizes, motion)
         found = infer(observed, when.times, roots, noise)
-        noise = noise_of(observed, found)
-        found = infer(observed, when.times, roots, noise)
+        before, noise = noise, noise_of(observed, found)
+        if noise != before:
+            found = infer(observed, when.times, roots, noise)
         change = float(np.abs(found.motion - motion)[:, :3].max())
         motion = found.motion
         if not found.is_seen or change < AT_REST:

@@ -26,7 +26,7 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
-from ..base.sway import left_of
+from ..base.sway import left_of_each
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..extraction.sensor_pattern import error_sizes
 from ..scene.descent import End, RefinementProblem, minimise
@@ -82,10 +82,8 @@ class Recorded:
     @cached_property
     def left(self) -> tuple[Array, ...]:
         """What is left of the sway of each LiDAR; none where all stood."""
-        rows = [self.scans.used(i) for i in range(len(self.site.lidars))]
-        if not any(scan.sway for row in rows for scan in row):
-            return ()
-        return tuple(left_of([scan.sway for scan in row]) for row in rows)
+        every = range(len(self.site.lidars))
+        return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
 
 @dataclass(frozen=True, eq=False)
