@@ -1,0 +1,113 @@
+"""What ``retropole watch`` sees and says now, as the terminal and the page show it.
+
+Schema ``retropole/watch/1``: metres and radians.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from ..base.bounded import Count, Share, Size, Text
+from ..base.uncertainty import ErrorAtRange
+from ..base.uncertainty.purpose import Need
+
+WATCH_SCHEMA: Literal["retropole/watch/1"] = "retropole/watch/1"
+
+Phase = Literal["waiting", "placing", "capturing", "calibrating", "done"]
+"""No sweeps yet; something is to be done first; sweeps are kept; the answer is worked out; over."""
+
+
+class PoleNow(msgspec.Struct, frozen=True, kw_only=True):
+    """A pole as one LiDAR sees it now.
+
+    Attributes
+    ----------
+    name
+        What it is called in words: ``1``, of a plan ``A``.
+    rings
+        None where the LiDAR does not number them.
+    is_still, is_good
+        Whether it stood where it does for as long as a capture asks, and whether nothing is to be
+        done about it.
+    word
+        What is wrong with it, in two or three words; empty where nothing is.
+    """
+
+    name: Text
+    distance_m: Size
+    returns: Count
+    rings: Count | None
+    is_still: bool
+    is_good: bool
+    word: Text = ""
+
+
+class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
+    """A LiDAR now.
+
+    Attributes
+    ----------
+    source
+        Where its sweeps come from.
+    sweeps_per_s, age_s
+        How many come, and how old the newest is; None where none came.
+    points
+        Of the newest sweep.
+    word
+        Why nothing comes, or what is wrong with what comes; empty where all is well.
+    """
+
+    name: Text
+    source: Text
+    sweeps_per_s: Size
+    age_s: Size | None
+    points: Count
+    poles: list[PoleNow]
+    word: Text = ""
+
+
+class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """What is seen now, and the one next thing to do.
+
+    Attributes
+    ----------
+    is_good
+        Green: nothing is to be done but to keep still.
+    code, next
+        What is to be done, as a name that stays the same and in words.
+    angle_rad
+        Between the two poles that differ most in direction; None where no two are seen.
+    captured, wanted
+        Sweeps of each LiDAR kept of this placement, and how many are asked for.
+    placements
+        How many are kept whole.
+    predicted_error, bound_m
+        Of the answer with what is kept so far, 1 σ at several ranges; and what no point up to the
+        need's range is off by more than, with 95 % probability. None and empty before the first.
+    probability
+        That the need is met.
+    status
+        Verdict of the answer; None before there is one.
+    words
+        What happened, the newest last.
+    """
+
+    schema: Literal["retropole/watch/1"] = WATCH_SCHEMA
+    phase: Phase
+    is_good: bool
+    code: Text
+    next: Text
+    seconds: Size
+    lidars: list[LidarNow]
+    angle_rad: Size | None = None
+    captured: Count = 0
+    wanted: Count = 0
+    placements: Count = 0
+    need: Need | None = None
+    predicted_error: list[ErrorAtRange] = []
+    bound_m: Size | None = None
+    probability: Share | None = None
+    status: Text | None = None
+    words: list[Text] = []
