@@ -18,7 +18,8 @@ LAYERS = (
     # The method and its answer.
     *("verdict", "pipeline", "site", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report", "evaluation", "monitoring", "api"),
+    *("simulation", "planning", "export", "report", "evaluation", "monitoring", "watching"),
+    "api",
     *("fleet", "cli", "__main__"),
 )
 """Modules and folders of the package; each imports only what stands before it."""

@@ -78,8 +78,11 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
 
 def stated_sway(sigma: float) -> Sway:
-    """Give what a mast is said to sway by, 1 σ in rad, where a recording shows nothing of it."""
-    covariance = np.diag(np.repeat([sigma, LEVER * sigma], 3) ** 2)
+    """Give what a mast is said to sway by, where a recording shows nothing of it.
+
+    `sigma` is the root mean square of its angle from rest, rad; to which side is not known.
+    """
+    covariance = np.diag(np.repeat([sigma, LEVER * sigma], 3) ** 2) / 3
     return Sway(sigma, None, 0.0, covariance)
 
 

@@ -98,6 +98,17 @@ def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[F
     return _write([transform], tracks, transform.verdict)
 
 
+def write_recording(tracks: Mapping[str, Track]) -> bytes:
+    """Write the frames of some topics, and no transform.
+
+    Raises
+    ------
+    MissingExtraError
+        Where mcap or rosbags is not installed.
+    """
+    return _write([], tracks, "")
+
+
 def write_transforms(transforms: Sequence[Transform], verdict: str = "") -> bytes:
     """Write transforms alone, as one message on ``/tf_static`` at time zero.
 
@@ -127,11 +138,12 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
     writer.start(profile="ros2", library="retropole")
     if verdict:
         writer.add_metadata("retropole", {"verdict": verdict})
+    kinds = [CLOUDS] * bool(tracks) + [TRANSFORMS] * bool(transforms)
     schemas = {
         kind: writer.register_schema(
             kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
         )
-        for kind in ((CLOUDS, TRANSFORMS) if tracks else (TRANSFORMS,))
+        for kind in kinds
     }
 
     def channel(topic: str, kind: str, qos: str = "") -> int:
@@ -143,8 +155,9 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
         writer.add_message(number, when, data, when)
 
     first = min((min(own) for own in times.values()), default=0)
-    poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
-    add(poses, TRANSFORMS, first, _transform_message(transforms, first, store))
+    if transforms:
+        poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
+        add(poses, TRANSFORMS, first, transform_message(transforms, first, store))
     numbers = {topic: channel(topic, CLOUDS) for topic in tracks}
     clouds = [
         (when, topic, frame.cloud)
@@ -172,7 +185,8 @@ def _header(frame: str, when: int, store: Any) -> Any:
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
-def _transform_message(transforms: Sequence[Transform], when: int, store: Any) -> Any:
+def transform_message(transforms: Sequence[Transform], when: int, store: Any) -> Any:
+    """Write transforms as a message of ``/tf_static`` at a time, ns."""
     vector, quaternion, pose, stamped = (
         store.types[f"geometry_msgs/msg/{name}"]
         for name in ("Vector3", "Quaternion", "Transform", "TransformStamped")

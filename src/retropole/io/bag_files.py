@@ -48,6 +48,9 @@ STEPS, STEPS_PER_BYTE, STEPS_COUNTED = 1_000_000, 5, 10_000
 """Steps that SQLite may take: so many, and so many per byte of the file; and between two counts.
 To count and to sort the messages takes about 30 steps for each, which has 20 bytes at least."""
 
+LOCKED_FOR = 0.5
+"""Seconds to wait for a recorder that is writing to its database."""
+
 
 def is_rosbag2(path: Path) -> bool:
     """Whether a folder is a ROS 2 bag."""
@@ -119,8 +122,15 @@ def _ros1(path: Path) -> Iterator[Bag]:
 
 
 @contextmanager
-def _sqlite(path: Path) -> Iterator[Bag]:
+def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connection]:
     """Open a bag in SQLite.
+
+    Parameters
+    ----------
+    path, size
+        The file, and its bytes.
+    mode
+        Of SQLite's addresses: ``ro``, or ``ro&immutable=1`` where nobody writes it.
 
     Raises
     ------
@@ -128,51 +138,59 @@ def _sqlite(path: Path) -> Iterator[Bag]:
         Where its topics and messages are not plain tables, or where to read it takes more than a
         file of its size can need.
     """
-    size = path.stat().st_size
     # An address, since only that can say that the file does not change; as_uri quotes the path.
-    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(address, uri=True)) as database:
+    address = f"{path.absolute().as_uri()}?mode={mode}"
+    with closing(sqlite3.connect(address, LOCKED_FOR, uri=True)) as database:
         database.text_factory = lambda text: text.decode(errors="replace")
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, MAX_LENGTH))
         database.execute("PRAGMA trusted_schema=OFF")
         with _counted_steps(size, database):
             _check_tables(database)
-            topics = database.execute(
-                f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?", [MAX_TOPICS + 1]
+            yield database
+
+
+def topics_in(database: sqlite3.Connection) -> list[tuple[int, str, str]]:
+    """List number, name and type of the topics, one more than `MAX_TOPICS` at most."""
+    query = f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?"
+    return database.execute(query, [MAX_TOPICS + 1]).fetchall()
+
+
+@contextmanager
+def _sqlite(path: Path) -> Iterator[Bag]:
+    size = path.stat().st_size
+    with open_database(path, size, "ro&immutable=1") as database:
+        topics = topics_in(database)
+        counts = dict(
+            database.execute(
+                "SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT ?",
+                [MAX_TOPICS + 1],
+            )
+        )
+        if max(len(topics), len(counts)) > MAX_TOPICS or sum(counts.values()) > MAX_MESSAGES:
+            raise ReadError(
+                f"has {sum(counts.values()):,} messages and {len(topics):,} topics, up to "
+                f"{MAX_MESSAGES:,} and {MAX_TOPICS:,} are read; 'ros2 bag convert' splits it"
+            )
+
+        def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
+            own = [number for number, *key in topics if key == [name, kind]]
+            # Only what is short is sorted; the messages are fetched one by one.
+            rows = database.execute(
+                "SELECT rowid, timestamp FROM messages "
+                f"WHERE topic_id IN ({','.join('?' * len(own))}) ORDER BY timestamp, rowid",
+                own,
             ).fetchall()
-            counts = dict(
-                database.execute(
-                    "SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT ?",
-                    [MAX_TOPICS + 1],
-                )
-            )
-            if max(len(topics), len(counts)) > MAX_TOPICS or sum(counts.values()) > MAX_MESSAGES:
-                raise ReadError(
-                    f"has {sum(counts.values()):,} messages and {len(topics):,} topics, up to "
-                    f"{MAX_MESSAGES:,} and {MAX_TOPICS:,} are read; 'ros2 bag convert' splits it"
-                )
+            spend = allowance(size)
+            for row, stamp in rows:
+                found = database.execute("SELECT data FROM messages WHERE rowid = ?", [row])
+                data = found.fetchone()[0]
+                if not isinstance(data, bytes):
+                    raise ReadError(f"message {row} is of {type(data).__name__}, expected bytes")
+                spend(len(data))
+                yield stamp, data, "cdr"
 
-            def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
-                own = [number for number, *key in topics if key == [name, kind]]
-                # Only what is short is sorted; the messages are fetched one by one.
-                rows = database.execute(
-                    "SELECT rowid, timestamp FROM messages "
-                    f"WHERE topic_id IN ({','.join('?' * len(own))}) ORDER BY timestamp, rowid",
-                    own,
-                ).fetchall()
-                spend = allowance(size)
-                for row, stamp in rows:
-                    found = database.execute("SELECT data FROM messages WHERE rowid = ?", [row])
-                    data = bytes(found.fetchone()[0])
-                    spend(len(data))
-                    yield stamp, data, "cdr"
-
-            yield Bag(
-                counted_topics(
-                    (name, kind, counts.get(number, 0)) for number, name, kind in topics
-                ),
-                messages,
-            )
+        parts = ((name, kind, counts.get(number, 0)) for number, name, kind in topics)
+        yield Bag(counted_topics(parts), messages)
 
 
 def _text(column: str) -> str:

@@ -99,20 +99,26 @@ def _index(file: BinaryIO) -> Summary:
 
 def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
     """Give the messages as they stand: to sort those of a whole file would take its memory."""
-    from mcap.records import Channel, Message, Schema
     from mcap.stream_reader import StreamReader
     from mcap.summary import Summary
 
     index = Summary()
     file.seek(0)
     for record in StreamReader(file, emit_chunks=True).records:
-        for each in _parts(record, spend):
-            if isinstance(each, Schema):
-                index.schemas[each.id] = each
-            elif isinstance(each, Channel):
-                index.channels[each.id] = each
-            elif isinstance(each, Message):
-                yield _entry(index, each)
+        yield from entries_of(record, index, spend)
+
+
+def entries_of(record: Any, index: Summary, spend: Spend) -> Iterator[Entry]:
+    """Give the messages of a record, and keep in the index what it says of topics and types."""
+    from mcap.records import Channel, Message, Schema
+
+    for each in _parts(record, spend):
+        if isinstance(each, Schema):
+            index.schemas[each.id] = each
+        elif isinstance(each, Channel):
+            index.channels[each.id] = each
+        elif isinstance(each, Message):
+            yield _entry(index, each)
 
 
 def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> Iterator[Entry]:

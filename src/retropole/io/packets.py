@@ -106,12 +106,23 @@ def _velodyne_sweeps(path: Path, content: bytes | None) -> Iterator[Sweep]:
     with naming(path), reported("capture"):
         source = path if content is None else BytesIO(content)
         for stamp, points in velodyne_decoder.read_pcap(source, as_pcl_structs=True):
+            yield velodyne_sweep(stamp.host, points)
 
-            def columns(points: Any = points, start: float = stamp.host) -> Columns:
-                own: Columns = {name: points[name] for name in points.dtype.names}
-                return {**own, "time": start + points["time"].astype(np.float64)}
 
-            yield stamp.host, columns, np.zeros(3)
+def velodyne_sweep(stamp: float, points: Any) -> Sweep:
+    """Name the values of a sweep.
+
+    Parameters
+    ----------
+    stamp, points
+        As velodyne-decoder gives them: the host's time, and PCL's structures.
+    """
+
+    def columns() -> Columns:
+        own: Columns = {name: points[name] for name in points.dtype.names}
+        return {**own, "time": stamp + points["time"].astype(np.float64)}
+
+    return stamp, columns, np.zeros(3)
 
 
 def _metadata(path: Path, sizes: str) -> Path:
@@ -132,7 +143,6 @@ def _metadata(path: Path, sizes: str) -> Path:
 def _ouster_sweeps(path: Path, metadata: Path) -> Iterator[Sweep]:
     try:
         from ouster.sdk import open_source
-        from ouster.sdk.core import ChanField, XYZLut
     except ImportError:
         raise MissingExtraError("ouster", "reading Ouster packets") from None
 
@@ -141,13 +151,23 @@ def _ouster_sweeps(path: Path, metadata: Path) -> Iterator[Sweep]:
         reported("capture"),
         closing(open_source(str(path), meta=[str(metadata)])) as source,
     ):
-        info = source.sensor_info[0]
-        # In the sensor's frame z = 0 is its base; the beams start above it.
-        rays = XYZLut(info, use_extrinsics=False)
-        origin = info.lidar_to_sensor_transform[:3, 3] / 1000
-        for scan in (scan for scans in source for scan in scans if scan is not None):
-            start = float(scan.get_first_valid_column_timestamp()) / 1e9
-            yield start, partial(_ouster_columns, scan, rays, ChanField), origin
+        sweep = ouster_sweeps(source.sensor_info[0])
+        yield from (sweep(scan) for scans in source for scan in scans if scan is not None)
+
+
+def ouster_sweeps(info: Any) -> Callable[[Any], Sweep]:
+    """Give what makes sweeps of an Ouster's scans, from the `SensorInfo` of its metadata."""
+    from ouster.sdk.core import ChanField, XYZLut
+
+    # In the sensor's frame z = 0 is its base; the beams start above it.
+    rays = XYZLut(info, use_extrinsics=False)
+    origin = info.lidar_to_sensor_transform[:3, 3] / 1000
+
+    def sweep(scan: Any) -> Sweep:
+        start = float(scan.get_first_valid_column_timestamp()) / 1e9
+        return start, partial(_ouster_columns, scan, rays, ChanField), origin
+
+    return sweep
 
 
 def _ouster_columns(scan: Any, rays: Any, names: Any) -> Columns:

@@ -94,20 +94,42 @@ def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
         number = -1
         for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name, topic.kind)):
             if number in numbers:
-                yield _frame(path, topic, number, stamp, data, encoding)
+                yield frame_of(f"{path}: ", topic.name, number, stamp, data, encoding)
             if number == numbers[-1]:
                 return
         promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
         raise ReadError(f"{promised}, holds {number + 1}")
 
 
-def _frame(path: Path, topic: Topic, number: int, stamp: int, data: bytes, encoding: str) -> Frame:
-    where = f"message {number} of {topic.name}"
-    # The decoders let pass whatever is raised when bytes do not fit.
-    with naming(where), reported(CLOUDS):
+def frame_of(source: str, topic: str, number: int, stamp: int, data: bytes, encoding: str) -> Frame:
+    """Decode a message with a point cloud.
+
+    Parameters
+    ----------
+    source
+        What stands before the topic's name in the cloud's source: ``drive.bag: ``.
+    topic, number, stamp
+        Where and as which it came, and when, ns.
+    data, encoding
+        Its bytes, and ``ros1`` or ``cdr``.
+
+    Raises
+    ------
+    ReadError
+        Where it is no such message; names the topic and the number.
+    """
+    with naming(f"message {number} of {topic}"), reported(CLOUDS):
+        # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
+    return frame_of_message(source, topic, number, stamp, message)
+
+
+def frame_of_message(source: str, topic: str, number: int, stamp: int, message: Any) -> Frame:
+    """Take the points of a message that is decoded; see `frame_of`."""
+    where = f"message {number} of {topic}"
+    with naming(where), reported(CLOUDS):
         columns = columns_of(message)
-    cloud = replace(frame_from_columns(where, columns), source=f"{path}: {where}")
+    cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
     return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
 
 

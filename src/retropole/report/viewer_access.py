@@ -1,6 +1,7 @@
-"""Who may see the live viewer: whoever was given its address, and no page of another origin.
+"""Who may see a page that is served: whoever was given its address, and no page of another origin.
 
-A browser lets any page it shows open a WebSocket to this machine, and viser answers all of them.
+A browser lets any page it shows open a WebSocket to this machine, and viser, which serves the live
+viewer, answers all of them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from ..base.errors import UsageError
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
+    from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
     Answer = Callable[[ServerConnection, Request], Response | None]
@@ -31,6 +33,30 @@ POLICY = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """What the page may load: nothing but itself. viser puts its code and styles into it inline."""
+
+REFUSED = "Open the address as printed.\n"
+"""All that those are told who do not know it."""
+
+
+def address_of(host: str, port: int, default: int = 80) -> str:
+    """Write host and port as browsers do: without the port that the protocol has by default."""
+    host = f"[{host}]" if ":" in host else host
+    return host if port == default else f"{host}:{port}"
+
+
+def knows(request: Request, token: str, address: str) -> bool:
+    """Tell whether a request is for something below ``/TOKEN``, at this address and no other."""
+    given = (*request.path.split("/", 2), "")[1]
+    known = secrets.compare_digest(given.encode("utf-8", "replace"), token.encode())
+    return known and request.headers.get_all("Host") == [address]
+
+
+def seal(headers: Headers, policy: str) -> None:
+    """Have a page load what its policy allows alone, be kept nowhere, and not tell its address."""
+    headers["Content-Security-Policy"] = policy
+    headers["Referrer-Policy"] = "no-referrer"
+    headers["Cache-Control"] = "no-store"
+    headers["X-Content-Type-Options"] = "nosniff"
 
 
 @contextmanager
@@ -58,8 +84,7 @@ def guarded(token: str) -> Iterator[None]:
     ) -> Any:
         nonlocal guards
         guards += 1
-        # Browsers leave out the port that http has by default.
-        address = host if port == 80 else f"{host}:{port}"
+        address = address_of(host, port)
         return serve(
             handler,
             host,
@@ -83,16 +108,12 @@ def _for_those_who_know(token: str, address: str, answer: Answer) -> Answer:
     """Answer requests to ``/TOKEN/…`` at an address; refuse all others."""
 
     def guard(connection: ServerConnection, request: Request) -> Response | None:
-        _, given, path = (*request.path.split("/", 2), "", "")[:3]
-        known = secrets.compare_digest(given.encode("utf-8", "replace"), token.encode())
-        if not known or request.headers.get_all("Host") != [address]:
-            return connection.respond(HTTPStatus.FORBIDDEN, "Open the address as printed.\n")
-        request.path = f"/{path}"
+        if not knows(request, token, address):
+            return connection.respond(HTTPStatus.FORBIDDEN, REFUSED)
+        request.path = f"/{(*request.path.split('/', 2), '')[2]}"
         response = answer(connection, request)
         if response is not None:
-            response.headers["Content-Security-Policy"] = POLICY.format(socket=f"ws://{address}")
-            response.headers["Referrer-Policy"] = "no-referrer"
-            response.headers["Cache-Control"] = "no-store"
+            seal(response.headers, POLICY.format(socket=f"ws://{address}"))
         return response
 
     return guard

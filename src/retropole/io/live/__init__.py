@@ -5,9 +5,23 @@ A maker's driver is one class with what `Source` names, and one line in `source_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
+from ...base.errors import UsageError
 from ..recordings import Frame
+
+KINDS = {
+    "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
+    "rclpy:/TOPIC": "a topic of ROS 2, by the ROS installation of this computer",
+    "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
+    "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
+    "folder:PATH": "a folder that gets a file for each sweep",
+    "bag:PATH": "a bag that is being recorded (.mcap, .db3, or its folder); bag:PATH:/TOPIC",
+    "replay:PATH": "a recording, played at its own speed; replay:PATH:/TOPIC",
+}
+"""What a source may be, as it is asked for."""
 
 
 class Source(Protocol):
@@ -53,3 +67,85 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of ports, files and threads; again does nothing."""
         ...
+
+
+def source_of(text: str, *, domain: int | None = None, interface: str | None = None) -> Source:
+    """Open a source by what it is called.
+
+    Parameters
+    ----------
+    text
+        One of `KINDS`.
+    domain, interface
+        Of ROS 2, as `dds.DdsSource` takes them.
+
+    Raises
+    ------
+    UsageError
+        Where there is no such kind, or a part is missing.
+    ReadError, MissingExtraError
+        Where it cannot be opened.
+    """
+    kind, _, where = text.partition(":")
+    if kind not in {each.partition(":")[0] for each in KINDS} or not where:
+        raise UsageError(f"{text!r} is no source, expected one of {', '.join(KINDS)}")
+    # Each loads what it needs alone.
+    if kind == "ros2":
+        from .dds import DdsSource
+
+        return DdsSource(where, domain=domain, interface=interface)
+    if kind == "rclpy":
+        from .by_rclpy import RclpySource
+
+        return RclpySource(where)
+    if kind == "velodyne":
+        from .udp import ALL_INTERFACES, VelodyneSource
+
+        host, _, port = where.rpartition(":")
+        return VelodyneSource(_port(text, port), host or ALL_INTERFACES)
+    if kind == "ouster":
+        from .udp import OusterSource
+
+        port, _, metadata = where.partition(":")
+        if not metadata:
+            raise UsageError(f"{text!r}: name the metadata too, ouster:PORT:FILE.json")
+        return OusterSource(_port(text, port), Path(metadata))
+    if kind == "folder":
+        from .files import FolderSource
+
+        return FolderSource(Path(where))
+    path, found, topic = where.rpartition(":/")
+    # A drive of Windows has one letter before the same signs.
+    named = bool(found) and len(path) > 1
+    file, name = Path(path if named else where), f"/{topic}" if named else None
+    if kind == "bag":
+        from .files import BagSource
+
+        return BagSource(file, name)
+    from .replay import ReplaySource
+
+    return ReplaySource(file, name)
+
+
+def _port(text: str, port: str) -> int:
+    if not (port.isascii() and port.isdigit()):
+        raise UsageError(f"{text!r}: {port!r} is no port, a whole number")
+    return int(port)
+
+
+def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
+    """Name LiDARs in words by their topics, ``front`` and ``rear`` of ``/front/points``.
+
+    Parameters
+    ----------
+    texts
+        What `source_of` takes.
+    otherwise
+        Their names where the topics do not tell them apart.
+    """
+    topics = [text.rpartition(":/")[2] for text in texts if ":/" in text]
+    parts = [topic.split("/") for topic in topics]
+    for own in zip(*parts, strict=False):
+        if len(set(own)) == len(texts):
+            return own
+    return tuple(otherwise)

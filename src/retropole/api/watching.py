@@ -1,0 +1,417 @@
+"""`watch`: two LiDARs that record now, from the first sweep to the answer that is good enough."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from threading import Thread
+from typing import TypeVar
+
+from msgspec.structs import replace as with_options
+
+from ..base.errors import ReadError, RetropoleError
+from ..base.files import write_together
+from ..base.quantities import counted
+from ..base.sensors import sensor_or_auto
+from ..base.uncertainty.purpose import USABLE
+from ..export.recording import TOPICS, Track, write_recording
+from ..io.live import Source
+from ..planning.comparison import against_plan
+from ..report.field_test import render_field_test
+from ..result import RunConfig, encode, pole_documents
+from ..result.pole_plan import PolePlanDoc
+from ..result.watching import LidarNow, Phase, PoleNow, WatchDoc
+from ..watching.advice import Advice, View, advise, word_on
+from ..watching.capture import SWEEPS, Capture, begun, is_elsewhere
+from ..watching.outcome import Outcome, advice_after, keep_still, outcome_of
+from ..watching.seeing import Tracked, angle_between, follow, look, present
+from . import certification
+from .calibration import calibrate_with
+from .checking import CheckResult, Stored, check_recordings
+from .result import CalibrationResult
+
+RECORDING = "placement{}.mcap"
+"""What the recording of a placement is called, from 1."""
+
+CERTIFICATE = "certificate.json", "certificate.html"
+"""What the field test of both LiDARs is called, where the poles that were recorded allow one."""
+
+POLL = 0.05
+"""A LiDAR is waited for so long where it has nothing new, s."""
+
+RATE_OVER = 3.0
+"""Seconds over which sweeps are counted."""
+
+LOGGED = 40
+"""Lines that are kept of what happened."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for of a watch.
+
+    Attributes
+    ----------
+    config
+        As of a calibration: radius, sensors, thresholds, the need.
+    names
+        What words call target and source.
+    sweeps
+        Of each LiDAR that are kept of a placement.
+    plan
+        Where the poles should stand; with its names of the LiDARs as `names`.
+    stored
+        A result to test the rig against, instead of a calibration.
+    """
+
+    config: RunConfig
+    names: tuple[str, str] = ("target", "source")
+    sweeps: int = SWEEPS
+    plan: PolePlanDoc | None = None
+    stored: Stored | None = None
+
+
+@dataclass
+class _Lidar:
+    """What is known of a LiDAR while it is watched."""
+
+    source: Source
+    view: View
+    frame_id: str | None = None
+    came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+
+
+class Watch:
+    """A watch of two LiDARs: `step` it until it `is_over`, then `finish` it.
+
+    Parameters
+    ----------
+    sources
+        Of target and source.
+    wish
+        What is asked for.
+    out
+        Folder for recordings, result, report and certificate.
+    clock
+        Seconds that go on.
+
+    Attributes
+    ----------
+    result, checked
+        The answer; None before there is one.
+    written
+        Files that were written.
+    is_over
+        Whether the answer is good enough, or nothing more will come.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Source],
+        wish: Wish,
+        out: Path,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.result: CalibrationResult | None = None
+        self.checked: CheckResult | None = None
+        self.written: list[Path] = []
+        self.is_over = False
+        self._wish, self._out, self._clock, self._start = wish, out, clock, clock()
+        self._lidars = [_Lidar(s, View(name)) for s, name in zip(sources, wish.names, strict=True)]
+        self._words: deque[str] = deque(maxlen=LOGGED)
+        self._capture: Capture | None = None
+        self._kept: Capture | None = None
+        self._recorded = 0
+        self._used: list[Path] = []
+        self._trial: Future[CalibrationResult] | None = None
+        self._work: Future[CalibrationResult | CheckResult] | None = None
+        self._expected: Outcome | None = None
+        self._outcome: Outcome | None = None
+
+    def step(self) -> WatchDoc:
+        """Take what has come, and say what is seen and what is to be done."""
+        for k in range(len(self._lidars)):
+            self._take(k)
+        now = self._clock()
+        self._collect()
+        return self._said(self._next(now), now)
+
+    def finish(self) -> list[Path]:
+        """Keep what was not kept yet, certify the LiDARs where that can be, let go of the sources.
+
+        Returns
+        -------
+        list of Path
+            All files that were written.
+        """
+        for lidar in self._lidars:
+            lidar.source.close()
+        if self._capture is not None and self._capture.count:
+            self._record(self._capture)
+            self._capture = None
+        if self._used and self._outcome is not None:
+            with suppress(RetropoleError):
+                test = certification.certify(self._used, self._used, self._of_recordings())
+                if test.status != "refused":
+                    document, page = (self._out / name for name in CERTIFICATE)
+                    files = {document: encode(test), page: render_field_test(test).encode()}
+                    write_together(files)
+                    self.written += files
+        return self.written
+
+    def _take(self, k: int) -> None:
+        """Take the newest sweep of a LiDAR, and search it."""
+        lidar, config = self._lidars[k], self._wish.config
+        how = (config.of_target, config.of_source)[k]
+        try:
+            frame = lidar.source.newest(POLL)
+        except ReadError as error:
+            if str(error) != lidar.view.fault:
+                self._note(f"{lidar.view.name}: {error}")
+            lidar.view = replace(lidar.view, fault=str(error))
+            return
+        if frame is None:
+            lidar.view = replace(lidar.view, silent=lidar.source.waits_for)
+            return
+        now = self._clock()
+        if lidar.frame_id != frame.frame_id:
+            for note in frame.cloud.notes:
+                self._note(f"{lidar.view.name}: {note}")
+            if lidar.frame_id is not None:
+                self._note(f"{lidar.view.name}: its frame is {frame.frame_id!r} now")
+                self._capture = None
+            lidar.frame_id = frame.frame_id
+        lidar.came.append((now, frame.number))
+        if not len(frame.cloud):
+            lidar.view = replace(lidar.view, fault="its sweep has no returns")
+            return
+        looked = look(
+            frame.cloud,
+            now,
+            sensor=sensor_or_auto(how.sensor),
+            threshold=how.threshold,
+            radius=config.radius_m,
+        )
+        tracks = follow(lidar.view.tracks, looked)
+        lidar.view = replace(lidar.view, tracks=tracks, looked=looked, silent="", fault="")
+        if self._capture is not None:
+            self._capture = self._capture.with_frame(k, frame)
+
+    def _next(self, now: float) -> Advice:
+        """Say what is to be done; keep sweeps while all is good, and work out the answer."""
+        placements = len(self._used)
+        if self.checked is not None:
+            return Advice(
+                self.checked.status, _checked_words(self.checked), self.checked.status == "same"
+            )
+        if self._work is not None:
+            return Advice("calibrating", "Good: the answer is worked out.", True)
+        if self._outcome is not None and self._outcome.is_enough:
+            return advice_after(self._outcome, placements)
+        advice = self._seen(now)
+        capture, ended = self._capture, any(each.source.has_ended for each in self._lidars)
+        if ended:
+            if capture is None or not capture.count:
+                self.is_over = True
+                return Advice("ended", "The recordings have ended.")
+        elif not advice.is_good:
+            if capture is not None:
+                self._note(f"not kept: {advice.words}")
+            self._capture = None
+            return advice
+        elif capture is None:
+            kept, outcome = self._kept, self._outcome
+            if kept and outcome and not is_elsewhere(kept, self._tracks, now):
+                return advice_after(outcome, placements)
+            self._capture = capture = begun(self._tracks, now)
+        assert capture is not None
+        if self._trial is None and capture.count and self._wish.stored is None:
+            first, second = (own[0].cloud for own in capture.frames)
+            self._trial = in_background(lambda: calibrate_with(first, second, self._wish.config))
+        if ended or capture.is_full(self._wish.sweeps, now):
+            self._keep(capture)
+            return Advice("calibrating", "Good: the answer is worked out.", True)
+        left = capture.seconds - (now - capture.start)
+        return keep_still(capture.count, self._wish.sweeps, left)
+
+    @property
+    def _tracks(self) -> list[tuple[Tracked, ...]]:
+        return [each.view.tracks for each in self._lidars]
+
+    def _seen(self, now: float) -> Advice:
+        """Say what is to be done about what is seen, then about where the plan has the poles."""
+        views = [each.view for each in self._lidars]
+        advice = advise(views, now, needs_poles=self._wish.stored is None)
+        if not advice.is_good or self._wish.plan is None:
+            return advice
+        for view in views:
+            poles = pole_documents([each.pole for each in present(view.tracks, now)])
+            off = [d for d in against_plan(self._wish.plan, poles, view.name).deviations]
+            wrong = next((each.words for each in off if not each.is_as_planned), None)
+            if wrong is not None:
+                return Advice("off_plan", f"{wrong[0].upper()}{wrong[1:]}.")
+        return advice
+
+    def _of_recordings(self) -> RunConfig:
+        target, source = TOPICS.values()
+        return with_options(self._wish.config, target_topic=target, source_topic=source)
+
+    def _keep(self, capture: Capture) -> None:
+        """Write a placement, and calibrate by all of them, or check by this one."""
+        path = self._record(capture)
+        self._used.append(path)
+        self._kept, self._capture = capture, None
+        stored, used, config = self._wish.stored, list(self._used), self._of_recordings()
+        if stored is None:
+            self._work = in_background(lambda: calibrate_with(used, used, config))
+            return
+        target, source = config.target_topic, config.source_topic
+        self._work = in_background(
+            lambda: check_recordings(stored, path, path, target_topic=target, source_topic=source)
+        )
+
+    def _record(self, capture: Capture) -> Path:
+        """Write a placement to the folder."""
+        self._recorded += 1
+        path = self._out / RECORDING.format(self._recorded)
+        tracks = {
+            topic: Track(lidar.frame_id or lidar.view.name, frames)
+            for topic, lidar, frames in zip(
+                TOPICS.values(), self._lidars, capture.frames, strict=True
+            )
+        }
+        write_together({path: write_recording(tracks)})
+        self.written.append(path)
+        kept = counted(capture.count, "sweep")
+        self._note(f"placement {self._recorded} is kept: {kept} of each LiDAR")
+        return path
+
+    def _collect(self) -> None:
+        """Take the answers that are there."""
+        need = self._wish.config.need
+        if self._trial is not None and self._trial.done() and self._expected is None:
+            with suppress(RetropoleError):
+                self._expected = outcome_of(self._trial.result().document, need)
+        if self._work is None or not self._work.done():
+            return
+        work, self._work = self._work, None
+        try:
+            found = work.result()
+        except RetropoleError as error:
+            self._note(f"placement {self._recorded} is left out: {error}")
+            self._used.pop()
+            return
+        if isinstance(found, CheckResult):
+            self.checked, self.is_over = found, True
+            return
+        self.result = found
+        self._outcome = self._expected = outcome_of(found.document, need)
+        self.written += [each for each in found.save(self._out) if each not in self.written]
+        said = "; ".join(reason.message for reason in found.reasons)
+        self._note(f"calibrated: {found.status}{': ' + said if said else ''}")
+        self.is_over = self._outcome.is_enough
+        more = self._outcome.seconds_more
+        if more and self._kept is not None:
+            self._note(f"the masts sway: {math.ceil(more)} s more are recorded")
+            self._capture = replace(self._kept, seconds=self._kept.seconds + more)
+            self._used.pop()
+        elif self._outcome.is_spoilt and len(self._used) > 1:
+            self._note(f"placement {self._recorded} is left out")
+            self._used.pop()
+
+    def _note(self, words: str) -> None:
+        self._words.append(f"{datetime.now():%H:%M:%S} {words}")
+
+    def _said(self, advice: Advice, now: float) -> WatchDoc:
+        """Write what is seen and said as a document."""
+        outcome, expected, capture = self._outcome, self._expected, self._capture
+        angles = [angle_between([each.pole for each in present(own, now)]) for own in self._tracks]
+        known = [each for each in angles if each is not None]
+        status = self.checked.status if self.checked else outcome and outcome.document.status
+        return WatchDoc(
+            phase=self._phase(),
+            is_good=advice.is_good,
+            code=advice.code,
+            next=advice.words,
+            seconds=now - self._start,
+            lidars=[_now(each, now) for each in self._lidars],
+            angle_rad=sum(known) / len(known) if known else None,
+            captured=capture.count if capture else 0,
+            wanted=self._wish.sweeps if capture else 0,
+            placements=len(self._used),
+            need=self._wish.config.need or USABLE,
+            predicted_error=list(expected.document.predicted_error or []) if expected else [],
+            bound_m=expected.bound if expected else None,
+            probability=expected.probability if expected else None,
+            status=status or None,
+            words=list(self._words),
+        )
+
+    def _phase(self) -> Phase:
+        if self.is_over:
+            return "done"
+        if self._work is not None:
+            return "calibrating"
+        if self._capture is not None:
+            return "capturing"
+        none_yet = any(each.view.looked is None for each in self._lidars)
+        return "waiting" if none_yet else "placing"
+
+
+def _now(lidar: _Lidar, now: float) -> LidarNow:
+    """Say what a LiDAR sees now."""
+    view, looked = lidar.view, lidar.view.looked
+    recent = [(at, number) for at, number in lidar.came if now - at <= RATE_OVER]
+    rate = 0.0
+    if len(recent) > 1:
+        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], POLL)
+    poles = [
+        PoleNow(
+            name=str(track.number),
+            distance_m=track.distance,
+            returns=len(track.pole.xyz),
+            rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
+            is_still=track.is_still(now),
+            is_good=not word_on(track, now),
+            word=word_on(track, now),
+        )
+        for track in present(view.tracks, now)
+    ]
+    return LidarNow(
+        name=view.name,
+        source=lidar.source.name,
+        sweeps_per_s=max(rate, 0.0),
+        age_s=None if looked is None else max(now - looked.at, 0.0),
+        points=0 if looked is None else len(looked.cloud),
+        poles=poles,
+        word=view.fault or view.silent,
+    )
+
+
+def _checked_words(checked: CheckResult) -> str:
+    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
+    said = " ".join(reason.message for reason in checked.reasons[:1])
+    return words.get(checked.status, f"Cannot tell: {said}")
+
+
+def in_background(work: Callable[[], T]) -> Future[T]:
+    """Begin work that Ctrl-C does not wait for."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    Thread(target=run, daemon=True).start()
+    return future

@@ -1,0 +1,341 @@
+"""Packets that a sensor sends to a port of this computer: Velodyne and Ouster.
+
+They are decoded as those of a capture are (`io.packets`). A thread receives them, since what the
+system holds back for a program is less than a sweep.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...base.errors import MissingExtraError, UsageError, shortened
+from ...base.quantities import counted
+from ..failures import naming, reported
+from ..fields import frame_from_columns
+from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
+from ..recordings import UNIX_SECONDS, Frame
+from .mailbox import QUIET, Mailbox
+
+ALL_INTERFACES = "0.0.0.0"
+"""Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
+Velodyne does unless it is told otherwise, comes to this address alone."""
+
+MAX_PORT = 65_535
+
+LARGEST_PACKET = 2**16
+"""Bytes that hold any UDP packet."""
+
+BUFFER = 2**23
+"""Bytes that the system is asked to hold back; it gives as many as it allows (on Linux,
+``net.core.rmem_max``)."""
+
+PAUSE = 2.0
+"""Seconds without a packet after which a sensor has stopped: another one is taken then, and the
+same one begins a new sweep."""
+
+LOOK = 0.2
+"""Seconds after which the thread looks whether it is to end."""
+
+SIZES = 3
+"""Kinds of wrong packets that are named."""
+
+
+Decoder = Callable[[bytes, float], Sweep | None]
+"""Takes a packet of one sensor and when it came, Unix seconds; gives the sweep that it completes.
+"""
+
+
+class _Kind(NamedTuple):
+    """A kind of sensor.
+
+    Attributes
+    ----------
+    maker, size
+        Its name, and the bytes of its packets.
+    misfit
+        In words what a packet is that is none of it; empty where it is one.
+    decoder
+        Starts with the first packet of a sweep, or in the middle of one.
+    """
+
+    maker: str
+    size: int
+    misfit: Callable[[bytes], str]
+    decoder: Callable[[], Decoder]
+
+
+class _Came(NamedTuple):
+    """A sweep that came, and what is to be known of it."""
+
+    sweep: Sweep
+    received: float
+    notes: tuple[str, ...]
+
+
+class PacketSource:
+    """A sensor that sends packets to a port; `VelodyneSource` and `OusterSource` are to be used.
+
+    The packets of one sender are taken: of the first whose packets fit, until it has stopped for
+    `PAUSE`. Two sensors that send to one port would be mixed up otherwise.
+    """
+
+    has_ended = False
+
+    def __init__(self, port: int, host: str, kind: _Kind) -> None:
+        address = "" if host == ALL_INTERFACES else f"{host}:"
+        self.name = f"{kind.maker.lower()}:{address}{port}"
+        self._port, self._kind = port, kind
+        self._socket = _opened(port, host)
+        self._mailbox: Mailbox[_Came] = Mailbox()
+        self._closed = Event()
+        self._lock = Lock()
+        self._sender: tuple[str, int] | None = None
+        self._decoder: Decoder | None = None
+        self._last_packet = self._last_sweep = -np.inf
+        # Of the packets since the last sweep.
+        self._taken = 0
+        self._wrong: Counter[str] = Counter()
+        self._others, self._other = 0, ("", 0)
+        self._thread = Thread(target=self._receive, name=self.name, daemon=True)
+        self._thread.start()
+
+    @property
+    def waits_for(self) -> str:
+        """In words why no sweep comes: what came instead."""
+        now = time.monotonic()
+        with self._lock:
+            if now - self._last_sweep < QUIET:
+                return ""
+            wrong = self._wrong_in_words()
+            if self._sender is None:
+                taken = "" if wrong else "no packet came"
+            elif now - self._last_packet >= PAUSE:
+                taken = f"{_named(self._sender)} sends no more packets"
+            else:
+                taken = f"{counted(self._taken, 'packet')} of {_named(self._sender)} came, no sweep"
+            others = self._left_out(counted(self._others, "packet")) if self._others else ""
+        return f"port {self._port}: {'; '.join(filter(None, (taken, wrong, others)))}"
+
+    def _left_out(self, packets: str) -> str:
+        return f"{packets} of {_named(self._other)} left out, as those of one sensor are taken"
+
+    def _wrong_in_words(self) -> str:
+        if not self._wrong:
+            return ""
+        came = " and ".join(size for size, _ in self._wrong.most_common(SIZES))
+        return (
+            f"{counted(self._wrong.total(), 'packet')} came, none of a {self._kind.maker}: "
+            f"{self._kind.size} bytes expected, {came} came"
+        )
+
+    def newest(self, wait: float) -> Frame | None:
+        """Give the newest whole sweep, as `Source` says."""
+        taken = self._mailbox.take(wait)
+        if taken is None:
+            return None
+        number, (sweep, received, notes) = taken
+        start, columns, origin = sweep
+        where = f"port {self._port}: sweep {number}"
+        with naming(where), reported("sweep"):
+            own = columns()
+        cloud = frame_from_columns(where, own, origin)
+        # A sensor whose clock was never set counts from when it was switched on.
+        is_unix = UNIX_SECONDS[0] <= start < UNIX_SECONDS[1]
+        return Frame(number, replace(cloud, notes=notes), start if is_unix else received)
+
+    def close(self) -> None:
+        """Let go of the port, as `Source` says."""
+        self._closed.set()
+        self._mailbox.close()
+        self._thread.join(5 * LOOK)
+
+    def _receive(self) -> None:
+        with self._socket:
+            while not self._closed.is_set():
+                try:
+                    packet, sender = self._socket.recvfrom(LARGEST_PACKET)
+                except TimeoutError:
+                    continue
+                except OSError:
+                    # The network went away; it may come back.
+                    self._closed.wait(LOOK)
+                    continue
+                self._take(packet, sender, time.time())
+
+    def _take(self, packet: bytes, sender: tuple[str, int], received: float) -> None:
+        misfit = self._kind.misfit(packet)
+        now = time.monotonic()
+        with self._lock:
+            if misfit:
+                self._wrong[misfit] += 1
+                return
+            has_paused = now - self._last_packet >= PAUSE
+            if self._sender is not None and sender != self._sender and not has_paused:
+                self._others, self._other = self._others + 1, sender
+                return
+            if self._decoder is None or has_paused or sender != self._sender:
+                self._sender, self._decoder = sender, self._kind.decoder()
+            self._last_packet = now
+            self._taken += 1
+            decoder = self._decoder
+        try:
+            sweep = decoder(packet, received)
+        except Exception as error:
+            with self._lock:
+                # What cannot be decoded keeps no other sensor away.
+                self._sender = self._decoder = None
+                self._wrong[f"{len(packet)} that cannot be decoded ({shortened(str(error))})"] += 1
+            return
+        if sweep is not None:
+            with self._lock:
+                note = f"port {self._port}: {self._left_out('packets')}"
+                came = _Came(sweep, received, (note,) if self._others else ())
+                self._last_sweep = now
+                self._taken = self._others = 0
+                self._wrong.clear()
+            self._mailbox.put(came)
+
+
+class VelodyneSource(PacketSource):
+    """A Velodyne that sends its packets to a port.
+
+    Parameters
+    ----------
+    port
+        UDP; 2368 unless the sensor was told otherwise.
+    host
+        Address of this computer to listen on.
+
+    Raises
+    ------
+    MissingExtraError
+        Where velodyne-decoder is not installed.
+    UsageError
+        Where the port cannot be opened: another program has it.
+    """
+
+    def __init__(self, port: int, host: str = ALL_INTERFACES) -> None:
+        try:
+            import velodyne_decoder
+        except ImportError:
+            raise MissingExtraError("velodyne", "reading Velodyne packets") from None
+
+        def decoder() -> Decoder:
+            stream = velodyne_decoder.StreamDecoder(velodyne_decoder.Config())
+
+            def sweep(packet: bytes, received: float) -> Sweep | None:
+                whole = stream.decode(received, packet, True)
+                return None if whole is None else velodyne_sweep(whole[0].host, whole[1])
+
+            return sweep
+
+        super().__init__(port, host, _Kind("Velodyne", VELODYNE_SIZE, _no_velodyne, decoder))
+
+
+class OusterSource(PacketSource):
+    """An Ouster that sends its packets to a port.
+
+    Parameters
+    ----------
+    port
+        UDP, for its LiDAR; 7502 unless the sensor was told otherwise.
+    metadata
+        The sensor's metadata, a file .json: they say how its packets are laid out.
+    host
+        Address of this computer to listen on.
+
+    Raises
+    ------
+    MissingExtraError
+        Where ouster-sdk is not installed.
+    ReadError
+        Where the metadata cannot be read.
+    UsageError
+        Where the port cannot be opened: another program has it.
+    """
+
+    def __init__(self, port: int, metadata: Path, host: str = ALL_INTERFACES) -> None:
+        try:
+            from ouster.sdk.core import (
+                LidarPacket,
+                LidarScan,
+                PacketFormat,
+                PacketValidationFailure,
+                ScanBatcher,
+                SensorInfo,
+            )
+        except ImportError:
+            raise MissingExtraError("ouster", "reading Ouster packets") from None
+
+        with naming(metadata), reported("file of an Ouster's metadata"):
+            info = SensorInfo(metadata.read_text())
+            layout = PacketFormat.from_info(info)
+            sweep_of = ouster_sweeps(info)
+        size: int = layout.lidar_packet_size
+
+        def packet_of(data: bytes, received: float = 0.0) -> Any:
+            packet = LidarPacket(len(data))
+            packet.host_timestamp = int(received * 1e9)  # a scan of packets at 0 is never whole
+            packet.buf[:] = np.frombuffer(data, np.uint8)
+            return packet
+
+        def misfit(data: bytes) -> str:
+            if len(data) != size:
+                return str(len(data))
+            failure = packet_of(data).validate(info, layout)
+            is_other = failure != PacketValidationFailure.NONE
+            return f"{size} of another sensor than the metadata" if is_other else ""
+
+        def decoder() -> Decoder:
+            batcher, scan, is_first = ScanBatcher(info), LidarScan(info), True
+
+            def sweep(packet: bytes, received: float) -> Sweep | None:
+                nonlocal scan, is_first
+                if not batcher(packet_of(packet, received), scan):
+                    return None
+                whole, scan = scan, LidarScan(info)
+                # The first one began before we listened; of others, packets may be lost.
+                is_part, is_first = is_first and not whole.complete(), False
+                return None if is_part else sweep_of(whole)
+
+            return sweep
+
+        super().__init__(port, host, _Kind("Ouster", size, misfit, decoder))
+
+
+def _no_velodyne(packet: bytes) -> str:
+    if len(packet) != VELODYNE_SIZE:
+        return str(len(packet))
+    return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} that begin otherwise"
+
+
+def _named(sender: tuple[str, int]) -> str:
+    return f"{sender[0]}:{sender[1]}"
+
+
+def _opened(port: int, host: str) -> socket.socket:
+    """Open a port to receive packets."""
+    if not 0 < port <= MAX_PORT:
+        raise UsageError(f"port {port}: expected 1 to {MAX_PORT}")
+    own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+        own.settimeout(LOOK)
+        own.bind((host, port))
+    except OSError as error:
+        own.close()
+        if error.errno == errno.EADDRINUSE:
+            raise UsageError(f"port {port}: another program listens on it already") from None
+        words = error.strerror or str(error)
+        raise UsageError(f"port {port}: cannot be opened on {host} ({words})") from None
+    return own

@@ -1,0 +1,257 @@
+"""The one next thing to do, so that both LiDARs see poles that can be calibrated by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, permutations, product
+
+import numpy as np
+
+from ..base.datatypes import Pole
+from ..base.quantities import counted
+from ..base.reasons import explain, plain
+from ..verdict import FEW_POINTS, FEW_RINGS, WEAK_ANGLE
+from .seeing import LATELY, Looked, Tracked, angle_between, hidden_by, is_same_pair, present
+
+OLD = 3.0
+"""A LiDAR whose newest sweep is older is silent, s."""
+
+BEST_REACH = 6.0
+"""How far from a LiDAR to stand a pole that is too far, metres, where its rings do not tell: docs,
+Placing the poles, have 3 to 7 m."""
+
+NEAREST = 3.0
+"""No pole is sent nearer, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A LiDAR and what it sees now.
+
+    Attributes
+    ----------
+    name
+        What words call it.
+    tracks
+        The poles that it saw lately.
+    looked
+        Its newest sweep that was searched; None before the first.
+    silent
+        Why nothing comes; empty while sweeps come.
+    fault
+        What is wrong with what comes; empty where nothing is.
+    """
+
+    name: str
+    tracks: tuple[Tracked, ...] = ()
+    looked: Looked | None = None
+    silent: str = ""
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do next.
+
+    Attributes
+    ----------
+    code
+        A name that stays the same: ``parallel``.
+    words
+        For the people beside the poles, a sentence or two.
+    is_good
+        Nothing is to be done but to keep still.
+    """
+
+    code: str
+    words: str
+    is_good: bool = False
+
+
+GOOD = Advice("good", "Good: keep still.", True)
+
+
+def advise(views: Sequence[View], now: float, *, needs_poles: bool = True) -> Advice:
+    """Choose what is to be done first: what hinders all goes before what makes it weak."""
+    unseen = chain.from_iterable(_unseen(view, now) for view in views)
+    if not needs_poles:
+        return next(unseen, GOOD)
+    steps = chain(
+        unseen,
+        _in_front(views, now),
+        _missing(views, now),
+        *(_moving(view, now) for view in views),
+        _parallel(views, now),
+        *(_weak(view, now) for view in views),
+    )
+    return next(steps, GOOD)
+
+
+def remedy_of(code: str) -> str:
+    """What is best done about a reason; empty where nothing is known."""
+    explained = explain(code)
+    return plain(explained.advice[0]) if explained and explained.advice else ""
+
+
+def word_on(track: Tracked, now: float) -> str:
+    """What is wrong with a pole, in two or three words; empty where nothing is."""
+    if now - track.seen > LATELY:
+        return "lost"
+    if not track.is_still(now):
+        return "moving"
+    if len(track.pole.xyz) < FEW_POINTS:
+        return "few returns"
+    return "few rings" if track.pole.rings <= FEW_RINGS else ""
+
+
+def _unseen(view: View, now: float) -> Iterator[Advice]:
+    looked = view.looked
+    if view.fault:
+        yield Advice("unreadable", f"{view.name}: {view.fault}")
+    elif looked is None or now - looked.at > OLD:
+        why = view.silent or "its newest sweep is old"
+        yield Advice("silent", f"{view.name} gives no sweeps: {why}")
+    elif looked.refusal is not None:
+        explained = explain(looked.refusal.code)
+        remedy = plain(explained.advice[0]) if explained and explained.advice else ""
+        yield Advice(
+            looked.refusal.code, f"{view.name}: {looked.refusal.message}. {remedy}".strip()
+        )
+
+
+def _in_front(views: Sequence[View], now: float) -> Iterator[Advice]:
+    for view in views:
+        if view.looked is None:
+            continue
+        here = present(view.tracks, now)
+        if len(here) > 1:
+            continue
+        for lost in (track for track in view.tracks if track not in here):
+            before = hidden_by(view.looked.cloud, lost.pole)
+            if before is not None:
+                yield Advice(
+                    "in_front",
+                    f"Step aside: something {before:.1f} m before {view.name} hides the pole that "
+                    f"it saw {lost.distance:.1f} m away.",
+                )
+
+
+def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
+    """Say of the LiDAR that sees the fewest poles, if fewer than two, what could be the other."""
+    counts = [len(present(view.tracks, now)) for view in views]
+    k = int(np.argmin(counts))
+    if counts[k] > 1:
+        return
+    view, seen = views[k], counts[k]
+    looked = view.looked
+    assert looked is not None
+    others = list(chain.from_iterable(_pairs(o, now) for o in views if o is not view))
+    fitting = [
+        pair[1] for pair in _pairs(view, now) if any(is_same_pair(pair, each) for each in others)
+    ]
+    sees = f"{view.name} sees {'no pole' if not seen else 'one pole'}"
+    if fitting:
+        yield _doubtful(sees, view.name, _best(fitting), looked)
+    elif max(counts) > seen:
+        other = views[int(np.argmax(counts))].name
+        yield Advice(
+            "hidden",
+            f"{sees}, {other} sees {max(counts)}. The other pole is hidden from {view.name} or too "
+            f"far away: move it to where {view.name} sees it, within {BEST_REACH:g} m.",
+        )
+    elif seen:
+        where = f"{present(view.tracks, now)[0].distance:.1f} m from {view.name}"
+        yield Advice(
+            "missing",
+            f"Only one pole is seen, {where}. Stand another 1 to 2.5 m beside it, leaning by 15° "
+            "or more against it.",
+        )
+    else:
+        yield Advice(
+            "no_poles",
+            f"No LiDAR sees a pole. Stand two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
+            "LiDARs, with retro-reflective tape all around.",
+        )
+
+
+def _pairs(view: View, now: float) -> Iterator[tuple[Pole, Pole]]:
+    """Any two poles of a LiDAR; of fewer than two, the one with what may be another."""
+    poles = [track.pole for track in present(view.tracks, now)]
+    if len(poles) > 1:
+        yield from permutations(poles, 2)
+    elif view.looked is not None:
+        may_be = (*view.looked.doubtful, *view.looked.dim)
+        yield from product(poles, may_be) if poles else permutations(may_be, 2)
+
+
+def _best(poles: Sequence[Pole]) -> Pole:
+    return max(poles, key=lambda each: len(each.xyz))
+
+
+def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
+    """Say what is wrong with a line that fits to what the other LiDAR sees."""
+    away = float(np.linalg.norm(pole.point))
+    if any(pole is each for each in looked.dim):
+        return Advice(
+            "dim",
+            f"{sees}. The tape of the other, {away:.1f} m away, is too dim for it: put on new "
+            "tape, all around, or stand it nearer. It would need a threshold below "
+            f"{looked.threshold:.3g}.",
+        )
+    what = f"{sees}. The other, {away:.1f} m away, has {counted(len(pole.xyz), 'return')} on "
+    what += counted(pole.rings, "ring")
+    if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
+        return Advice("too_far", f"{what}: stand it {_nearer(pole, name)}.")
+    return Advice(
+        "doubtful",
+        f"{what}, but something bright or solid is beside it: stand it free, 0.5 m from all else.",
+    )
+
+
+def _nearer(pole: Pole, name: str) -> str:
+    """How much nearer a pole has to be for rings and returns enough."""
+    away = float(np.linalg.norm(pole.point))
+    share = min(pole.rings / (FEW_RINGS + 2), math.sqrt(len(pole.xyz) / (1.5 * FEW_POINTS)))
+    to = max(min(away * share, max(BEST_REACH, 0.7 * away)), min(NEAREST, 0.7 * away))
+    return f"{away - to:.1f} m nearer to {name}"
+
+
+def _moving(view: View, now: float) -> Iterator[Advice]:
+    moving = [t for t in present(view.tracks, now) if not t.is_still(now)]
+    if moving:
+        which = " and ".join(f"{t.distance:.1f} m" for t in moving)
+        yield Advice("moving", f"Keep the poles still: {view.name} sees one move, {which} away.")
+
+
+def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:
+    angles = [angle_between([t.pole for t in present(view.tracks, now)]) for view in views]
+    known = [each for each in angles if each is not None]
+    if known and np.mean(known) < WEAK_ANGLE:
+        degrees = math.degrees(float(np.mean(known)))
+        yield Advice(
+            "parallel",
+            f"The poles are {degrees:.0f}° apart: lean one by {math.degrees(WEAK_ANGLE):.0f}° or "
+            "more, 20° is good.",
+        )
+
+
+def _weak(view: View, now: float) -> Iterator[Advice]:
+    """Say of the second best pole, since two hold a pose."""
+    poles = sorted(
+        (t.pole for t in present(view.tracks, now)),
+        key=lambda p: (p.rings, len(p.xyz)),
+        reverse=True,
+    )
+    if len(poles) < 2:
+        return
+    pole = poles[1]
+    if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
+        away = float(np.linalg.norm(pole.point))
+        have = f"{counted(len(pole.xyz), 'return')} on {counted(pole.rings, 'ring')}"
+        yield Advice(
+            "nearer",
+            f"{view.name} has {have} of the pole {away:.1f} m away: stand it "
+            f"{_nearer(pole, view.name)}.",
+        )

@@ -1,0 +1,125 @@
+"""What to do about an answer: stop, keep still for longer, or stand the poles elsewhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..base.quantities import counted
+from ..base.reasons import explain
+from ..base.uncertainty.purpose import (
+    CONFIDENCE,
+    USABLE,
+    Need,
+    displacement_bound,
+    fitness,
+    whole_percent,
+)
+from ..result import ResultDoc
+from .advice import Advice, remedy_of
+
+SPOILT = {"moving_pole", "moving_lidar", "no_match", "placements_disagree", "poor_fit"}
+SPOILT |= {"poles_inconsistent", "poles_scene_contradict", "scene_contradicts"}
+"""Refusals after which the newest placement is left out: with others it would spoil them too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """An answer, and what follows from it.
+
+    Attributes
+    ----------
+    document
+        The answer.
+    need
+        How accurate it must be.
+    probability, bound
+        That it is; and what no point up to there is off by more than, with 95 % probability,
+        metres. None where it was refused.
+    """
+
+    document: ResultDoc
+    need: Need
+    probability: float | None
+    bound: float | None
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether to stop: the verdict is ok, and the need is met."""
+        sure = self.probability is not None and self.probability >= CONFIDENCE
+        return self.document.status == "ok" and sure
+
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether the newest placement is of no use to others."""
+        codes = {reason.code for reason in self.document.reasons}
+        return self.document.status == "refused" and bool(codes & SPOILT)
+
+    @property
+    def seconds_more(self) -> float:
+        """How much longer to record, where masts sway and that is why the need is not met."""
+        budget = self.document.budget or []
+        main = budget[0].name if budget else ""
+        if self.is_enough or "sway" not in main:
+            return 0.0
+        return max((each.sway.seconds_more for each in self.document.sways), default=0.0)
+
+
+def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
+    """Judge an answer by what it is needed for, or by what any answer is good for."""
+    asked = need or USABLE
+    if document.covariance is None:
+        return Outcome(document, asked, None, None)
+    if document.fitness is not None:
+        # It counts that the answer may be another pose altogether.
+        return Outcome(document, asked, document.fitness.probability, document.fitness.bound_m)
+    probability = fitness(document.covariance, asked).probability
+    return Outcome(document, asked, probability, displacement_bound(document.covariance, asked.at))
+
+
+def advice_after(outcome: Outcome, placements: int) -> Advice:
+    """Say what to do next, after so many placements.
+
+    Parameters
+    ----------
+    outcome
+        Of all of them.
+    placements
+        How many were recorded.
+    """
+    document = outcome.document
+    if outcome.is_enough:
+        return Advice("done", f"Done: calibrated, {_within(outcome)}.", True)
+    if all(reason.code == "not_fit_for_purpose" for reason in document.reasons):
+        more = f"Placement {placements + 1}: stand the poles elsewhere, on another side"
+        return Advice(
+            "need_not_met", f"Calibrated, but only {_within(outcome)}. {more}.", is_good=False
+        )
+    reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")
+    if reason.code == "radius_differs" and document.radius is not None:
+        millimetres = 1e3 * document.radius.estimated
+        return Advice(
+            reason.code,
+            f"The poles seem to have a radius of {millimetres:.0f} mm, not "
+            f"{1e3 * document.config.radius_m:.0f}: measure one, and start again with --radius.",
+        )
+    explained = explain(reason.code)
+    title = explained.title if explained else reason.message
+    verdict = "Refused" if document.status == "refused" else "A warning"
+    return Advice(reason.code, f"{verdict}: {title.lower()}. {remedy_of(reason.code)}".strip())
+
+
+def _within(outcome: Outcome) -> str:
+    assert outcome.probability is not None
+    sure = f"{outcome.need.words} with a probability of {whole_percent(outcome.probability)}"
+    if outcome.bound is None:
+        return sure
+    return f"{sure} (no point there is off by more than {100 * outcome.bound:.2g} cm)"
+
+
+def keep_still(captured: int, wanted: int, seconds: float) -> Advice:
+    """Say that all is good, and how much is still to come."""
+    left = f", {math.ceil(seconds)} s more" if seconds > 1 and captured >= wanted else ""
+    return Advice(
+        "good", f"Good: keep still, {captured} of {counted(wanted, 'sweep')}{left}.", True
+    )

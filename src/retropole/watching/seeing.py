@@ -1,0 +1,232 @@
+"""Sweeps as they come: the poles in each, which of them is which, and whether it stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..base.datatypes import Array, Detection, PointCloud, Pole
+from ..base.errors import Refusal
+from ..base.se3 import lengths
+from ..base.sensors import Sensor
+from ..extraction.candidates import with_candidates
+from ..extraction.dimmer import with_dimmer_candidates
+from ..extraction.poles import extract_poles
+
+STILL = 1.0
+"""A pole that stood where it does for so long stands still, s."""
+
+MOVED, MOVED_FAR = 0.06, 0.004
+"""A pole moved where the middle or an end of its returns lies so far from its line before, metres,
+and so much more a metre of range: lines of one sweep scatter by half of that on simulated poles
+(benchmarks/watch.py, seeds to 99)."""
+
+SAME = 0.5
+"""What lies no farther from where a pole was is that pole, metres: somebody carries it."""
+
+LATELY, REMEMBERED = 1.0, 30.0
+"""A pole is there that was seen so lately, and is missed for so long after, s: one at the limit of
+what can be found is not in every sweep."""
+
+SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
+"""Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
+differ by less; nearer to parallel than the last, rad, the distance is that of parallel lines."""
+
+BESIDE = float(np.radians(1.5))
+"""Returns within this angle of a pole, as the LiDAR sees it, may be what hides it, rad."""
+
+NEARER = 0.4
+"""By so much nearer than the pole they are, metres."""
+
+HIDING = 3
+"""Fewest of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """A pole followed from sweep to sweep.
+
+    Attributes
+    ----------
+    number
+        From 1, by the order of appearance; kept while it is remembered.
+    pole
+        As it was last seen.
+    rest
+        As it was seen when it came to rest.
+    since, seen
+        When it came to rest, and when it was last seen, s.
+    """
+
+    number: int
+    pole: Pole
+    rest: Pole
+    since: float
+    seen: float
+
+    def is_still(self, now: float) -> bool:
+        """Whether it has stood where it does for `STILL`."""
+        return self.seen - self.since >= STILL and now - self.seen <= LATELY
+
+    @property
+    def distance(self) -> float:
+        """Of the pole from the LiDAR, metres; beams start near the origin."""
+        return float(np.linalg.norm(self.pole.point))
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A sweep that was searched for poles.
+
+    Attributes
+    ----------
+    at
+        When it came, s.
+    cloud
+        The sweep.
+    poles
+        That it shows.
+    refusal
+        Why it could not be searched.
+    doubtful, dim
+        Where fewer than two poles are found: lines that may be poles, and those whose tape is too
+        dim for the threshold.
+    threshold
+        Intensity from which a return counted as tape; NaN where it was not searched.
+    """
+
+    at: float
+    cloud: PointCloud
+    poles: tuple[Pole, ...] = ()
+    refusal: Refusal | None = None
+    doubtful: tuple[Pole, ...] = ()
+    dim: tuple[Pole, ...] = ()
+    threshold: float = float("nan")
+
+
+def look(
+    cloud: PointCloud,
+    at: float,
+    *,
+    sensor: Sensor | None,
+    threshold: float | None,
+    radius: float,
+) -> Looked:
+    """Search one sweep for poles, and where too few are found for what may be one."""
+    try:
+        found = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
+        if len(found.poles) > 1:
+            return Looked(at, cloud, found.poles, threshold=found.threshold)
+        doubtful = with_candidates(cloud, found, radius, sensor)
+        dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
+    except Refusal as refusal:
+        return Looked(at, cloud, refusal=refusal)
+    sure = _apart(doubtful.candidates, found)
+    return Looked(
+        at,
+        cloud,
+        found.poles,
+        doubtful=sure,
+        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, sure)),
+        threshold=found.threshold,
+    )
+
+
+def _apart(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
+    """Those that are none of the poles."""
+    return tuple(each for each in candidates if not _is_any(each, found.poles))
+
+
+def _is_any(pole: Pole, others: Sequence[Pole]) -> bool:
+    return any(away_from(pole, other) < SAME for other in others)
+
+
+def away_from(pole: Pole, other: Pole) -> float:
+    """Largest distance of the middle and the ends of a pole's returns from the line of another."""
+    along = pole.direction * pole.length / 2
+    points = np.stack([pole.point, pole.point - along, pole.point + along]) - other.point
+    beside = points - np.outer(points @ other.direction, other.direction)
+    return float(lengths(beside).max())
+
+
+def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
+    """Follow the poles that were known into a sweep; new ones get the lowest free number."""
+    left = list(tracks)
+    followed = list[Tracked]()
+    fresh = list[Pole]()
+    for pole in looked.poles:
+        near = [(float(np.linalg.norm(pole.point - t.pole.point)), t) for t in left]
+        gap, known = min(near, key=lambda each: each[0], default=(np.inf, None))
+        # Of a tall pole other parts may be seen in the next sweep.
+        if known is None or gap > SAME + pole.length / 2:
+            fresh.append(pole)
+            continue
+        left.remove(known)
+        limit = MOVED + MOVED_FAR * known.distance
+        if away_from(pole, known.rest) > limit:
+            followed.append(replace(known, pole=pole, rest=pole, since=looked.at, seen=looked.at))
+        else:
+            followed.append(replace(known, pole=pole, seen=looked.at))
+    followed += [each for each in left if looked.at - each.seen <= REMEMBERED]
+    taken = {each.number for each in followed}
+    for pole in fresh:
+        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
+        taken.add(number)
+        followed.append(Tracked(number, pole, pole, looked.at, looked.at))
+    return tuple(sorted(followed, key=lambda each: each.number))
+
+
+def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
+    """Those that were seen lately."""
+    return tuple(each for each in tracks if now - each.seen <= LATELY)
+
+
+def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
+    """How far away what stands before a pole is, metres; None where nothing does."""
+    seen = cloud.xyz - cloud.origin
+    ranges = lengths(seen)
+    to = pole.xyz - cloud.origin
+    away = float(np.median(lengths(to)))
+    middle = to.mean(axis=0) / np.linalg.norm(to.mean(axis=0))
+    half = np.arctan2(pole.length / 2, away)
+    level = np.cross(middle, pole.direction)
+    sine = float(np.linalg.norm(level))
+    if sine < 1e-3:
+        return None
+    # The pole is a strip: along it as far as its returns, across it as far as what may hide it.
+    beams = seen / ranges[:, None]
+    across = np.abs(beams @ (level / sine))
+    ahead = beams @ middle
+    before = (across < np.sin(BESIDE)) & (ahead > np.cos(half + BESIDE))
+    before &= ranges < away - NEARER
+    if np.count_nonzero(before) < HIDING:
+        return None
+    return float(np.median(ranges[before]))
+
+
+def is_same_pair(one: tuple[Pole, Pole], other: tuple[Pole, Pole]) -> bool:
+    """Whether two LiDARs may see the same two poles: lines at the same angle and distance."""
+    (angle, gap), (other_angle, other_gap) = _relation(*one), _relation(*other)
+    return abs(angle - other_angle) < SAME_ANGLE and abs(gap - other_gap) < SAME_GAP
+
+
+def _relation(a: Pole, b: Pole) -> tuple[float, float]:
+    """Angle between two lines, rad, and their least distance, metres."""
+    across = np.cross(a.direction, b.direction)
+    sine = float(np.linalg.norm(across))
+    between = b.point - a.point
+    if sine < PARALLEL:
+        gap = float(np.linalg.norm(np.cross(between, a.direction)))
+    else:
+        gap = abs(float(between @ across)) / sine
+    return float(np.arctan2(sine, abs(a.direction @ b.direction))), gap
+
+
+def angle_between(poles: Sequence[Pole]) -> float | None:
+    """Largest angle between any two poles, rad; None of fewer than two."""
+    if len(poles) < 2:
+        return None
+    axes: Array = np.stack([each.direction for each in poles])
+    return float(np.arccos(np.clip(np.abs(axes @ axes.T).min(), 0.0, 1.0)))

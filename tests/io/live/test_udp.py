@@ -1,0 +1,305 @@
+"""Packets sent to a port give the sweeps that a capture of them gives."""
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.base.errors import MissingExtraError, ReadError, UsageError
+from retropole.io import Frame, read_frames
+from retropole.io.captures import packets, walk
+from retropole.io.live import Source
+from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
+from tests.io.files import required
+from tests.paths import SHARED
+
+FORMATS = SHARED / "formats"
+VLP16 = "velodyne/sample_velodyne_vlp16_gps.pcap"
+HDL32 = "velodyne/sample_velodyne_hdl32.pcap"
+OUSTER = "ouster/OS-0-128-U1_v2.3.0_1024x10.pcap"
+
+HEADERS = 42
+"""Bytes of Ethernet, IP and UDP before what the sensor sent."""
+
+HOME = "127.0.0.1"
+LONG = 10.0
+"""Seconds that are more than enough."""
+
+
+def shared(name: str) -> Path:
+    path = FORMATS / name
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    return path
+
+
+def payloads(path: Path) -> list[bytes]:
+    return [packet[HEADERS:] for packet in packets(path, walk(path))]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind((HOME, 0))
+        port: int = own.getsockname()[1]
+        return port
+
+
+@contextmanager
+def sender(port: int) -> Iterator[Callable[[list[bytes]], None]]:
+    """A sensor; it sends slowly enough for the smallest buffer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind((HOME, 0))
+
+        def send(packets: list[bytes]) -> None:
+            for k, packet in enumerate(packets):
+                own.sendto(packet, (HOME, port))
+                if k % 4 == 3:
+                    time.sleep(0.001)
+
+        yield send
+
+
+def until(holds: Callable[[], object]) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + LONG
+    while not holds():
+        assert time.monotonic() < end, "it never holds"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def velodyne() -> Iterator[tuple[VelodyneSource, int]]:
+    pytest.importorskip("velodyne_decoder")
+    port = free_port()
+    with closing(VelodyneSource(port, HOME)) as source:
+        yield source, port
+
+
+def number_taken(source: PacketSource) -> int:
+    """How many packets were looked at since the last sweep."""
+    return source._taken + source._others + source._wrong.total()
+
+
+def assert_same(live: Frame, read: Frame) -> None:
+    for name in ("xyz", "intensity", "ring", "origin"):
+        np.testing.assert_array_equal(getattr(live.cloud, name), getattr(read.cloud, name))
+    assert live.cloud.fields == read.cloud.fields
+    assert live.cloud.dropped == read.cloud.dropped
+
+
+@pytest.mark.parametrize("name", [VLP16, HDL32])
+def test_a_velodyne_gives_the_sweeps_of_its_capture(name: str) -> None:
+    pytest.importorskip("velodyne_decoder")
+    path = shared(name)
+    read = list(read_frames(path))
+    port = free_port()
+    with closing(VelodyneSource(port, HOME)) as source, sender(port) as send:
+        packets, live = payloads(path), list[Frame]()
+        before = time.time()
+        # In between, no wait: a sweep that takes too long is cut.
+        for start in range(0, len(packets), 20):
+            send(packets[start : start + 20])
+            frame = source.newest(0)
+            live += [frame] if frame else []
+        last = source.newest(1) if len(live) < len(read) - 1 else None
+        live += [last] if last else []
+        # The last one is whole when the next begins, and nothing follows it.
+        assert [frame.number for frame in live] == [frame.number for frame in read[:-1]]
+        assert source.waits_for == ""
+        for ours, theirs in zip(live, read, strict=False):
+            assert_same(ours, theirs)
+            stamp = required(ours.stamp)
+            assert before <= stamp <= time.time()
+            offsets = required(ours.cloud.time) - stamp
+            np.testing.assert_allclose(
+                offsets, required(theirs.cloud.time) - required(theirs.stamp), atol=1e-6
+            )
+
+
+def test_an_ouster_gives_the_sweep_of_its_capture() -> None:
+    pytest.importorskip("ouster.sdk", reason="needs pip install 'retropole[ouster]'")
+    path = shared(OUSTER)
+    (read,) = read_frames(path)
+    all_packets = payloads(path)
+    own = [packet for packet in all_packets if len(packet) == 8448]
+    port = free_port()
+    with closing(OusterSource(port, path.with_suffix(".json"), HOME)) as source:
+        with sender(port) as send:
+            send(all_packets)
+            live = required(source.newest(LONG))
+            assert_same(live, read)
+            np.testing.assert_array_equal(live.cloud.time, read.cloud.time)
+            # Its clock counts from when it was switched on, so that it is ours that counts.
+            assert required(live.stamp) == pytest.approx(time.time(), abs=LONG)
+        with sender(port) as send:
+            strange = bytes(4) + b"\1\2\3" + own[0][7:]
+            send([strange] * 3)
+            until(lambda: number_taken(source) >= 3)
+            assert source.newest(0) is None
+
+
+def test_the_first_part_of_a_sweep_of_an_ouster_is_left_out() -> None:
+    pytest.importorskip("ouster.sdk", reason="needs pip install 'retropole[ouster]'")
+    path = shared(OUSTER)
+    (read,) = read_frames(path)
+    own = [packet for packet in payloads(path) if len(packet) == 8448]
+    # The second half of a sweep, with the number of the one before.
+    early = [
+        p[:2] + (int.from_bytes(p[2:4], "little") - 1).to_bytes(2, "little") + p[4:] for p in own
+    ]
+    port = free_port()
+    metadata = path.with_suffix(".json")
+    with closing(OusterSource(port, metadata, HOME)) as source, sender(port) as send:
+        send(early[32:] + own)
+        live = required(source.newest(LONG))
+    assert live.number == 0
+    assert_same(live, read)
+
+
+def test_metadata_that_are_none_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("ouster.sdk", reason="needs pip install 'retropole[ouster]'")
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(ReadError, match=r"a\.json"):
+        OusterSource(free_port(), tmp_path / "a.json", HOME)
+    with pytest.raises(ReadError, match=r"b\.json: cannot be read"):
+        OusterSource(free_port(), tmp_path / "b.json", HOME)
+
+
+def test_sweeps_that_nobody_took_are_left_out_and_counted(
+    velodyne: tuple[VelodyneSource, int],
+) -> None:
+    source, port = velodyne
+    path = shared(VLP16)
+    with sender(port) as send:
+        send(payloads(path))
+        until(lambda: source._mailbox._count == 3)
+        newest = required(source.newest(0))
+        assert newest.number == 2
+        assert_same(newest, list(read_frames(path))[2])
+        assert source.newest(0) is None
+
+
+def test_other_packets_are_counted_and_said(velodyne: tuple[VelodyneSource, int]) -> None:
+    source, port = velodyne
+    assert source.waits_for == f"port {port}: no packet came"
+    with sender(port) as send:
+        send([bytes(1248)] * 120)
+        until(lambda: number_taken(source) == 120)
+        expected = "120 packets came, none of a Velodyne: 1206 bytes expected, 1248 came"
+        assert source.waits_for == f"port {port}: {expected}"
+        send([bytes(1206)] * 200 + [b""] * 3)
+        until(lambda: number_taken(source) == 323)
+        assert "1206 that begin otherwise and 1248 and 0 came" in source.waits_for
+        assert source.newest(0) is None
+
+
+def test_packets_of_no_known_velodyne_are_said(velodyne: tuple[VelodyneSource, int]) -> None:
+    source, port = velodyne
+    with sender(port) as send:
+        # It tries when a sweep is whole, or takes too long.
+        for _ in range(50):
+            send([b"\xff\xee" + bytes(1204)] * 10)
+            time.sleep(0.01)
+        until(lambda: "cannot be decoded" in source.waits_for)
+        assert "none of a Velodyne" in source.waits_for
+        # They keep no other away.
+        send(payloads(shared(VLP16)))
+        assert source.newest(LONG) is not None
+
+
+def test_of_two_senders_the_first_is_taken(velodyne: tuple[VelodyneSource, int]) -> None:
+    source, port = velodyne
+    path = shared(VLP16)
+    first, other = payloads(path), payloads(shared(HDL32))
+    read = list(read_frames(path))
+    with sender(port) as send, sender(port) as disturb:
+        frames = list[Frame]()
+        for k in range(0, len(first), 10):
+            send(first[k : k + 10])
+            disturb(other[k : k + 10])
+            frame = source.newest(0.02)
+            frames += [frame] if frame else []
+    assert [frame.number for frame in frames] == [0, 1, 2]
+    for frame in frames:
+        assert_same(frame, read[frame.number])
+        (note,) = frame.cloud.notes
+        assert f"port {port}: packets of {HOME}:" in note
+        assert "left out" in note
+
+
+def test_another_sender_is_taken_when_the_first_stops(
+    velodyne: tuple[VelodyneSource, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, port = velodyne
+    path = shared(VLP16)
+    packets, read = payloads(path), list(read_frames(path))
+    with sender(port) as send:
+        send(packets[:100])
+        assert_same(required(source.newest(LONG)), read[0])
+        until(lambda: source._taken > 0)
+    with sender(port) as send:
+        send([p for p in packets if len(p) == 1206][:50])
+        until(lambda: source._others == 50)
+        monkeypatch.setattr("retropole.io.live.udp.QUIET", 0.0)
+        assert "50 packets of 127.0.0.1:" in source.waits_for
+        assert "no sweep; " in source.waits_for
+        monkeypatch.setattr("retropole.io.live.udp.PAUSE", 0.1)
+        time.sleep(0.15)
+        assert "sends no more packets" in source.waits_for
+        # It begins anew, not with what the first one left behind.
+        send(packets[:100])
+        frame = required(source.newest(LONG))
+        assert frame.number == 1
+        assert_same(frame, read[0])
+
+
+def test_a_port_in_use_is_named() -> None:
+    pytest.importorskip("velodyne_decoder")
+    port = free_port()
+    with closing(VelodyneSource(port, HOME)):
+        for host in (HOME, "0.0.0.0"):
+            with pytest.raises(UsageError, match=f"port {port}: another program listens"):
+                VelodyneSource(port, host)
+    VelodyneSource(port, HOME).close()
+
+
+@pytest.mark.parametrize("port", [0, -1, 65_536])
+def test_a_port_that_cannot_be(port: int) -> None:
+    pytest.importorskip("velodyne_decoder")
+    with pytest.raises(UsageError, match=f"port {port}: expected 1 to 65535"):
+        VelodyneSource(port)
+
+
+def test_an_address_that_is_not_ours() -> None:
+    pytest.importorskip("velodyne_decoder")
+    with pytest.raises(UsageError, match=r"cannot be opened on 192\.0\.2\.1"):
+        VelodyneSource(free_port(), "192.0.2.1")
+
+
+def test_closing_ends_the_thread_and_every_wait() -> None:
+    pytest.importorskip("velodyne_decoder")
+    source: Source = VelodyneSource(port := free_port(), HOME)
+    assert isinstance(source, VelodyneSource)
+    assert source.name == f"velodyne:{HOME}:{port}"
+    assert not source.has_ended
+    source.close()
+    source.close()
+    assert not source._thread.is_alive()
+    assert source.newest(LONG) is None
+
+
+@pytest.mark.parametrize("extra", ["velodyne", "ouster"])
+def test_missing_extras_say_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extra: str
+) -> None:
+    module = {"velodyne": "velodyne_decoder", "ouster": "ouster.sdk.core"}[extra]
+    monkeypatch.setitem(sys.modules, module, None)
+    begin = VelodyneSource if extra == "velodyne" else partial(OusterSource, metadata=tmp_path)
+    with pytest.raises(MissingExtraError, match=rf"retropole\[{extra}\]"):
+        begin(free_port())
