@@ -16,13 +16,16 @@ from typing import TypeVar
 
 from msgspec.structs import replace as with_options
 
-from ..base.errors import ReadError, RetropoleError
+from ..base.errors import ReadError, RetropoleError, UsageError
 from ..base.files import write_together
 from ..base.quantities import counted
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import USABLE
+from ..export import read_transform
+from ..export.publishing import Published, publish
 from ..export.recording import TOPICS, Track, write_recording
-from ..io.live import Source
+from ..io.live import Source, source_of
+from ..io.live import names_of as names_of
 from ..planning.comparison import against_plan
 from ..report.field_test import render_field_test
 from ..result import RunConfig, encode, pole_documents
@@ -78,6 +81,29 @@ class Wish:
     sweeps: int = SWEEPS
     plan: PolePlanDoc | None = None
     stored: Stored | None = None
+
+
+def open_sources(
+    texts: Sequence[str], *, domain: int | None = None, interface: str | None = None
+) -> list[Source]:
+    """Open the sources of target and source, as `io.live.source_of` takes them; both or none.
+
+    Raises
+    ------
+    UsageError, ReadError, MissingExtraError
+        As `io.live.source_of`; and where both are the same.
+    """
+    if len(set(texts)) < len(texts):
+        raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
+    opened: list[Source] = []
+    try:
+        for text in texts:
+            opened.append(source_of(text, domain=domain, interface=interface))
+    except RetropoleError:
+        for source in opened:
+            source.close()
+        raise
+    return opened
 
 
 @dataclass
@@ -167,6 +193,23 @@ class Watch:
                     write_together(files)
                     self.written += files
         return self.written
+
+    def publish(self, *, domain: int | None = None, interface: str | None = None) -> Published:
+        """Publish the answer on ``/tf_static``, between the frames that the sweeps came in.
+
+        Raises
+        ------
+        UsageError, MissingExtraError
+            As `export.publishing.publish`.
+        Refusal
+            Where the answer was refused.
+        """
+        parent, child = (each.frame_id or each.view.name for each in self._lidars)
+        if parent == child:
+            parent, child = self._wish.names
+        transform = read_transform(self._out, parent=parent, child=child)
+        self._note(f"published on /tf_static: {transform.parent} to {transform.child}")
+        return publish([transform], domain=domain, interface=interface)
 
     def _take(self, k: int) -> None:
         """Take the newest sweep of a LiDAR, and search it."""

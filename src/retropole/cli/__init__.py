@@ -32,6 +32,7 @@ COMMANDS = (
     "simulate",
     "site",
     "view",
+    "watch",
 )
 """Every command, by the name of its module."""
 

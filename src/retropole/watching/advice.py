@@ -100,7 +100,7 @@ def word_on(track: Tracked, now: float) -> str:
     if now - track.seen > LATELY:
         return "lost"
     if not track.is_still(now):
-        return "moving"
+        return "moving" if track.has_moved else "new"
     if len(track.pole.xyz) < FEW_POINTS:
         return "few returns"
     return "few rings" if track.pole.rings <= FEW_RINGS else ""
@@ -219,10 +219,13 @@ def _nearer(pole: Pole, name: str) -> str:
 
 
 def _moving(view: View, now: float) -> Iterator[Advice]:
-    moving = [t for t in present(view.tracks, now) if not t.is_still(now)]
+    restless = [t for t in present(view.tracks, now) if not t.is_still(now)]
+    moving = [track for track in restless if track.has_moved]
+    which = " and ".join(f"{track.distance:.1f} m" for track in moving or restless)
     if moving:
-        which = " and ".join(f"{t.distance:.1f} m" for t in moving)
         yield Advice("moving", f"Keep the poles still: {view.name} sees one move, {which} away.")
+    elif restless:
+        yield Advice("settling", f"Wait a moment: {view.name} watches the pole {which} away.")
 
 
 def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:

@@ -58,6 +58,8 @@ class Tracked:
         As it was seen when it came to rest.
     since, seen
         When it came to rest, and when it was last seen, s.
+    has_moved
+        Whether it was seen to move before it came to rest.
     """
 
     number: int
@@ -65,6 +67,7 @@ class Tracked:
     rest: Pole
     since: float
     seen: float
+    has_moved: bool = False
 
     def is_still(self, now: float) -> bool:
         """Whether it has stood where it does for `STILL`."""
@@ -166,7 +169,7 @@ def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
         left.remove(known)
         limit = MOVED + MOVED_FAR * known.distance
         if away_from(pole, known.rest) > limit:
-            followed.append(replace(known, pole=pole, rest=pole, since=looked.at, seen=looked.at))
+            followed.append(Tracked(known.number, pole, pole, looked.at, looked.at, has_moved=True))
         else:
             followed.append(replace(known, pole=pole, seen=looked.at))
     followed += [each for each in left if looked.at - each.seen <= REMEMBERED]

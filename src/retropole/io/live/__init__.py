@@ -12,7 +12,7 @@ from typing import Protocol
 from ...base.errors import UsageError
 from ..recordings import Frame
 
-KINDS = {
+SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
     "rclpy:/TOPIC": "a topic of ROS 2, by the ROS installation of this computer",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
@@ -75,7 +75,7 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
     Parameters
     ----------
     text
-        One of `KINDS`.
+        One of `SOURCE_KINDS`.
     domain, interface
         Of ROS 2, as `dds.DdsSource` takes them.
 
@@ -87,8 +87,8 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
         Where it cannot be opened.
     """
     kind, _, where = text.partition(":")
-    if kind not in {each.partition(":")[0] for each in KINDS} or not where:
-        raise UsageError(f"{text!r} is no source, expected one of {', '.join(KINDS)}")
+    if kind not in {each.partition(":")[0] for each in SOURCE_KINDS} or not where:
+        raise UsageError(f"{text!r} is no source, expected one of {', '.join(SOURCE_KINDS)}")
     # Each loads what it needs alone.
     if kind == "ros2":
         from .dds import DdsSource

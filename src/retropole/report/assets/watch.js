@@ -38,6 +38,7 @@
 
   const VERDICTS = {
     ok: ["good", "good", "Done"], warn: ["doubt", "doubt", "Done, with a warning"], refused: ["todo", "lost", "No answer"],
+    same: ["good", "good", "Same"], moved: ["todo", "todo", "Moved"], cannot_tell: ["doubt", "doubt", "Cannot tell"],
   };
   /** Tone, sign and word. */
   function toneOf(doc) {

@@ -1,0 +1,77 @@
+"""What a watch sees and says, drawn on a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from ..base.errors import printable
+from ..base.quantities import at_most
+from ..base.uncertainty.purpose import whole_percent
+from ..result.watching import LidarNow, WatchDoc
+
+LINES = 6
+"""Of what happened that are shown."""
+
+
+def drawn(said: WatchDoc) -> RenderableType:
+    """Draw the next thing to do, and below it what is seen; all words are shown as they are."""
+    colour = "green" if said.is_good else "red"
+    if said.status == "warn" and said.phase == "done":
+        colour = "yellow"
+    field = Panel(
+        Text(printable(said.next), style=f"bold {colour}"),
+        title=said.phase,
+        title_align="left",
+        border_style=colour,
+        padding=(1, 2),
+    )
+    return Group(field, *_below(said))
+
+
+def _below(said: WatchDoc) -> Iterator[RenderableType]:
+    if said.wanted:
+        yield ProgressBar(said.wanted, min(said.captured, said.wanted), width=60)
+    yield _table(said.lidars)
+    words = []
+    if said.angle_rad is not None:
+        words.append(f"angle between the poles {math.degrees(said.angle_rad):.0f}°")
+    if said.placements:
+        words.append(f"placements kept {said.placements}")
+    if said.need is not None:
+        now = ""
+        if said.bound_m is not None and said.probability is not None:
+            now = f", now {at_most(said.bound_m)}, {whole_percent(said.probability)}"
+        words.append(f"needed {said.need.words}{now}")
+    yield Text("; ".join(words))
+    for line in said.words[-LINES:]:
+        yield Text(printable(line), style="dim")
+
+
+def _table(lidars: list[LidarNow]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("LiDAR", "sweeps/s", "age", "points", "pole", "away", "returns", "rings", ""):
+        table.add_column(title, justify="left" if title in ("LiDAR", "") else "right")
+    for lidar in lidars:
+        age = "–" if lidar.age_s is None else f"{lidar.age_s:.1f} s"
+        own = [lidar.name, f"{lidar.sweeps_per_s:.1f}", age, f"{lidar.points:,}"]
+        rows = [
+            (
+                pole.name,
+                f"{pole.distance_m:.1f} m",
+                str(pole.returns),
+                "–" if pole.rings is None else str(pole.rings),
+                Text(pole.word or "good", style="green" if pole.is_good else "red"),
+            )
+            for pole in lidar.poles
+        ]
+        rows = rows or [("–", "", "", "", Text(printable(lidar.word), style="red"))]
+        for k, row in enumerate(rows):
+            table.add_row(*(map(printable, own) if k == 0 else [""] * len(own)), *row)
+    return table
