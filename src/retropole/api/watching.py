@@ -49,6 +49,9 @@ CERTIFICATE = "certificate.json", "certificate.html"
 POLL = 0.05
 """A LiDAR is waited for so long where it has nothing new, s."""
 
+WORKING = 0.8
+"""While the answer is worked out, sweeps are searched so rarely, s: both share the time."""
+
 RATE_OVER = 3.0
 """Seconds over which sweeps are counted."""
 
@@ -234,6 +237,9 @@ class Watch:
                 self._capture = None
             lidar.frame_id = frame.frame_id
         lidar.came.append((now, frame.number))
+        before = lidar.view.looked
+        if self._work is not None and before is not None and now - before.at < WORKING:
+            return
         if not len(frame.cloud):
             lidar.view = replace(lidar.view, fault="its sweep has no returns")
             return

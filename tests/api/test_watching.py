@@ -1,0 +1,249 @@
+"""A watch of two LiDARs that are simulated, from the first sweep to the answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.api.checking import read_stored
+from retropole.api.watching import Watch, Wish, names_of, open_sources
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import ReadError, UsageError
+from retropole.io import Frame, read_frames
+from retropole.result import RunConfig
+from retropole.result.watching import WatchDoc
+from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation.pairs import place_again, record_again
+
+pytest.importorskip("mcap")
+
+
+@dataclass
+class Played:
+    """Hands over the same few sweeps, and notes that it was closed."""
+
+    name: str
+    clouds: list[PointCloud]
+    frame_id: str = "lidar"
+    waits_for: str = ""
+    has_ended: bool = False
+    fault: str = ""
+    count: int = 0
+    closed: bool = False
+    pause: Callable[[int], bool] = field(default=lambda count: False)
+
+    def newest(self, wait: float) -> Frame | None:
+        self.count += 1
+        if self.fault:
+            raise ReadError(self.fault)
+        if self.pause(self.count):
+            return None
+        cloud = self.clouds[self.count % len(self.clouds)]
+        return Frame(self.count, cloud, 1.7e9 + 0.2 * self.count, self.frame_id)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Clock:
+    """Goes on by a fifth of a second with every step."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture(scope="module")
+def pair() -> SimulatedPair:
+    return simulate_pair(
+        "street", np.random.default_rng(3), sensor_target="XT32", sensor_source="VLP-16"
+    )
+
+
+@pytest.fixture(scope="module")
+def sweeps(pair: SimulatedPair) -> list[list[PointCloud]]:
+    again = [record_again(pair, np.random.default_rng(k)) for k in range(3)]
+    return [[each.target for each in again], [each.source for each in again]]
+
+
+def watch_of(
+    sweeps: list[list[PointCloud]], wish: Wish, out: Path
+) -> tuple[Watch, list[Played], Clock]:
+    sources = [Played(n, own, f"{n}_frame") for n, own in zip(wish.names, sweeps, strict=True)]
+    clock = Clock()
+    return Watch(sources, wish, out, clock), sources, clock
+
+
+def go_on(
+    watch: Watch, clock: Clock, until: Callable[[WatchDoc], bool], seconds: float = 60.0
+) -> list[WatchDoc]:
+    """Step until something is said, and wait for what is worked out."""
+    said: list[WatchDoc] = []
+    start = clock.now
+    while not said or not until(said[-1]):
+        said.append(watch.step())
+        clock.now += 0.2
+        assert clock.now < start + seconds, said[-1].next
+        if said[-1].phase == "calibrating":
+            clock.now -= 0.2
+            time.sleep(0.02)
+    return said
+
+
+WISH = Wish(RunConfig(), ("front", "rear"), sweeps=5)
+
+
+def test_good_poles_are_kept_and_calibrated(
+    pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, sources, clock = watch_of(sweeps, WISH, tmp_path)
+    said = go_on(watch, clock, lambda doc: doc.phase == "done")
+    codes = list(dict.fromkeys(doc.code for doc in said))
+    assert codes == ["settling", "good", "calibrating", "done"]
+    assert watch.is_over
+    assert watch.result is not None
+    assert watch.result.T_target_source is not None
+    step = se3.local(watch.result.T_target_source, pair.T_target_source)
+    assert np.linalg.norm(step[3:]) < 0.02
+    last = said[-1]
+    assert last.status == "ok"
+    assert last.probability is not None
+    assert last.probability > 0.95
+    assert [len(each.poles) for each in last.lidars] == [2, 2]
+    capturing = [doc for doc in said if doc.phase == "capturing"]
+    assert capturing[-1].lidars[0].sweeps_per_s == pytest.approx(5.0)
+    assert {doc.captured for doc in said} >= {0, 1, 2, 3}
+    written = watch.finish()
+    assert all(each.closed for each in sources)
+    assert {each.name for each in written} >= {"placement1.mcap", "result.json", "report.html"}
+    kept = list(read_frames(tmp_path / "placement1.mcap", topic="/source/points"))
+    assert len(kept) >= 5
+    assert kept[0].frame_id == "rear_frame"
+    assert any(np.allclose(kept[0].cloud.xyz[:5], own.xyz[:5], atol=1e-6) for own in sweeps[1])
+
+
+@pytest.mark.slow
+def test_both_lidars_exchanged_give_the_inverse(
+    pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, _, clock = watch_of(sweeps[::-1], WISH, tmp_path)
+    go_on(watch, clock, lambda doc: doc.phase == "done")
+    assert watch.result is not None
+    assert watch.result.T_target_source is not None
+    step = se3.local(watch.result.T_target_source, se3.inverse(pair.T_target_source))
+    assert np.linalg.norm(step[3:]) < 0.02
+
+
+@pytest.mark.slow
+def test_a_need_that_is_not_met_asks_for_another_placement(
+    pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    wish = Wish(RunConfig(need_m=0.0005, at_m=30.0), ("front", "rear"), sweeps=5)
+    watch, sources, clock = watch_of(sweeps, wish, tmp_path)
+    said = go_on(watch, clock, lambda doc: doc.code == "need_not_met")
+    assert not said[-1].is_good
+    assert not watch.is_over
+    # As long as the poles stand there, no other placement is kept.
+    for _ in range(10):
+        clock.now += 0.2
+        assert watch.step().code == "need_not_met"
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["placement1.mcap"]
+    other = place_again(pair, np.random.default_rng(5))
+    for source, cloud in zip(sources, (other.target, other.source), strict=True):
+        source.clouds = [cloud]
+    said = go_on(watch, clock, lambda doc: doc.placements == 2 and doc.code == "need_not_met")
+    assert "Placement 3" in said[-1].next
+    assert (tmp_path / "placement2.mcap").exists()
+    assert watch.result is not None
+    assert len(watch.result.document.inputs) == 4
+
+
+def test_what_is_wrong_is_said_and_it_goes_on(
+    sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, (front, rear), clock = watch_of(sweeps, WISH, tmp_path)
+    rear.fault = "message 3 of /rear: its fields contradict each other"
+    said = go_on(watch, clock, lambda doc: clock.now > 2)
+    assert said[-1].code == "unreadable"
+    assert "contradict" in said[-1].next
+    assert len([line for line in said[-1].words if "contradict" in line]) == 1
+    rear.fault = ""
+    go_on(watch, clock, lambda doc: doc.phase == "capturing")
+    rear.pause, rear.waits_for = lambda count: True, "nobody publishes /rear"
+    said = go_on(watch, clock, lambda doc: doc.code == "silent")
+    assert "nobody publishes /rear" in said[-1].next
+    assert said[-1].captured == 0
+    rear.pause, rear.frame_id = lambda count: False, "another"
+    said = go_on(watch, clock, lambda doc: doc.phase == "capturing")
+    assert any("'another'" in line for line in said[-1].words)
+    assert not front.closed
+
+
+def test_what_was_begun_is_not_lost(sweeps: list[list[PointCloud]], tmp_path: Path) -> None:
+    watch, _, clock = watch_of(sweeps, WISH, tmp_path)
+    go_on(watch, clock, lambda doc: doc.captured > 1)
+    (written,) = watch.finish()
+    assert len(list(read_frames(written, topic="/target/points"))) > 1
+
+
+def test_recordings_that_end_are_calibrated_by_what_there_was(
+    sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, sources, clock = watch_of(sweeps, WISH, tmp_path)
+    go_on(watch, clock, lambda doc: doc.captured > 1)
+    for source in sources:
+        source.has_ended, source.pause = True, lambda count: True
+    go_on(watch, clock, lambda doc: doc.phase == "done")
+    assert watch.result is not None
+    nothing, sources, clock = watch_of(sweeps, WISH, tmp_path / "other")
+    for source in sources:
+        source.has_ended, source.pause = True, lambda count: True
+    assert nothing.step().code == "ended"
+    assert nothing.is_over
+
+
+@pytest.mark.slow
+def test_a_rig_is_checked_against_its_result(
+    sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, _, clock = watch_of(sweeps, WISH, tmp_path / "first")
+    go_on(watch, clock, lambda doc: doc.phase == "done")
+    watch.finish()
+    stored = read_stored(tmp_path / "first")
+    again, _, clock = watch_of(
+        sweeps, Wish(RunConfig(), ("front", "rear"), sweeps=5, stored=stored), tmp_path / "then"
+    )
+    said = go_on(again, clock, lambda doc: doc.phase == "done")
+    assert said[-1].status in ("same", "cannot_tell")
+    assert again.checked is not None
+
+
+def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no source"):
+        open_sources(["front.pcd", "folder:x"])
+    with pytest.raises(UsageError, match="two sources"):
+        open_sources([f"folder:{tmp_path}"] * 2)
+    with pytest.raises(UsageError, match="no port"):
+        open_sources(["velodyne:abc", f"folder:{tmp_path}"])
+    with pytest.raises(UsageError, match="metadata"):
+        open_sources(["ouster:7502", f"folder:{tmp_path}"])
+    (tmp_path / "a").mkdir()
+    first, second = open_sources([f"folder:{tmp_path}", f"folder:{tmp_path / 'a'}"])
+    assert first.newest(0.0) is None
+    first.close()
+    second.close()
+
+
+def test_names_come_from_topics() -> None:
+    other = "target", "source"
+    assert names_of(["ros2:/front/points", "ros2:/rear/points"], other) == ("front", "rear")
+    assert names_of(["ros2:/lidar/a", "bag:x.mcap:/lidar/b"], other) == ("a", "b")
+    assert names_of(["velodyne:2368", "velodyne:2369"], other) == other
+    assert names_of(["ros2:/points", "folder:x"], other) == other

@@ -1,0 +1,136 @@
+"""The one next thing to do."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.base.datatypes import PointCloud, Pole
+from retropole.base.errors import Refusal
+from retropole.watching.advice import Advice, View, advise, word_on
+from retropole.watching.seeing import Looked, Tracked
+from tests.conftest import PoleMaker
+
+UP, LEANING = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 1.0])
+NOW = 10.0
+
+ViewMaker = Callable[..., View]
+
+
+@pytest.fixture
+def poles(make_pole: PoleMaker) -> list[Pole]:
+    return [make_pole([5, 0, 0], UP), make_pole([5, 2, 0], LEANING)]
+
+
+def view(name: str, poles: list[Pole], since: float = 5.0, moved: bool = False) -> View:
+    tracks = tuple(Tracked(k + 1, p, p, since, NOW, moved) for k, p in enumerate(poles))
+    return View(
+        name, tracks, Looked(NOW, PointCloud(np.ones((5, 3))), tuple(poles), threshold=80.0)
+    )
+
+
+def said(front: View, rear: View) -> Advice:
+    """What is said; of front and rear exchanged the same kind of thing."""
+    advice = advise([front, rear], NOW)
+    assert advise([rear, front], NOW).code == advice.code
+    return advice
+
+
+def test_two_poles_that_stand_are_good(poles: list[Pole]) -> None:
+    advice = said(view("front", poles), view("rear", poles))
+    assert advice.code == "good"
+    assert advice.is_good
+
+
+def test_a_silent_lidar_goes_first(poles: list[Pole]) -> None:
+    silent = View("rear", silent="nobody publishes /rear")
+    advice = said(view("front", poles[:1]), silent)
+    assert advice.code == "silent"
+    assert "rear" in advice.words
+    assert "nobody publishes /rear" in advice.words
+    old = replace(view("rear", poles), looked=Looked(NOW - 10, PointCloud(np.ones((5, 3)))))
+    assert said(view("front", poles), old).code == "silent"
+
+
+def test_what_cannot_be_read_is_said(poles: list[Pole]) -> None:
+    advice = said(view("front", poles), replace(view("rear", poles), fault="point_step is 3"))
+    assert advice.code == "unreadable"
+    assert "point_step is 3" in advice.words
+    refusal = Refusal("no_intensity", "the cloud has no intensity", {})
+    looked = Looked(NOW, PointCloud(np.ones((5, 3))), refusal=refusal)
+    assert said(view("front", poles), View("rear", looked=looked)).code == "no_intensity"
+
+
+def test_one_pole_alone_is_missing_another(poles: list[Pole]) -> None:
+    advice = said(view("front", poles[:1]), view("rear", poles[:1]))
+    assert advice.code == "missing"
+    assert not advice.is_good
+    assert said(view("front", []), view("rear", [])).code == "no_poles"
+
+
+def test_a_pole_that_one_lidar_lacks_is_hidden_from_it(poles: list[Pole]) -> None:
+    advice = said(view("front", poles), view("rear", poles[:1]))
+    assert advice.code == "hidden"
+    assert "rear sees one pole, front sees 2" in advice.words
+
+
+def test_what_fits_to_the_others_poles_is_named(poles: list[Pole], make_pole: PoleMaker) -> None:
+    rear = view("rear", poles[:1])
+    assert rear.looked is not None
+    far = replace(poles[1], xyz=poles[1].xyz[:7], rings=3)
+    seen = replace(rear, looked=replace(rear.looked, doubtful=(far,)))
+    advice = said(view("front", poles), seen)
+    assert advice.code == "too_far"
+    assert "nearer to rear" in advice.words
+    dim = replace(rear, looked=replace(rear.looked, dim=(poles[1],)))
+    assert said(view("front", poles), dim).code == "dim"
+    # Something else that shines is not taken for it.
+    other = make_pole([9, 5, 0], UP)
+    clutter = replace(rear, looked=replace(rear.looked, doubtful=(other,)))
+    assert said(view("front", poles), clutter).code == "hidden"
+
+
+def test_who_stands_before_a_lidar_is_asked_to_step_aside(poles: list[Pole]) -> None:
+    rear = view("rear", poles)
+    gone = replace(rear.tracks[1], seen=NOW - 5.0)
+    body = poles[1].point * 0.3 + np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
+    looked = Looked(NOW, PointCloud(body), tuple(poles[:1]))
+    hidden = View("rear", (rear.tracks[0], gone), looked)
+    advice = said(view("front", poles), hidden)
+    assert advice.code == "in_front"
+    assert "Step aside" in advice.words
+
+
+def test_moving_and_new_poles(poles: list[Pole]) -> None:
+    assert said(view("front", poles), view("rear", poles, NOW - 0.2, moved=True)).code == "moving"
+    assert said(view("front", poles), view("rear", poles, NOW - 0.2)).code == "settling"
+
+
+def test_parallel_poles_are_to_be_leaned(poles: list[Pole], make_pole: PoleMaker) -> None:
+    alike = [poles[0], make_pole([5, 2, 0], np.array([0.1, 0.0, 1.0]))]
+    advice = said(view("front", alike), view("rear", alike))
+    assert advice.code == "parallel"
+    assert "6°" in advice.words
+
+
+def test_the_second_best_pole_counts(poles: list[Pole]) -> None:
+    weak = replace(poles[1], xyz=poles[1].xyz[:8], rings=3)
+    advice = said(view("front", poles), view("rear", [poles[0], weak]))
+    assert advice.code == "nearer"
+    # A third that is weak does no harm.
+    assert said(view("front", poles), view("rear", [*poles, weak])).code == "good"
+
+
+def test_a_check_needs_no_poles() -> None:
+    assert advise([view("front", []), view("rear", [])], NOW, needs_poles=False).is_good
+    assert advise([view("front", []), View("rear")], NOW, needs_poles=False).code == "silent"
+
+
+def test_words_on_a_pole(poles: list[Pole]) -> None:
+    (track, _) = view("front", poles).tracks
+    assert word_on(track, NOW) == ""
+    assert word_on(track, NOW + 5) == "lost"
+    assert word_on(replace(track, since=NOW - 0.1, has_moved=True), NOW) == "moving"
+    assert word_on(replace(track, since=NOW - 0.1), NOW) == "new"
+    assert word_on(replace(track, pole=replace(track.pole, rings=2)), NOW) == "few rings"
