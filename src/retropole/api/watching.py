@@ -8,37 +8,37 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from threading import Thread
-from typing import TypeVar
 
 from msgspec.structs import replace as with_options
 
-from ..base.errors import ReadError, RetropoleError, UsageError
+from ..base.errors import RetropoleError
 from ..base.files import write_together
 from ..base.quantities import counted
-from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import USABLE
 from ..export import read_transform
 from ..export.publishing import Published, publish
 from ..export.recording import TOPICS, Track, write_recording
-from ..io.live import Source, source_of
+from ..io.live import Source
 from ..io.live import names_of as names_of
+from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
 from ..report.field_test import render_field_test
 from ..result import RunConfig, encode, pole_documents
 from ..result.pole_plan import PolePlanDoc
-from ..result.watching import LidarNow, Phase, PoleNow, WatchDoc
-from ..watching.advice import Advice, View, advise, word_on
+from ..result.watching import Phase, WatchDoc
+from ..watching.advice import Advice, View, advise
 from ..watching.capture import SWEEPS, Capture, begun, is_elsewhere
 from ..watching.outcome import Outcome, advice_after, keep_still, outcome_of
-from ..watching.seeing import Tracked, angle_between, follow, look, present
+from ..watching.seeing import Tracked, angle_between, present
 from . import certification
+from .background import in_background
 from .calibration import calibrate_with
 from .checking import CheckResult, Stored, check_recordings
 from .result import CalibrationResult
+from .watch_state import Watched, checked_words, seen_now, take
 
 RECORDING = "placement{}.mcap"
 """What the recording of a placement is called, from 1."""
@@ -46,19 +46,8 @@ RECORDING = "placement{}.mcap"
 CERTIFICATE = "certificate.json", "certificate.html"
 """What the field test of both LiDARs is called, where the poles that were recorded allow one."""
 
-POLL = 0.05
-"""A LiDAR is waited for so long where it has nothing new, s."""
-
-WORKING = 0.8
-"""While the answer is worked out, sweeps are searched so rarely, s: both share the time."""
-
-RATE_OVER = 3.0
-"""Seconds over which sweeps are counted."""
-
 LOGGED = 40
 """Lines that are kept of what happened."""
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -84,39 +73,6 @@ class Wish:
     sweeps: int = SWEEPS
     plan: PolePlanDoc | None = None
     stored: Stored | None = None
-
-
-def open_sources(
-    texts: Sequence[str], *, domain: int | None = None, interface: str | None = None
-) -> list[Source]:
-    """Open the sources of target and source, as `io.live.source_of` takes them; both or none.
-
-    Raises
-    ------
-    UsageError, ReadError, MissingExtraError
-        As `io.live.source_of`; and where both are the same.
-    """
-    if len(set(texts)) < len(texts):
-        raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
-    opened: list[Source] = []
-    try:
-        for text in texts:
-            opened.append(source_of(text, domain=domain, interface=interface))
-    except RetropoleError:
-        for source in opened:
-            source.close()
-        raise
-    return opened
-
-
-@dataclass
-class _Lidar:
-    """What is known of a LiDAR while it is watched."""
-
-    source: Source
-    view: View
-    frame_id: str | None = None
-    came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
 
 
 class Watch:
@@ -155,7 +111,7 @@ class Watch:
         self.written: list[Path] = []
         self.is_over = False
         self._wish, self._out, self._clock, self._start = wish, out, clock, clock()
-        self._lidars = [_Lidar(s, View(name)) for s, name in zip(sources, wish.names, strict=True)]
+        self._lidars = [Watched(s, View(name)) for s, name in zip(sources, wish.names, strict=True)]
         self._words: deque[str] = deque(maxlen=LOGGED)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
@@ -215,52 +171,24 @@ class Watch:
         return publish([transform], domain=domain, interface=interface)
 
     def _take(self, k: int) -> None:
-        """Take the newest sweep of a LiDAR, and search it."""
-        lidar, config = self._lidars[k], self._wish.config
+        """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
+        config = self._wish.config
         how = (config.of_target, config.of_source)[k]
-        try:
-            frame = lidar.source.newest(POLL)
-        except ReadError as error:
-            if str(error) != lidar.view.fault:
-                self._note(f"{lidar.view.name}: {error}")
-            lidar.view = replace(lidar.view, fault=str(error))
-            return
-        if frame is None:
-            lidar.view = replace(lidar.view, silent=lidar.source.waits_for)
-            return
-        now = self._clock()
-        if lidar.frame_id != frame.frame_id:
-            for note in frame.cloud.notes:
-                self._note(f"{lidar.view.name}: {note}")
-            if lidar.frame_id is not None:
-                self._note(f"{lidar.view.name}: its frame is {frame.frame_id!r} now")
-                self._capture = None
-            lidar.frame_id = frame.frame_id
-        lidar.came.append((now, frame.number))
-        before = lidar.view.looked
-        if self._work is not None and before is not None and now - before.at < WORKING:
-            return
-        if not len(frame.cloud):
-            lidar.view = replace(lidar.view, fault="its sweep has no returns")
-            return
-        looked = look(
-            frame.cloud,
-            now,
-            sensor=sensor_or_auto(how.sensor),
-            threshold=how.threshold,
-            radius=config.radius_m,
-        )
-        tracks = follow(lidar.view.tracks, looked)
-        lidar.view = replace(lidar.view, tracks=tracks, looked=looked, silent="", fault="")
-        if self._capture is not None:
-            self._capture = self._capture.with_frame(k, frame)
+        busy = self._work is not None
+        taken = take(self._lidars[k], how, config.radius_m, self._clock, busy=busy)
+        for words in taken.said:
+            self._note(f"{self._wish.names[k]}: {words}")
+        if taken.is_of_another_frame:
+            self._capture = None
+        elif taken.searched is not None and self._capture is not None:
+            self._capture = self._capture.with_frame(k, taken.searched)
 
     def _next(self, now: float) -> Advice:
         """Say what is to be done; keep sweeps while all is good, and work out the answer."""
         placements = len(self._used)
         if self.checked is not None:
             return Advice(
-                self.checked.status, _checked_words(self.checked), self.checked.status == "same"
+                self.checked.status, checked_words(self.checked), self.checked.status == "same"
             )
         if self._work is not None:
             return Advice("calibrating", "Good: the answer is worked out.", True)
@@ -392,7 +320,7 @@ class Watch:
             code=advice.code,
             next=advice.words,
             seconds=now - self._start,
-            lidars=[_now(each, now) for each in self._lidars],
+            lidars=[seen_now(each, now) for each in self._lidars],
             angle_rad=sum(known) / len(known) if known else None,
             captured=capture.count if capture else 0,
             wanted=self._wish.sweeps if capture else 0,
@@ -414,53 +342,3 @@ class Watch:
             return "capturing"
         none_yet = any(each.view.looked is None for each in self._lidars)
         return "waiting" if none_yet else "placing"
-
-
-def _now(lidar: _Lidar, now: float) -> LidarNow:
-    """Say what a LiDAR sees now."""
-    view, looked = lidar.view, lidar.view.looked
-    recent = [(at, number) for at, number in lidar.came if now - at <= RATE_OVER]
-    rate = 0.0
-    if len(recent) > 1:
-        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], POLL)
-    poles = [
-        PoleNow(
-            name=str(track.number),
-            distance_m=track.distance,
-            returns=len(track.pole.xyz),
-            rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
-            is_still=track.is_still(now),
-            is_good=not word_on(track, now),
-            word=word_on(track, now),
-        )
-        for track in present(view.tracks, now)
-    ]
-    return LidarNow(
-        name=view.name,
-        source=lidar.source.name,
-        sweeps_per_s=max(rate, 0.0),
-        age_s=None if looked is None else max(now - looked.at, 0.0),
-        points=0 if looked is None else len(looked.cloud),
-        poles=poles,
-        word=view.fault or view.silent,
-    )
-
-
-def _checked_words(checked: CheckResult) -> str:
-    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
-    said = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Cannot tell: {said}")
-
-
-def in_background(work: Callable[[], T]) -> Future[T]:
-    """Begin work that Ctrl-C does not wait for."""
-    future: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            future.set_result(work())
-        except BaseException as error:
-            future.set_exception(error)
-
-    Thread(target=run, daemon=True).start()
-    return future

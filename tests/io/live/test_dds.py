@@ -26,9 +26,7 @@ DOMAIN = 10 + os.getpid() % 200
 
 
 @contextmanager
-def published(
-    topic: str, *options: str, seconds: float = 30.0
-) -> Iterator[subprocess.Popen[bytes]]:
+def published(topic: str, *options: str, seconds: float = 30.0) -> Iterator[None]:
     command = [sys.executable, "-m", "tests.io.live.publishing", topic, str(seconds)]
     command += ["--domain", str(DOMAIN), "--interface", "lo", *options]
     process = subprocess.Popen(command, cwd=ROOT)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from ...base.errors import UsageError
+from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
 SOURCE_KINDS = {
@@ -125,6 +125,29 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
     from .replay import ReplaySource
 
     return ReplaySource(file, name)
+
+
+def open_sources(
+    texts: Sequence[str], *, domain: int | None = None, interface: str | None = None
+) -> list[Source]:
+    """Open the sources of target and source, as `source_of` takes them; both or none.
+
+    Raises
+    ------
+    UsageError, ReadError, MissingExtraError
+        As `source_of`; and where both are the same.
+    """
+    if len(set(texts)) < len(texts):
+        raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
+    opened: list[Source] = []
+    try:
+        for text in texts:
+            opened.append(source_of(text, domain=domain, interface=interface))
+    except RetropoleError:
+        for source in opened:
+            source.close()
+        raise
+    return opened
 
 
 def _port(text: str, port: str) -> int:

@@ -1,0 +1,132 @@
+"""A LiDAR that is watched, and what is said of it and of a check."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from ..base.errors import ReadError
+from ..base.sensors import sensor_or_auto
+from ..io import Frame
+from ..io.live import Source
+from ..result import Reading
+from ..result.watching import LidarNow, PoleNow
+from ..watching.advice import View, word_on
+from ..watching.seeing import follow, look, present
+from .checking import CheckResult
+
+POLL = 0.05
+"""A LiDAR is waited for so long where it has nothing new, s."""
+
+WORKING = 0.8
+"""While the answer is worked out, sweeps are searched so rarely, s: both share the time."""
+
+RATE_OVER = 3.0
+"""Seconds over which sweeps are counted."""
+
+SHORTEST = 0.05
+"""They are not counted over less."""
+
+
+@dataclass
+class Watched:
+    """What is known of a LiDAR while it is watched."""
+
+    source: Source
+    view: View
+    frame_id: str | None = None
+    came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+
+
+class Taken(NamedTuple):
+    """What came of a LiDAR: a sweep that was searched, or None; what is to be said of it; whether
+    it is of another frame than those before."""
+
+    searched: Frame | None = None
+    said: tuple[str, ...] = ()
+    is_of_another_frame: bool = False
+
+
+def take(
+    lidar: Watched, how: Reading, radius: float, clock: Callable[[], float], *, busy: bool
+) -> Taken:
+    """Take the newest sweep of a LiDAR, and search it.
+
+    Parameters
+    ----------
+    lidar
+        Its view is brought up to date.
+    how, radius
+        Its sensor and threshold; radius of the poles, metres.
+    clock
+        Gives the time, s.
+    busy
+        Search but rarely.
+    """
+    view = lidar.view
+    try:
+        frame = lidar.source.newest(POLL)
+    except ReadError as error:
+        lidar.view = replace(view, fault=str(error))
+        return Taken(said=() if view.fault == str(error) else (str(error),))
+    if frame is None:
+        lidar.view = replace(view, silent=lidar.source.waits_for)
+        return Taken()
+    now = clock()
+    said, is_other = list[str](), False
+    if lidar.frame_id != frame.frame_id:
+        said += frame.cloud.notes
+        is_other = lidar.frame_id is not None
+        if is_other:
+            said.append(f"its frame is {frame.frame_id!r} now")
+        lidar.frame_id = frame.frame_id
+    lidar.came.append((now, frame.number))
+    if busy and view.looked is not None and now - view.looked.at < WORKING:
+        return Taken(None, tuple(said), is_other)
+    if not len(frame.cloud):
+        lidar.view = replace(view, fault="its sweep has no returns")
+        return Taken(None, tuple(said), is_other)
+    sensor = sensor_or_auto(how.sensor)
+    looked = look(frame.cloud, now, sensor=sensor, threshold=how.threshold, radius=radius)
+    tracks = follow(view.tracks, looked)
+    lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
+    return Taken(frame, tuple(said), is_other)
+
+
+def seen_now(lidar: Watched, now: float) -> LidarNow:
+    """Say what a LiDAR sees now."""
+    view, looked = lidar.view, lidar.view.looked
+    recent = [(at, number) for at, number in lidar.came if now - at <= RATE_OVER]
+    rate = 0.0
+    if len(recent) > 1:
+        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], SHORTEST)
+    poles = [
+        PoleNow(
+            name=str(track.number),
+            distance_m=track.distance,
+            returns=len(track.pole.xyz),
+            rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
+            is_still=track.is_still(now),
+            is_good=not word_on(track, now),
+            word=word_on(track, now),
+        )
+        for track in present(view.tracks, now)
+    ]
+    return LidarNow(
+        name=view.name,
+        source=lidar.source.name,
+        sweeps_per_s=max(rate, 0.0),
+        age_s=None if looked is None else max(now - looked.at, 0.0),
+        points=0 if looked is None else len(looked.cloud),
+        poles=poles,
+        word=view.fault or view.silent,
+    )
+
+
+def checked_words(checked: CheckResult) -> str:
+    """Say what a check found."""
+    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
+    said = " ".join(reason.message for reason in checked.reasons[:1])
+    return words.get(checked.status, f"Cannot tell: {said}")
