@@ -199,7 +199,9 @@ class Watch:
         if ended:
             if capture is None or not capture.count:
                 self.is_over = True
-                return Advice("ended", "The recordings have ended.")
+                if self._outcome is not None:
+                    return advice_after(self._outcome, placements)
+                return Advice("ended", "The recordings have ended before anything was kept.")
         elif not advice.is_good:
             if capture is not None:
                 self._note(f"not kept: {advice.words}")

@@ -264,9 +264,13 @@ def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
         yield lambda said: None
         return
     if not sys.stderr.isatty():
-        last = [""]
+        last, noted = [""], list[str]()
 
         def line(said: WatchDoc) -> None:
+            for words in said.words:
+                if words not in noted:
+                    say(words)
+            noted[:] = said.words
             # Counts change with every sweep.
             if said.code != last[0]:
                 say(said.next)
@@ -277,7 +281,7 @@ def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
     from rich.console import Console
     from rich.live import Live
 
-    from .watch_terminal import drawn
+    from ..report.watch_terminal import drawn
 
     with Live(console=Console(stderr=True), auto_refresh=False, screen=False) as live:
         yield lambda said: live.update(drawn(said), refresh=True)

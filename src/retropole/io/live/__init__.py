@@ -150,25 +150,24 @@ def open_sources(
     return opened
 
 
-def _port(text: str, port: str) -> int:
-    if not (port.isascii() and port.isdigit()):
-        raise UsageError(f"{text!r}: {port!r} is no port, a whole number")
-    return int(port)
-
-
 def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
-    """Name LiDARs in words by their topics, ``front`` and ``rear`` of ``/front/points``.
+    """Name LiDARs in words by topic or path: ``front``, ``rear`` of ``ros2:/front/points``, ….
 
     Parameters
     ----------
     texts
         What `source_of` takes.
     otherwise
-        Their names where the topics do not tell them apart.
+        Their names where that does not tell them apart.
     """
-    topics = [text.rpartition(":/")[2] for text in texts if ":/" in text]
-    parts = [topic.split("/") for topic in topics]
+    parts = [Path(text.rpartition(":")[2]).with_suffix("").parts for text in texts]
     for own in zip(*parts, strict=False):
-        if len(set(own)) == len(texts):
+        if len(set(own)) == len(texts) and not any(each.isdigit() for each in own):
             return own
     return tuple(otherwise)
+
+
+def _port(text: str, port: str) -> int:
+    if not (port.isascii() and port.isdigit()):
+        raise UsageError(f"{text!r}: {port!r} is no port, a whole number")
+    return int(port)

@@ -1,0 +1,110 @@
+"""`retropole watch` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.io import write_pcd
+from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation.pairs import record_again
+from tests.cli.commands import retropole, retropole_here, transform_of
+
+pytest.importorskip("mcap")
+pytest.importorskip("websockets")
+
+WATCH = [sys.executable, "-m", "retropole", "watch"]
+
+
+@pytest.fixture(scope="module")
+def pair() -> SimulatedPair:
+    return simulate_pair(
+        "street", np.random.default_rng(3), sensor_target="XT32", sensor_source="VLP-16"
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded(pair: SimulatedPair, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two folders of sweeps, 20 s at 10 Hz, of which a few are told apart."""
+    folder = tmp_path_factory.mktemp("sweeps")
+    again = [record_again(pair, np.random.default_rng(k)) for k in range(3)]
+    for name in ("target", "source"):
+        (folder / name).mkdir()
+        for k, one in enumerate(again):
+            write_pcd(folder / name / f"{k}.pcd", getattr(one, name))
+        for k in range(3, 200):
+            (folder / name / f"{k}.pcd").symlink_to(folder / name / f"{k % 3}.pcd")
+    return folder
+
+
+def sources(recorded: Path) -> tuple[str, str]:
+    return f"replay:{recorded / 'target'}", f"replay:{recorded / 'source'}"
+
+
+def test_it_says_what_to_do_and_ends_with_the_answer(
+    pair: SimulatedPair, recorded: Path, tmp_path: Path
+) -> None:
+    ended = retropole("watch", *sources(recorded), "--sweeps", "4", "--no-page", "--out", tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    lines = ended.stderr.splitlines()
+    assert any(line.startswith("Good: keep still") for line in lines)
+    assert lines[-1].startswith("Done: calibrated")
+    assert "placement1.mcap" in ended.stdout
+    step = se3.local(transform_of(tmp_path), pair.T_target_source)
+    assert np.linalg.norm(step[3:]) < 0.02
+
+
+def test_the_page_shows_the_state_and_an_interrupt_ends_it(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    process = subprocess.Popen(
+        [*WATCH, f"folder:{tmp_path / 'a'}", f"folder:{tmp_path / 'b'}", "--out", tmp_path / "out"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # What runs the tests in the background may have told its children to ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        url = process.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:")
+        process.stderr.readline()
+        with urllib.request.urlopen(f"{url}state", timeout=20) as answer:
+            state = json.load(answer)
+        assert state["schema"] == "retropole/watch/1"
+        assert state["code"] == "silent"
+        assert [each["name"] for each in state["lidars"]] == ["a", "b"]
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+
+
+def test_slips_are_usage_errors(tmp_path: Path) -> None:
+    folder = f"folder:{tmp_path}"
+    for words, said in (
+        (("a.pcd", "b.pcd"), "no source"),
+        ((folder, folder), "two sources"),
+        ((folder, "folder:nowhere"), "nowhere"),
+        ((folder, "replay:nowhere.bag"), "nowhere.bag"),
+        ((folder, "velodyne:0x1"), "no port"),
+        ((folder, "ros2:/a", "--interface", "nowhere0"), "no network interface"),
+        ((folder, f"{folder}/..", "--at-m", "30"), "give both"),
+        ((folder, f"{folder}/..", "--name", "a", "a"), "same name"),
+    ):
+        ended = retropole_here("watch", *words, "--no-page", "--out", tmp_path / "out")
+        assert ended.returncode == 2, words
+        assert said in ended.stderr
+        assert not (tmp_path / "out").exists()
