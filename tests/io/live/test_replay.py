@@ -10,8 +10,9 @@ import pytest
 
 pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
 
+from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
-from retropole.io import Frame, read_frames
+from retropole.io import Frame, read_frames, write_pcd
 from retropole.io.live import Source, replay
 from retropole.io.live.replay import ReplaySource
 from tests.bags import START, points_of, write_bag
@@ -159,3 +160,18 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
         ReplaySource(tmp_path / "none.pcd")
     with pytest.raises(UsageError, match="has no topics"):
         ReplaySource(files(tmp_path, 1), "/points")
+
+
+def test_one_sweep_comes_again_and_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcd"
+    write_pcd(path, PointCloud(np.ones((5, 3)), np.ones(5)))
+    source = ReplaySource(path, rate=100.0)
+    numbers = []
+    for _ in range(5):
+        frame = source.newest(1.0)
+        assert frame is not None
+        assert len(frame.cloud) == 5
+        numbers.append(frame.number)
+    assert numbers == sorted(set(numbers))
+    assert not source.has_ended
+    source.close()

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from threading import Event, Lock
 from time import monotonic
@@ -36,7 +37,8 @@ class _Next(NamedTuple):
 class ReplaySource:
     """A recording that is played from the first request for a sweep on.
 
-    Frames that are overdue are left out; those of bags and folders are not even decoded.
+    Frames that are overdue are left out; those of bags and folders are not even decoded. A file of
+    one sweep is played again and again.
 
     Parameters
     ----------
@@ -141,8 +143,14 @@ def _of_bag(path: Path, topic: str) -> Generator[Entry, None, None]:
 
 
 def _of_files(recording: Recording) -> Generator[Entry, None, None]:
-    for number in range(recording.count):
-        yield None, partial(_frame, recording, number)
+    """A sweep alone comes again and again, so that a watch can be tried with it."""
+    if recording.count > 1:
+        for number in range(recording.count):
+            yield None, partial(_frame, recording, number)
+        return
+    frame = _frame(recording, 0)
+    for number in count():
+        yield None, partial(replace, frame, number=number)
 
 
 def _frame(recording: Recording, number: int) -> Frame:
