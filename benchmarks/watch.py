@@ -9,13 +9,14 @@ two LiDARs come as from live ones, five a second, and the watch is asked what it
 of the last three kinds once it has calibrated. Right is what undoes what was staged:
 
 missing   one pole alone stands                     missing
-hidden    a crate stands before a pole of one       hidden
+hidden    a box hides a pole from one alone         hidden
 far       one stands 25 to 35 m away                too_far, nearer, hidden, missing: all call it in
 parallel  they are 2° to 9° apart                   parallel
 moving    somebody carries one                      moving
 person    somebody steps before one LiDAR           in_front
 dim       the tape of one shines a third too little dim
-radius    poles of 5 cm radius, said to be of 2     radius_differs, or done and the need is met
+radius    poles of 5 cm radius, said to be of 2     doubtful or radius_differs, which ask for
+                                                    the radius, or done and the need is met
 bare      nothing but ground                        what asks for another pole or placement
 good      two poles, 20° to 40° apart               done, and the need of 5 cm at 30 m is met
 
@@ -65,7 +66,7 @@ RIGHT = {
     "moving": {"moving"},
     "person": {"in_front"},
     "dim": {"dim"},
-    "radius": {"radius_differs", "done"},
+    "radius": {"radius_differs", "done", "doubtful"},
     "bare": {"ambiguous", "not_confirmed", "need_not_met", "small_margin", "no_overlap"},
     "good": {"done"},
 }
@@ -120,9 +121,10 @@ def standing(at: Array, height: float) -> Surface:
 
 
 def staged(
-    kind: str, pair: SimulatedPair, rng: np.random.Generator
+    kind: str, pair: SimulatedPair, seed: int
 ) -> Callable[[int, int], tuple[list[Surface], int]]:
     """Give the surfaces at a sweep, by their LiDAR's place, and which of them shine too little."""
+    rng = np.random.default_rng([seed, 5])
     surroundings, poles = list(pair.surroundings), list(pair.poles)
     poses = pair.T_world_target, pair.T_world_source
     own = int(rng.integers(2))
@@ -139,10 +141,7 @@ def staged(
         angle = np.radians(rng.uniform(2, 9))
         poles[1] = moved(second, second.centre, tilted(first.axis, angle, rng))
     elif kind == "hidden":
-        before = first.centre - to / np.linalg.norm(to) * 0.8
-        crate = np.array([before[0], before[1], 1.3])
-        yaw = float(np.arctan2(to[1], to[0]))
-        surroundings.append(Box(crate, _yaw(yaw), np.array([0.2, 0.6, 1.3]), Material(0.3)))
+        surroundings.append(hiding(pair, np.random.default_rng([seed, 5, 1])))
     steps = np.cumsum(rng.normal(0, 0.08, (500, 3)) * [1, 1, 0], axis=0)
 
     def at(sweep: int, who: int) -> tuple[list[Surface], int]:
@@ -150,12 +149,47 @@ def staged(
         if kind == "moving":
             shown[1] = moved(second, second.centre + steps[sweep])
         if kind == "person" and sweep >= 12:
-            now.append(
-                standing(lidar + to / np.linalg.norm(to) * min(1.5, 0.4 * np.hypot(*to[:2])), 1.8)
-            )
+            away = np.clip(0.4 * np.hypot(*to[:2]), 1.3, 1.8)
+            now.append(standing(lidar + to / np.linalg.norm(to) * away, 1.8))
         return [*now, *shown], len(now) if kind == "dim" else 0
 
     return at
+
+
+def hiding(pair: SimulatedPair, rng: np.random.Generator) -> Surface:
+    """A box that hides a pole from one LiDAR, and nothing from the other.
+
+    Raises
+    ------
+    SimulationError
+        Where no such box is found.
+    """
+    poses = pair.T_world_target, pair.T_world_source
+    for _ in range(40):
+        own, which = (int(k) for k in rng.integers(2, size=2))
+        pole, lidar = pair.poles[which], poses[own][:3, 3]
+        to = pole.centre - lidar
+        at = lidar + rng.uniform(0.3, 0.85) * to
+        if np.linalg.norm(at - lidar) < 1.5:
+            continue
+        turn = _yaw(float(np.arctan2(to[1], to[0])))
+        half = np.array([0.2, 0.5, 1.3])
+        box = Box(np.array([at[0], at[1], 1.3]), turn, half, Material(0.3))
+        left = [returns_on_poles(pair, k, box) for k in range(2)]
+        gone = left[own].pop(which)
+        if gone == 0 and min(left[own] + left[1 - own]) >= 15:
+            return box
+    raise SimulationError("no box hides one pole from one LiDAR alone")
+
+
+def returns_on_poles(pair: SimulatedPair, k: int, box: Surface) -> list[int]:
+    """Count what a LiDAR has of each pole where a box stands there, too."""
+    surfaces = [*pair.surroundings, box, *pair.poles]
+    T = (pair.T_world_target, pair.T_world_source)[k]
+    rng = np.random.default_rng(k)
+    labels = scan(surfaces, pair.sensors[k], T, rng, FIELD, device=pair.devices[k]).labels
+    first = len(surfaces) - len(pair.poles)
+    return [int(np.count_nonzero(labels == first + p)) for p in range(len(pair.poles))]
 
 
 def _yaw(angle: float) -> Array:
@@ -177,7 +211,7 @@ def dimmed(cloud: PointCloud, pole: Surface, T: Array, sensor: Sensor) -> PointC
 
 
 def sources(kind: str, pair: SimulatedPair, seed: int) -> Iterator[Played]:
-    at = staged(kind, pair, np.random.default_rng([seed, 5]))
+    at = staged(kind, pair, seed)
     # Where nothing changes, a few sweeps come again and again.
     changes = {"moving": 10**6, "person": 12}.get(kind, 0)
     poses = pair.T_world_target, pair.T_world_source
@@ -217,8 +251,14 @@ def pair_of(kind: str, seed: int) -> SimulatedPair | None:
             )
         except SimulationError:
             return None
-        if min(min(each) for each in pair.returns_on_poles) >= 25:
-            return pair
+        if min(min(each) for each in pair.returns_on_poles) < 25:
+            continue
+        if kind == "hidden":
+            try:
+                hiding(pair, np.random.default_rng([seed, 5, 1]))
+            except SimulationError:
+                continue
+        return pair
     return None
 
 

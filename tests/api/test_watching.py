@@ -145,7 +145,7 @@ def test_both_lidars_exchanged_give_the_inverse(
 def test_a_need_that_is_not_met_asks_for_another_placement(
     pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
-    wish = Wish(RunConfig(need_m=0.0005, at_m=30.0), ("front", "rear"), sweeps=5)
+    wish = Wish(RunConfig(need_m=0.007, at_m=30.0), ("front", "rear"), sweeps=5)
     watch, sources, clock = watch_of(sweeps, wish, tmp_path)
     said = go_on(watch, clock, lambda doc: doc.code == "need_not_met")
     assert not said[-1].is_good

@@ -79,15 +79,19 @@ def test_what_fits_to_the_others_poles_is_named(poles: list[Pole], make_pole: Po
     rear = view("rear", poles[:1])
     assert rear.looked is not None
     far = replace(poles[1], xyz=poles[1].xyz[:7], rings=3)
-    seen = replace(rear, looked=replace(rear.looked, doubtful=(far,)))
+    seen = replace(rear, looked=replace(rear.looked, doubtful=(far,), why=("few",)))
     advice = said(view("front", poles), seen)
     assert advice.code == "too_far"
     assert "nearer to rear" in advice.words
     dim = replace(rear, looked=replace(rear.looked, dim=(poles[1],)))
     assert said(view("front", poles), dim).code == "dim"
+    thick = replace(rear.looked, doubtful=(poles[1],), why=("it is 7 cm wide",))
+    advice = said(view("front", poles), replace(rear, looked=thick))
+    assert advice.code == "doubtful"
+    assert "it is 7 cm wide" in advice.words
     # Something else that shines is not taken for it.
     other = make_pole([9, 5, 0], UP)
-    clutter = replace(rear, looked=replace(rear.looked, doubtful=(other,)))
+    clutter = replace(rear, looked=replace(rear.looked, doubtful=(other,), why=("wide",)))
     assert said(view("front", poles), clutter).code == "hidden"
 
 

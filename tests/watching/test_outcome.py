@@ -25,14 +25,17 @@ def test_an_answer_that_is_good_enough_ends_it(answer: ResultDoc) -> None:
     outcome = outcome_of(good, Need(0.02, 30.0))
     assert outcome.is_enough
     assert advice_after(outcome, 1).code == "done"
-    assert "within 2 cm at 30 m" in advice_after(outcome, 1).words
+    assert "up to 30 m away" in advice_after(outcome, 1).words
     # Nothing asked for: what any answer is good for.
     assert outcome_of(good, None).need == USABLE
     poor = msgspec.structs.replace(good, covariance=np.eye(6) * 1e-6)
     outcome = outcome_of(poor, Need(0.02, 30.0))
     assert not outcome.is_enough
     assert advice_after(outcome, 1).code == "need_not_met"
-    assert "Placement 2" in advice_after(outcome, 1).words
+    assert advice_after(outcome, 1).words.startswith("Placement 2")
+    # What no recording can show is not sent after.
+    outcome = outcome_of(good, Need(0.0001, 30.0))
+    assert advice_after(outcome, 1).code == "need_too_small"
 
 
 def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:

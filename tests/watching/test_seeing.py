@@ -100,6 +100,8 @@ def test_what_stands_before_a_pole_hides_it(make_pole: PoleMaker) -> None:
     assert hidden_by(PointCloud(np.concatenate([wall, aside])), pole) is None
     found = hidden_by(PointCloud(np.concatenate([wall, body])), pole)
     assert found == pytest.approx(2.0, abs=0.2)
+    # What is too near to be measured leaves nothing at all.
+    assert hidden_by(PointCloud(aside), pole) == 0.0
     T = se3.from_rt(Rotation.random(random_state=2).as_matrix(), np.zeros(3))
     turned = replace(
         pole,

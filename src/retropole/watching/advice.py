@@ -131,11 +131,16 @@ def _in_front(views: Sequence[View], now: float) -> Iterator[Advice]:
         for lost in (track for track in view.tracks if track not in here):
             before = hidden_by(view.looked.cloud, lost.pole)
             if before is not None:
-                yield Advice(
-                    "in_front",
-                    f"Step aside: something {before:.1f} m before {view.name} hides the pole that "
-                    f"it saw {lost.distance:.1f} m away.",
-                )
+                yield _step_aside(view.name, before, lost.distance)
+
+
+def _step_aside(name: str, before: float, away: float) -> Advice:
+    where = f"{before:.1f} m" if before else "right"
+    return Advice(
+        "in_front",
+        f"Step aside: something {where} before {name} hides the pole that it saw {away:.1f} m "
+        "away.",
+    )
 
 
 def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
@@ -204,9 +209,10 @@ def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
     what += counted(pole.rings, "ring")
     if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
         return Advice("too_far", f"{what}: stand it {_nearer(pole, name)}.")
+    why = next(w for each, w in zip(looked.doubtful, looked.why, strict=True) if each is pole)
     return Advice(
         "doubtful",
-        f"{what}, but something bright or solid is beside it: stand it free, 0.5 m from all else.",
+        f"{what}, but {why}. Stand it free, 0.5 m from all else; is --radius right?",
     )
 
 
@@ -242,15 +248,16 @@ def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:
 
 def _weak(view: View, now: float) -> Iterator[Advice]:
     """Say of the second best pole, since two hold a pose."""
-    poles = sorted(
-        (t.pole for t in present(view.tracks, now)),
-        key=lambda p: (p.rings, len(p.xyz)),
-        reverse=True,
-    )
-    if len(poles) < 2:
+    here = list(present(view.tracks, now))
+    here.sort(key=lambda track: (track.pole.rings, len(track.pole.xyz)), reverse=True)
+    if len(here) < 2:
         return
-    pole = poles[1]
+    pole = here[1].pole
     if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
+        assert view.looked is not None
+        before = hidden_by(view.looked.cloud, here[1].rest)
+        if before:
+            yield _step_aside(view.name, before, here[1].distance)
         away = float(np.linalg.norm(pole.point))
         have = f"{counted(len(pole.xyz), 'return')} on {counted(pole.rings, 'ring')}"
         yield Advice(

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..base.quantities import counted
+from ..base.quantities import at_most, counted
 from ..base.reasons import explain
+from ..base.uncertainty import floor
 from ..base.uncertainty.purpose import (
     CONFIDENCE,
     USABLE,
     Need,
     displacement_bound,
     fitness,
-    whole_percent,
 )
 from ..result import ResultDoc
 from .advice import Advice, remedy_of
@@ -89,11 +89,19 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
     """
     document = outcome.document
     if outcome.is_enough:
-        return Advice("done", f"Done: calibrated, {_within(outcome)}.", True)
+        return Advice("done", f"Done: {_so_far(outcome)}.", True)
     if all(reason.code == "not_fit_for_purpose" for reason in document.reasons):
-        more = f"Placement {placements + 1}: stand the poles elsewhere, on another side"
+        least = displacement_bound(floor(), outcome.need.at)
+        if least > outcome.need.within:
+            return Advice(
+                "need_too_small",
+                f"No recording shows less than {at_most(least)}: end here, or ask for less with "
+                f"--need-cm. {_so_far(outcome).capitalize()}.",
+            )
         return Advice(
-            "need_not_met", f"Calibrated, but only {_within(outcome)}. {more}.", is_good=False
+            "need_not_met",
+            f"Placement {placements + 1}: stand the poles elsewhere, on another side. So far "
+            f"{_so_far(outcome)}; needed is {outcome.need.words}.",
         )
     reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")
     if reason.code == "radius_differs" and document.radius is not None:
@@ -109,12 +117,11 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
     return Advice(reason.code, f"{verdict}: {title.lower()}. {remedy_of(reason.code)}".strip())
 
 
-def _within(outcome: Outcome) -> str:
-    assert outcome.probability is not None
-    sure = f"{outcome.need.words} with a probability of {whole_percent(outcome.probability)}"
+def _so_far(outcome: Outcome) -> str:
+    at = f"up to {outcome.need.at:g} m away"
     if outcome.bound is None:
-        return sure
-    return f"{sure} (no point there is off by more than {100 * outcome.bound:.2g} cm)"
+        return f"nothing {at} is sure"
+    return f"no point {at} is off by more than {at_most(outcome.bound)}, 95 % sure"
 
 
 def keep_still(captured: int, wanted: int, seconds: float) -> Advice:

@@ -43,6 +43,10 @@ NEARER = 0.4
 HIDING = 3
 """Fewest of them."""
 
+SWALLOWED = 0.1
+"""Where there are so few returns at any distance, as a part of those on the pole, something stands
+nearer than the LiDAR measures."""
+
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
@@ -93,9 +97,9 @@ class Looked:
         That it shows.
     refusal
         Why it could not be searched.
-    doubtful, dim
-        Where fewer than two poles are found: lines that may be poles, and those whose tape is too
-        dim for the threshold.
+    doubtful, why, dim
+        Where fewer than two poles are found: lines that may be poles, in words why each is doubted,
+        and lines whose tape is too dim for the threshold.
     threshold
         Intensity from which a return counted as tape; NaN where it was not searched.
     """
@@ -105,6 +109,7 @@ class Looked:
     poles: tuple[Pole, ...] = ()
     refusal: Refusal | None = None
     doubtful: tuple[Pole, ...] = ()
+    why: tuple[str, ...] = ()
     dim: tuple[Pole, ...] = ()
     threshold: float = float("nan")
 
@@ -132,9 +137,16 @@ def look(
         cloud,
         found.poles,
         doubtful=sure,
+        why=tuple(_why(each, doubtful) for each in sure),
         dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, sure)),
         threshold=found.threshold,
     )
+
+
+def _why(pole: Pole, found: Detection) -> str:
+    """Why a candidate is no pole: what was said of the cluster with most of its returns."""
+    shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
+    return max(shared, default=(0, ""))[1]
 
 
 def _apart(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
@@ -187,7 +199,10 @@ def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
 
 
 def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
-    """How far away what stands before a pole is, metres; None where nothing does."""
+    """How far away what stands before a pole is, metres; None where nothing does.
+
+    0 where it is too near to be measured.
+    """
     seen = cloud.xyz - cloud.origin
     ranges = lengths(seen)
     to = pole.xyz - cloud.origin
@@ -202,10 +217,10 @@ def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
     beams = seen / ranges[:, None]
     across = np.abs(beams @ (level / sine))
     ahead = beams @ middle
-    before = (across < np.sin(BESIDE)) & (ahead > np.cos(half + BESIDE))
-    before &= ranges < away - NEARER
+    strip = (across < np.sin(BESIDE)) & (ahead > np.cos(half + BESIDE))
+    before = strip & (ranges < away - NEARER)
     if np.count_nonzero(before) < HIDING:
-        return None
+        return 0.0 if np.count_nonzero(strip) < SWALLOWED * len(pole.xyz) else None
     return float(np.median(ranges[before]))
 
 
