@@ -225,6 +225,17 @@ def test_a_rig_is_checked_against_its_result(
     assert again.checked is not None
 
 
+def test_recordings_of_a_watch_before_are_kept(
+    sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    (tmp_path / "placement1.mcap").write_bytes(b"before")
+    watch, _, clock = watch_of(sweeps, WISH, tmp_path)
+    go_on(watch, clock, lambda doc: doc.captured > 1)
+    (written,) = watch.finish()
+    assert written.name == "placement2.mcap"
+    assert (tmp_path / "placement1.mcap").read_bytes() == b"before"
+
+
 def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no source"):
         open_sources(["front.pcd", "folder:x"])

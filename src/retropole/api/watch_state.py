@@ -1,4 +1,4 @@
-"""A LiDAR that is watched, and what is said of it and of a check."""
+"""What is asked for of a watch, what comes of each LiDAR, and what is said of it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from ..base.errors import ReadError
+from ..base.errors import ReadError, UsageError
 from ..base.sensors import sensor_or_auto
 from ..io import Frame
 from ..io.live import Source
-from ..result import Reading
+from ..result import Reading, RunConfig
+from ..result.pole_plan import PolePlanDoc
 from ..result.watching import LidarNow, PoleNow
 from ..watching.advice import View, word_on
+from ..watching.capture import SWEEPS
 from ..watching.seeing import follow, look, present
-from .checking import CheckResult
+from .checking import CheckResult, Stored
 
 POLL = 0.05
 """A LiDAR is waited for so long where it has nothing new, s."""
@@ -28,6 +30,46 @@ RATE_OVER = 3.0
 
 SHORTEST = 0.05
 """They are not counted over less."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for of a watch.
+
+    Attributes
+    ----------
+    config
+        As of a calibration: radius, sensors, thresholds, the need.
+    names
+        What words call target and source.
+    sweeps
+        Of each LiDAR that are kept of a placement.
+    plan
+        Where the poles should stand; with its names of the LiDARs as `names`.
+    stored
+        A result to test the rig against, instead of a calibration.
+    """
+
+    config: RunConfig
+    names: tuple[str, str] = ("target", "source")
+    sweeps: int = SWEEPS
+    plan: PolePlanDoc | None = None
+    stored: Stored | None = None
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises
+        ------
+        UsageError
+            Where the plan has no LiDARs of these names.
+        """
+        planned = None if self.plan is None else {each.name for each in self.plan.lidars}
+        if planned is not None and not planned >= set(self.names):
+            raise UsageError(
+                f"the plan is for {', '.join(sorted(planned))}: name both LiDARs so, not "
+                f"{' and '.join(self.names)}"
+            )
 
 
 @dataclass

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -27,18 +27,18 @@ from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
 from ..report.field_test import render_field_test
 from ..result import RunConfig, encode, pole_documents
-from ..result.pole_plan import PolePlanDoc
 from ..result.watching import Phase, WatchDoc
 from ..watching.advice import Advice, View, advise
-from ..watching.capture import SWEEPS, Capture, begun, is_elsewhere
+from ..watching.capture import Capture, begun, is_elsewhere
 from ..watching.outcome import Outcome, advice_after, keep_still, outcome_of
 from ..watching.seeing import Tracked, angle_between, present
 from . import certification
 from .background import in_background
 from .calibration import calibrate_with
-from .checking import CheckResult, Stored, check_recordings
+from .checking import CheckResult, check_recordings
 from .result import CalibrationResult
 from .watch_state import Watched, checked_words, seen_now, take
+from .watch_state import Wish as Wish
 
 RECORDING = "placement{}.mcap"
 """What the recording of a placement is called, from 1."""
@@ -48,31 +48,6 @@ CERTIFICATE = "certificate.json", "certificate.html"
 
 LOGGED = 40
 """Lines that are kept of what happened."""
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is asked for of a watch.
-
-    Attributes
-    ----------
-    config
-        As of a calibration: radius, sensors, thresholds, the need.
-    names
-        What words call target and source.
-    sweeps
-        Of each LiDAR that are kept of a placement.
-    plan
-        Where the poles should stand; with its names of the LiDARs as `names`.
-    stored
-        A result to test the rig against, instead of a calibration.
-    """
-
-    config: RunConfig
-    names: tuple[str, str] = ("target", "source")
-    sweeps: int = SWEEPS
-    plan: PolePlanDoc | None = None
-    stored: Stored | None = None
 
 
 class Watch:
@@ -143,7 +118,7 @@ class Watch:
         if self._capture is not None and self._capture.count:
             self._record(self._capture)
             self._capture = None
-        if self._used and self._outcome is not None:
+        if self.is_over and self._used and self._outcome is not None:
             with suppress(RetropoleError):
                 test = certification.certify(self._used, self._used, self._of_recordings())
                 if test.status != "refused":
@@ -259,9 +234,12 @@ class Watch:
         )
 
     def _record(self, capture: Capture) -> Path:
-        """Write a placement to the folder."""
+        """Write a placement to the folder, beside those of a watch before."""
         self._recorded += 1
         path = self._out / RECORDING.format(self._recorded)
+        while path.exists():
+            self._recorded += 1
+            path = self._out / RECORDING.format(self._recorded)
         tracks = {
             topic: Track(lidar.frame_id or lidar.view.name, frames)
             for topic, lidar, frames in zip(

@@ -28,21 +28,26 @@ def older_set_aside(folder: Path, *, site: bool = False) -> Iterator[None]:
     site
         Whether the results are those of a site.
     """
+    try:
+        yield
+    except (RetropoleError, click.UsageError, OSError, MemoryError):
+        set_older_aside(folder, site=site)
+        raise
+
+
+def set_older_aside(folder: Path, *, site: bool = False) -> None:
+    """Rename the results that are in a folder, which are not of this run, and say so."""
     from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
 
     names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
     try:
-        yield
-    except (RetropoleError, click.UsageError, OSError, MemoryError):
-        try:
-            moved = set_aside([folder / name for name in names])
-        except OSError as error:
-            say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
-        else:
-            now = " and ".join(printable(str(path)) for path in moved)
-            if moved:
-                say(f"retropole: no result of this run; the one before is now {now}")
-        raise
+        moved = set_aside([folder / name for name in names])
+    except OSError as error:
+        say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
+    else:
+        now = " and ".join(printable(str(path)) for path in moved)
+        if moved:
+            say(f"retropole: no result of this run; the one before is now {now}")
 
 
 class SettingAside(click.Command):

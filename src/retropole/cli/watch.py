@@ -25,7 +25,7 @@ from .common import (
     show,
     show_written,
 )
-from .older import DEFAULT_OUT
+from .older import DEFAULT_OUT, set_older_aside
 from .options import OUT, run_options
 
 if TYPE_CHECKING:
@@ -146,6 +146,7 @@ def watch(
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
     from ..api.watching import Watch, Wish, names_of, open_sources
+    from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
@@ -169,35 +170,29 @@ def watch(
             server = _served(lambda: latest[0], port, listen=listen)
             stack.callback(server.stop)
         view = stack.enter_context(_view(quiet))
-        said = _run(made, latest, view, stopped)
+        to_publish = ("ok", "warn") if publish_warned else ("ok",) if publish else ()
+        published = None
+        shown = None
+        while True:
+            begun = time.monotonic()
+            said = made.step()
+            latest[0] = encode(said)
+            view(said)
+            if made.result is not shown:
+                shown = made.result
+                if shown is not None and shown.status in to_publish:
+                    published = made.publish(domain=domain, interface=interface)
+            if made.is_over or stopped.is_set():
+                break
+            stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
             stopped.wait(PAGE_SECONDS)
-        if publish or publish_warned:
-            allowed = ("ok", "warn") if publish_warned else ("ok",)
-            if made.result is not None and made.result.status in allowed:
-                published = made.publish(domain=domain, interface=interface)
-                say("retropole: published on /tf_static; Ctrl-C ends")
-                stopped.wait()
-                del published
-            else:
-                say("retropole: nothing is published: the answer is not ok")
+        if published is not None and not stopped.is_set():
+            say("retropole: published on /tf_static; Ctrl-C ends")
+            stopped.wait()
+    if made.result is None and stored is None:
+        set_older_aside(out)
     return _exit_code(made, said, stopped)
-
-
-def _run(
-    made: Watch, latest: list[bytes], view: Callable[[WatchDoc], None], stopped: Stopped
-) -> WatchDoc:
-    """Step until it is over or somebody ends it."""
-    from ..result import encode
-
-    while True:
-        begun = time.monotonic()
-        said = made.step()
-        latest[0] = encode(said)
-        view(said)
-        if made.is_over or stopped.is_set():
-            return said
-        stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
 
 
 def _exit_code(made: Watch, said: WatchDoc, stopped: Stopped) -> int:
