@@ -56,6 +56,9 @@ STEP = 0.2
 """Seconds from sweep to sweep that a watch of a slow computer takes."""
 
 SECONDS = 4.0
+LONGEST = 12.0
+"""Seconds after which nothing more is expected of a situation that should be calibrated."""
+
 NEED, AT = 0.05, 30.0
 
 RIGHT = {
@@ -282,7 +285,7 @@ def run(job: tuple[str, int]) -> Said | None:
             lambda: time_now[0],
         )
         kept, answered = np.nan, False
-        while time_now[0] < 60.0:
+        while time_now[0] < LONGEST:
             begun = time.perf_counter()
             said = watch.step()
             if said.phase == "calibrating":
