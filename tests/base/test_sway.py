@@ -15,7 +15,10 @@ def test_what_is_left_averages_over_the_recordings() -> None:
 
 def test_a_stated_sway_shifts_what_stands_on_a_mast() -> None:
     covariance = np.asarray(stated_sway(0.001).covariance)
-    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.001] * 3 + [0.001 * LEVER] * 3)
+    assert np.trace(covariance[:3, :3]) == pytest.approx(0.001**2)
+    assert np.trace(covariance[3:, 3:]) == pytest.approx((0.001 * LEVER) ** 2)
+    # To which side is not known.
+    assert np.ptp(np.linalg.eigvalsh(covariance)[:3]) == pytest.approx(0, abs=1e-12)
 
 
 def test_words_say_how_much_longer_to_record() -> None:

@@ -87,7 +87,7 @@ def test_one_sweep_takes_what_is_stated() -> None:
     assert same is cloud
     assert sway is not None
     assert sway.frequency is None
-    assert sway.left_rad == pytest.approx(SIGMA)
+    assert sway.left_rad == pytest.approx(SIGMA / np.sqrt(3))
     assert "does not show where it rests" in sway.words
 
 
