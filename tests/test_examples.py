@@ -35,7 +35,15 @@ def run(words: list[str], folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
+LONG = ["several_placements", "plot_placement", "draw_result"]
+"""Examples that take longer, of what others show too."""
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(p, marks=pytest.mark.slow) if p.stem in LONG else p for p in SCRIPTS],
+    ids=lambda p: p.stem,
+)
 def test_example_runs(script: Path, tmp_path: Path) -> None:
     if script.stem in ("draw_result", "plot_placement"):
         pytest.importorskip("matplotlib", reason="matplotlib is not installed")

@@ -97,6 +97,7 @@ def said_at(address: tuple[str, int], context: ssl.SSLContext | None, words: byt
     return b""
 
 
+@pytest.mark.slow
 def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
     other: Any = Security
 
