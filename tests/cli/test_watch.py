@@ -21,6 +21,9 @@ from tests.cli.commands import retropole, retropole_here, transform_of
 pytest.importorskip("mcap")
 pytest.importorskip("websockets")
 
+DISTINCT = 15
+"""Sweeps that differ; the same again tells nothing more."""
+
 WATCH = [sys.executable, "-m", "retropole", "watch"]
 
 
@@ -35,13 +38,13 @@ def pair() -> SimulatedPair:
 def recorded(pair: SimulatedPair, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two folders of sweeps, 20 s at 10 Hz, of which a few are told apart."""
     folder = tmp_path_factory.mktemp("sweeps")
-    again = [record_again(pair, np.random.default_rng(k)) for k in range(3)]
+    again = [record_again(pair, np.random.default_rng(k)) for k in range(DISTINCT)]
     for name in ("target", "source"):
         (folder / name).mkdir()
         for k, one in enumerate(again):
             write_pcd(folder / name / f"{k}.pcd", getattr(one, name))
-        for k in range(3, 200):
-            (folder / name / f"{k}.pcd").symlink_to(folder / name / f"{k % 3}.pcd")
+        for k in range(DISTINCT, 200):
+            (folder / name / f"{k}.pcd").symlink_to(folder / name / f"{k % DISTINCT}.pcd")
     return folder
 
 

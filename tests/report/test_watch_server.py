@@ -286,9 +286,11 @@ def test_who_says_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
         while not is_closed(clients[0]):
             clients[0].send(b"G")
             time.sleep(0.05)
-        assert 0.3 < time.monotonic() - began < 3
+        assert 0.3 < time.monotonic() - began < 10
         assert asked(server)[0] == 200
-        assert all(map(is_closed, clients[1:]))
+        while not all(map(is_closed, clients[1:])):
+            time.sleep(0.05)
+            assert time.monotonic() - began < 10
     finally:
         for client in clients:
             client.close()

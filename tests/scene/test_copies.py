@@ -23,12 +23,29 @@ def test_points_given_twice_count_once() -> None:
 
 
 def test_the_same_point_of_two_sweeps_was_measured_twice() -> None:
-    sweep = cloud(1)
+    sweep, half = cloud(1), len(cloud(1)) // 2
     both = replace(
-        sweep.select(np.tile(np.arange(len(sweep)), 2)),
-        frame=np.repeat(np.arange(2), len(sweep)),
+        sweep.select(np.r_[np.arange(len(sweep)), np.arange(half)]),
+        frame=np.repeat(np.arange(2), [len(sweep), half]),
     )
     assert without_copies(both) is both
+
+
+def test_a_sweep_that_is_repeated_counts_once() -> None:
+    rng = np.random.default_rng(0)
+    sweeps = [rng.normal(size=(50, 3)) for _ in range(2)]
+    order = [0, 1, 0, 0, 1]
+    xyz = np.concatenate([rng.permutation(sweeps[k]) for k in order])
+    cloud = PointCloud(xyz, frame=np.repeat(np.arange(5), 50))
+    kept = without_copies(cloud)
+    assert kept.frame is not None
+    assert np.unique(kept.frame).tolist() == [0, 1]
+    np.testing.assert_array_equal(kept.xyz, xyz[:100])
+    # One that shares all but a point is another.
+    xyz[-1] += 1e-9
+    kept = without_copies(replace(cloud, xyz=xyz))
+    assert kept.frame is not None
+    assert np.unique(kept.frame).tolist() == [0, 1, 4]
 
 
 def test_points_that_differ_in_one_coordinate_differ() -> None:

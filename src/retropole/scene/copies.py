@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..base.datatypes import Array, Placement, PointCloud
+from ..base.datatypes import Array, BoolArray, IntArray, Placement, PointCloud
 from ..base.errors import Refusal
 from ..base.sampling import every_nth
 from .ordering import order_of
@@ -29,9 +29,11 @@ Keys = np.ndarray[tuple[int], np.dtype[np.uint64]]
 
 
 def without_copies(cloud: PointCloud) -> PointCloud:
-    """Keep the first of points that are equal number for number within a sweep.
+    """Keep the first of points that are equal number for number within a sweep, and of sweeps that
+    are equal as a whole.
 
-    A LiDAR that is set to report the strongest and the last return gives most points twice.
+    A LiDAR that is set to report the strongest and the last return gives most points twice. One
+    never gives a sweep twice: who repeats it has recorded no more.
 
     Parameters
     ----------
@@ -40,6 +42,10 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     """
     keys = _keys(cloud.xyz)
     if cloud.frame is not None:
+        repeated = _repeated(keys, cloud.frame)
+        if repeated.any():
+            cloud, keys = cloud.select(~repeated), keys[~repeated]
+        assert cloud.frame is not None
         keys = keys ^ (cloud.frame.astype(np.uint64) * MIX)
     order = order_of(keys)
     ordered = keys[order]
@@ -47,6 +53,17 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     if len(starts) == len(cloud):
         return cloud
     return cloud.select(np.sort(np.minimum.reduceat(order, starts)))
+
+
+def _repeated(keys: Keys, frame: IntArray) -> BoolArray:
+    """Find the points (N,) of sweeps whose points are those of a sweep before, in any order."""
+    frames, own = np.unique(frame, return_inverse=True)
+    own = own.reshape(-1)
+    sums = np.zeros(len(frames), np.uint64)
+    np.add.at(sums, own, keys * MIX)
+    both = np.stack([np.bincount(own).astype(np.uint64), sums], axis=1)
+    first = np.unique(both, axis=0, return_index=True)[1]
+    return ~np.isin(own, first)
 
 
 def check_recordings(placements: Sequence[Placement]) -> None:
