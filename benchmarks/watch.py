@@ -330,7 +330,8 @@ def main() -> None:
         every = [each for each in pool.map(run, jobs) if each is not None]
     if options.words:
         for each in every:
-            print(each.kind, each.seed, "+" if each.is_right else "-", each.code, each.words)
+            sign = "+" if each.is_right else "-"
+            print(each.kind, each.seed, sign, each.code, f"off {each.off:.3f} m:", each.words)
     print("| situation | right | said instead |\n| --- | --- | --- |")
     for kind in [*options.only, None]:
         own = [each for each in every if kind in (None, each.kind)]

@@ -9,7 +9,6 @@ from ..base.quantities import at_most, counted
 from ..base.reasons import explain
 from ..base.uncertainty import floor
 from ..base.uncertainty.purpose import (
-    CONFIDENCE,
     USABLE,
     Need,
     displacement_bound,
@@ -21,6 +20,13 @@ from .advice import Advice, remedy_of
 SPOILT = {"moving_pole", "moving_lidar", "no_match", "placements_disagree", "poor_fit"}
 SPOILT |= {"poles_inconsistent", "poles_scene_contradict", "scene_contradicts"}
 """Refusals after which the newest placement is left out: with others it would spoil them too."""
+
+
+ENOUGH = 0.99
+"""Probability that the need is met, from which a watch stops. More than `purpose.CONFIDENCE`, by
+which one answer is judged: a watch stops at the first of several that is good enough, and so rather
+at one that is luckily so. By 0.95 the need was met in 48 of 50 stops (benchmarks/watch.py, good,
+seeds 1000 to 1055)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +52,7 @@ class Outcome:
     @property
     def is_enough(self) -> bool:
         """Whether to stop: the verdict is ok, and the need is met."""
-        sure = self.probability is not None and self.probability >= CONFIDENCE
+        sure = self.probability is not None and self.probability >= ENOUGH
         return self.document.status == "ok" and sure
 
     @property
