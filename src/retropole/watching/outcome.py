@@ -107,7 +107,7 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
         return Advice(
             "need_not_met",
             f"Placement {placements + 1}: stand the poles elsewhere, on another side. So far "
-            f"{_so_far(outcome)}; needed is {outcome.need.words}.",
+            f"{_so_far(outcome)}; needed is {outcome.need.words}, {100 * ENOUGH:g} % sure.",
         )
     reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")
     if reason.code == "radius_differs" and document.radius is not None:
