@@ -20,8 +20,8 @@ radius    poles of 5 cm radius, said to be of 2     doubtful or radius_differs, 
 bare      nothing but ground                        what asks for another pole or placement
 good      two poles, 20° to 40° apart               done, and the need of 5 cm at 30 m is met
 
-Seeds to 99 tuned; those from 1000 state what is said, and those from 2000 when it stops: of that the
-others decided how sure the answer has to be.
+Seeds to 99 tuned; those from 1000 state what is said, and those from 2000 when it stops: the others
+decided how sure the answer has to be for that.
 """
 
 from __future__ import annotations
