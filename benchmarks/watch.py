@@ -176,7 +176,7 @@ def hiding(pair: SimulatedPair, rng: np.random.Generator) -> Surface:
         at = lidar + rng.uniform(0.3, 0.85) * to
         if np.linalg.norm(at - lidar) < 1.5:
             continue
-        turn = _yaw(float(np.arctan2(to[1], to[0])))
+        turn = se3.rotation_from_rpy(np.array([0.0, 0.0, np.arctan2(to[1], to[0])]))
         half = np.array([0.2, 0.5, 1.3])
         box = Box(np.array([at[0], at[1], 1.3]), turn, half, Material(0.3))
         left = [returns_on_poles(pair, k, box) for k in range(2)]
@@ -194,11 +194,6 @@ def returns_on_poles(pair: SimulatedPair, k: int, box: Surface) -> list[int]:
     labels = scan(surfaces, pair.sensors[k], T, rng, FIELD, device=pair.devices[k]).labels
     first = len(surfaces) - len(pair.poles)
     return [int(np.count_nonzero(labels == first + p)) for p in range(len(pair.poles))]
-
-
-def _yaw(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def dimmed(cloud: PointCloud, pole: Surface, T: Array, sensor: Sensor) -> PointCloud:

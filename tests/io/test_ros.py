@@ -22,6 +22,7 @@ from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
 from retropole.io.ros import columns_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
+from tests.io.clouds import assert_same, random_cloud
 from tests.io.files import required
 from tests.paths import SHARED
 
@@ -36,21 +37,6 @@ def shared(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"{path} is not here")
     return path
-
-
-def random_cloud(seed: int = 0, count: int = 50) -> PointCloud:
-    rng = np.random.default_rng(seed)
-    return PointCloud(
-        rng.uniform(-9, 9, (count, 3)).astype("f4").astype(float),
-        intensity=rng.integers(0, 256, count).astype(float),
-        ring=rng.integers(0, 16, count),
-    )
-
-
-def assert_same(read: PointCloud, written: PointCloud) -> None:
-    np.testing.assert_array_equal(read.xyz, written.xyz)
-    np.testing.assert_array_equal(read.intensity, written.intensity)
-    np.testing.assert_array_equal(read.ring, written.ring)
 
 
 @pytest.mark.parametrize("kind", KINDS)

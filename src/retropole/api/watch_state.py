@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ..base.errors import ReadError, UsageError
-from ..base.sensors import sensor_or_auto
+from ..base.sensors import Sensor
 from ..io import Frame
 from ..io.live import Source
-from ..result import Reading, RunConfig
+from ..result import RunConfig
 from ..result.pole_plan import PolePlanDoc
 from ..result.watching import LidarNow, PoleNow
 from ..watching.advice import View, word_on
@@ -74,10 +74,13 @@ class Wish:
 
 @dataclass
 class Watched:
-    """What is known of a LiDAR while it is watched."""
+    """What is known of a LiDAR while it is watched: its sweeps are searched as of this sensor, from
+    this intensity up."""
 
     source: Source
     view: View
+    sensor: Sensor | None
+    threshold: float | None
     frame_id: str | None = None
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
 
@@ -91,17 +94,15 @@ class Taken(NamedTuple):
     is_of_another_frame: bool = False
 
 
-def take(
-    lidar: Watched, how: Reading, radius: float, clock: Callable[[], float], *, busy: bool
-) -> Taken:
+def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
     """Take the newest sweep of a LiDAR, and search it.
 
     Parameters
     ----------
     lidar
         Its view is brought up to date.
-    how, radius
-        Its sensor and threshold; radius of the poles, metres.
+    radius
+        Of the poles, metres.
     clock
         Gives the time, s.
     busy
@@ -130,8 +131,7 @@ def take(
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
         return Taken(None, tuple(said), is_other)
-    sensor = sensor_or_auto(how.sensor)
-    looked = look(frame.cloud, now, sensor=sensor, threshold=how.threshold, radius=radius)
+    looked = look(frame.cloud, now, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
     tracks = follow(view.tracks, looked)
     lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
     return Taken(frame, tuple(said), is_other)
@@ -151,10 +151,11 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
             returns=len(track.pole.xyz),
             rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
             is_still=track.is_still(now),
-            is_good=not word_on(track, now),
-            word=word_on(track, now),
+            is_good=not word,
+            word=word,
         )
         for track in present(view.tracks, now)
+        for word in [word_on(track, now)]
     ]
     return LidarNow(
         name=view.name,

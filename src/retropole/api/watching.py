@@ -17,6 +17,7 @@ from msgspec.structs import replace as with_options
 from ..base.errors import RetropoleError
 from ..base.files import write_together
 from ..base.quantities import counted
+from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import USABLE
 from ..export import read_transform
 from ..export.publishing import Published, publish
@@ -45,6 +46,8 @@ RECORDING = "placement{}.mcap"
 
 CERTIFICATE = "certificate.json", "certificate.html"
 """What the field test of both LiDARs is called, where the poles that were recorded allow one."""
+
+WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
 
 LOGGED = 40
 """Lines that are kept of what happened."""
@@ -86,7 +89,11 @@ class Watch:
         self.written: list[Path] = []
         self.is_over = False
         self._wish, self._out, self._clock, self._start = wish, out, clock, clock()
-        self._lidars = [Watched(s, View(name)) for s, name in zip(sources, wish.names, strict=True)]
+        read = wish.config.of_target, wish.config.of_source
+        self._lidars = [
+            Watched(source, View(name), sensor_or_auto(how.sensor), how.threshold)
+            for source, name, how in zip(sources, wish.names, read, strict=True)
+        ]
         self._words: deque[str] = deque(maxlen=LOGGED)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
@@ -147,10 +154,8 @@ class Watch:
 
     def _take(self, k: int) -> None:
         """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
-        config = self._wish.config
-        how = (config.of_target, config.of_source)[k]
-        busy = self._work is not None
-        taken = take(self._lidars[k], how, config.radius_m, self._clock, busy=busy)
+        radius, busy = self._wish.config.radius_m, self._work is not None
+        taken = take(self._lidars[k], radius, self._clock, busy=busy)
         for words in taken.said:
             self._note(f"{self._wish.names[k]}: {words}")
         if taken.is_of_another_frame:
@@ -166,7 +171,7 @@ class Watch:
                 self.checked.status, checked_words(self.checked), self.checked.status == "same"
             )
         if self._work is not None:
-            return Advice("calibrating", "Good: the answer is worked out.", True)
+            return WORKING_OUT
         if self._outcome is not None and self._outcome.is_enough:
             return advice_after(self._outcome, placements)
         advice = self._seen(now)
@@ -193,7 +198,7 @@ class Watch:
             self._trial = in_background(lambda: calibrate_with(first, second, self._wish.config))
         if ended or capture.is_full(self._wish.sweeps, now):
             self._keep(capture)
-            return Advice("calibrating", "Good: the answer is worked out.", True)
+            return WORKING_OUT
         left = capture.seconds - (now - capture.start)
         return keep_still(capture.count, self._wish.sweeps, left)
 
@@ -209,8 +214,8 @@ class Watch:
             return advice
         for view in views:
             poles = pole_documents([each.pole for each in present(view.tracks, now)])
-            off = [d for d in against_plan(self._wish.plan, poles, view.name).deviations]
-            wrong = next((each.words for each in off if not each.is_as_planned), None)
+            stood = against_plan(self._wish.plan, poles, view.name).deviations
+            wrong = next((each.words for each in stood if not each.is_as_planned), None)
             if wrong is not None:
                 return Advice("off_plan", f"{wrong[0].upper()}{wrong[1:]}.")
         return advice

@@ -57,6 +57,21 @@ def is_rosbag2(path: Path) -> bool:
     return path.is_dir() and (path / METADATA).is_file()
 
 
+def check_extra() -> None:
+    """Check that what reads bags is installed.
+
+    Raises
+    ------
+    MissingExtraError
+        Where it is not.
+    """
+    try:
+        import mcap.records  # noqa: F401
+        import rosbags.rosbag1  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("ros", "reading ROS bags") from None
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
     """Open a bag of any format; a failure names the file and what to do.
@@ -70,11 +85,7 @@ def opened(path: Path) -> Iterator[Bag]:
     """
     if path.is_file() and path.stat().st_size == 0:
         raise ReadError(f"{path}: is empty, expected a bag")
-    try:
-        import mcap.records  # noqa: F401
-        import rosbags.rosbag1  # noqa: F401
-    except ImportError:
-        raise MissingExtraError("ros", "reading ROS bags") from None
+    check_extra()
     open_one = _folder if path.is_dir() else OPENERS[path.suffix.lower()]
     with naming(path), reported("bag", REPAIR), open_one(path) as bag:
         yield bag

@@ -254,11 +254,12 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
 
 def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
     """First and last of the stamps; None unless all are Unix time."""
-    known = [stamp for stamp in stamps if stamp is not None and _is_unix(stamp)]
+    known = [stamp for stamp in stamps if stamp is not None and is_unix(stamp)]
     return (min(known), max(known)) if len(known) == len(stamps) else None
 
 
-def _is_unix(seconds: float) -> bool:
+def is_unix(seconds: float) -> bool:
+    """Whether a time, s, may be one of a clock that is set."""
     return UNIX_SECONDS[0] <= seconds < UNIX_SECONDS[1]
 
 
@@ -269,6 +270,6 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
     """
     if cloud.time is not None and len(cloud.time):
         first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))
-        if _is_unix(first) and _is_unix(last):
+        if is_unix(first) and is_unix(last):
             return first, last
     return cloud.recorded

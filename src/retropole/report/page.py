@@ -84,32 +84,33 @@ def fill_page(
     style
         More style, behind that of the files.
     """
-    sheet = "".join(map(_asset, styles)) + style
-    code = [_asset(name) for name in scripts]
-    return Template(_asset("page.html")).substitute(
+    sheet = "".join(map(asset, styles)) + style
+    code = [asset(name) for name in scripts]
+    return Template(asset("page.html")).substitute(
         attributes=f' data-status="{parts["status"]}"' if "status" in parts else "",
         title=parts["title"],
-        body=Template(_asset(template)).substitute(parts),
+        body=Template(asset(template)).substitute(parts),
         style=sheet,
-        style_hash=_source_of(sheet),
+        style_hash=source_of(sheet),
         scripts="\n".join(f"<script>{text}</script>" for text in code),
-        script_hashes=" ".join(map(_source_of, code)),
+        script_hashes=" ".join(map(source_of, code)),
     )
 
 
 @cache
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Read a file of the assets."""
     return (files("retropole.report") / "assets" / name).read_text(encoding="utf-8")
 
 
 @cache
 def _pieces() -> dict[str, Template]:
-    _, *parts = PIECE.split(_asset("pieces.html"))
+    _, *parts = PIECE.split(asset("pieces.html"))
     pieces = zip(parts[::2], parts[1::2], strict=True)
     return {name: Template(markup.strip("\n")) for name, markup in pieces}
 
 
-def _source_of(text: str) -> str:
+def source_of(text: str) -> str:
     """Name a script or a style by its hash: the page runs these and no others."""
     digest = hashlib.sha256(text.encode("utf-8")).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"

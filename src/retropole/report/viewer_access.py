@@ -11,6 +11,7 @@ import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import TYPE_CHECKING, Any
 
 from ..base.errors import UsageError
@@ -42,6 +43,20 @@ def address_of(host: str, port: int, default: int = 80) -> str:
     """Write host and port as browsers do: without the port that the protocol has by default."""
     host = f"[{host}]" if ":" in host else host
     return host if port == default else f"{host}:{port}"
+
+
+def ip_of(host: str) -> IPv4Address | IPv6Address:
+    """Read an IP address.
+
+    Raises
+    ------
+    UsageError
+        Where it is none.
+    """
+    try:
+        return ip_address(host)
+    except ValueError:
+        raise UsageError(f"{host!r} is no IP address") from None
 
 
 def knows(request: Request, token: str, address: str) -> bool:

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..base.errors import MissingExtraError, UsageError
+from .viewer_access import ip_of
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -79,10 +80,7 @@ def own_certificate(host: str, folder: Path | None) -> Certificate:
     except ImportError:
         raise MissingExtraError("live", "a page for a phone") from None
 
-    try:
-        address = ip_address(host)
-    except ValueError:
-        raise UsageError(f"{host!r} is no IP address") from None
+    address = ip_of(host)
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "retropole watch")])
     now = datetime.now(UTC)

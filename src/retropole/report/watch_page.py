@@ -5,12 +5,11 @@ It holds nothing of a watch itself: it fetches ``state`` beside it, a `WatchDoc`
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from string import Template
+
+from .page import asset, source_of
 
 
 @dataclass(frozen=True)
@@ -32,19 +31,10 @@ class WatchPage:
 @cache
 def watch_page() -> WatchPage:
     """Put the page together."""
-    template, style, script = (_asset(f"watch.{kind}") for kind in ("html", "css", "js"))
+    template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
     policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; "
+        f"default-src 'none'; script-src {source_of(script)}; style-src {source_of(style)}; "
         "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
         "frame-ancestors 'none'"
     )
     return WatchPage(Template(template).substitute(style=style, script=script), policy)
-
-
-def _asset(name: str) -> str:
-    return (files("retropole.report") / "assets" / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    """Name a script or a style as a policy does."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

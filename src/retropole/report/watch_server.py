@@ -19,7 +19,7 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from ..base.errors import MissingExtraError, UsageError
-from .viewer_access import REFUSED, address_of, knows, seal
+from .viewer_access import REFUSED, address_of, ip_of, knows, seal
 from .watch_page import watch_page
 
 if TYPE_CHECKING:
@@ -224,10 +224,7 @@ def serve_watch(
     except ImportError:
         raise MissingExtraError("live", "a page that is served") from None
 
-    try:
-        address = ip_address(host)
-    except ValueError:
-        raise UsageError(f"{host!r} is no IP address") from None
+    address = ip_of(host)
     if address.is_unspecified:
         raise UsageError(f"{host} stands for all addresses of this machine: name the one to use")
     if certificate is None and not address.is_loopback:

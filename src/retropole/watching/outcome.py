@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ..alignment.certainty import SWAY
 from ..base.quantities import at_most, counted
 from ..base.reasons import explain
 from ..base.uncertainty import floor
@@ -65,8 +66,7 @@ class Outcome:
     def seconds_more(self) -> float:
         """How much longer to record, where masts sway and that is why the need is not met."""
         budget = self.document.budget or []
-        main = budget[0].name if budget else ""
-        if self.is_enough or "sway" not in main:
+        if self.is_enough or not budget or budget[0].name != SWAY:
             return 0.0
         return max((each.sway.seconds_more for each in self.document.sways), default=0.0)
 
@@ -76,11 +76,9 @@ def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
     asked = need or USABLE
     if document.covariance is None:
         return Outcome(document, asked, None, None)
-    if document.fitness is not None:
-        # It counts that the answer may be another pose altogether.
-        return Outcome(document, asked, document.fitness.probability, document.fitness.bound_m)
-    probability = fitness(document.covariance, asked).probability
-    return Outcome(document, asked, probability, displacement_bound(document.covariance, asked.at))
+    # That of the document counts that the answer may be another pose altogether.
+    fit = document.fitness or fitness(document.covariance, asked)
+    return Outcome(document, asked, fit.probability, fit.bound_m)
 
 
 def advice_after(outcome: Outcome, placements: int) -> Advice:

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.datatypes import Array, Detection, PointCloud, Pole
+from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
 from ..extraction.candidates import with_candidates
 from ..extraction.dimmer import with_dimmer_candidates
 from ..extraction.poles import extract_poles
+from ..matching.correspondence import widest_angle
+from ..matching.line_pairs import line_pair
 
 STILL = 1.0
 """A pole that stood where it does for so long stands still, s."""
@@ -232,19 +234,13 @@ def is_same_pair(one: tuple[Pole, Pole], other: tuple[Pole, Pole]) -> bool:
 
 def _relation(a: Pole, b: Pole) -> tuple[float, float]:
     """Angle between two lines, rad, and their least distance, metres."""
-    across = np.cross(a.direction, b.direction)
-    sine = float(np.linalg.norm(across))
-    between = b.point - a.point
-    if sine < PARALLEL:
-        gap = float(np.linalg.norm(np.cross(between, a.direction)))
-    else:
-        gap = abs(float(between @ across)) / sine
-    return float(np.arctan2(sine, abs(a.direction @ b.direction))), gap
+    angle = widest_angle([a.direction, b.direction])
+    if np.sin(angle) < PARALLEL:
+        return angle, float(np.linalg.norm(np.cross(b.point - a.point, a.direction)))
+    pair = line_pair(a.point, a.direction, b.point, b.direction)
+    return pair.angle, pair.distance
 
 
 def angle_between(poles: Sequence[Pole]) -> float | None:
     """Largest angle between any two poles, rad; None of fewer than two."""
-    if len(poles) < 2:
-        return None
-    axes: Array = np.stack([each.direction for each in poles])
-    return float(np.arccos(np.clip(np.abs(axes @ axes.T).min(), 0.0, 1.0)))
+    return widest_angle([each.direction for each in poles]) if len(poles) > 1 else None

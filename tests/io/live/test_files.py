@@ -24,8 +24,8 @@ from retropole.io.live import Source, files
 from retropole.io.live.files import BagSource, FolderSource
 from retropole.io.ros import frame_of
 from tests.bags import CLOUDS, START, STEP, message, points_of
+from tests.io.clouds import assert_same, random_cloud
 from tests.io.files import required
-from tests.io.live.clouds import assert_same, random_cloud
 
 STORE = get_typestore(Stores.LATEST)
 LONG = 10.0

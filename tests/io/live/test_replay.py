@@ -16,8 +16,8 @@ from retropole.io import Frame, read_frames, write_pcd
 from retropole.io.live import Source, replay
 from retropole.io.live.replay import ReplaySource
 from tests.bags import START, points_of, write_bag
+from tests.io.clouds import assert_same, random_cloud
 from tests.io.files import required
-from tests.io.live.clouds import assert_same, random_cloud
 from tests.paths import SHARED
 
 VLP16 = SHARED / "formats" / "velodyne" / "sample_velodyne_vlp16_gps.pcap"

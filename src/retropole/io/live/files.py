@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.errors import MissingExtraError, ReadError, UsageError
+from ...base.errors import ReadError, UsageError
 from .. import READERS, open_recording
+from ..bag_files import check_extra
 from ..failures import naming, readable, reported
 from ..recordings import Frame, time_of_recording
 from ..ros import frame_of
@@ -194,11 +195,7 @@ class BagSource(_Looking):
             raise UsageError(
                 f"{path}: cannot be read while it is written, only {' and '.join(PARTS)} can"
             )
-        try:
-            import mcap.records  # noqa: F401
-            import rosbags.rosbag1  # noqa: F401
-        except ImportError:
-            raise MissingExtraError("ros", "reading ROS bags") from None
+        check_extra()
         super().__init__(f"bag:{path}")
         self._path = path
         self._recorded = Recorded(topic)

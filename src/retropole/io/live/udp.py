@@ -23,7 +23,7 @@ from ...base.quantities import counted
 from ..failures import naming, reported
 from ..fields import frame_from_columns
 from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
-from ..recordings import UNIX_SECONDS, Frame
+from ..recordings import Frame, is_unix
 from .mailbox import QUIET, Mailbox
 
 ALL_INTERFACES = "0.0.0.0"
@@ -150,8 +150,8 @@ class PacketSource:
             own = columns()
         cloud = frame_from_columns(where, own, origin)
         # A sensor whose clock was never set counts from when it was switched on.
-        is_unix = UNIX_SECONDS[0] <= start < UNIX_SECONDS[1]
-        return Frame(number, replace(cloud, notes=notes), start if is_unix else received)
+        stamp = start if is_unix(start) else received
+        return Frame(number, replace(cloud, notes=notes), stamp)
 
     def close(self) -> None:
         """Let go of the port, as `Source` says."""

@@ -1,4 +1,4 @@
-"""Clouds for the tests of live sources."""
+"""Clouds for the tests of bags and of live sources."""
 
 import numpy as np
 
