@@ -58,14 +58,15 @@ def remove_dynamic_points(cloud: PointCloud) -> PointCloud:
     ranges = np.linalg.norm(rays, axis=1)
     cells = cells_of(rays)
     behind = ranges + range_margin(ranges)
-    through, there = np.zeros(len(cloud), dtype=np.int64), np.zeros(len(cloud), dtype=np.int64)
-    for k in range(len(frames)):
-        own = frame == k
-        nearest = nearest_around(Cells(cells.row[own], cells.column[own]), ranges[own])
-        seen = nearest.ranges[cells]
-        through += np.isfinite(seen) & (seen > behind)
-        there += seen <= behind
-    return cloud.select(through <= there)
+    nearest = [
+        nearest_around(Cells(cells.row[own], cells.column[own]), ranges[own]).ranges
+        for own in (frame == k for k in range(len(frames)))
+    ]
+    # What half of the frames saw there, the nearer half.
+    ordered = np.sort(np.stack(nearest, axis=-1), axis=-1)
+    half = np.maximum((np.isfinite(ordered).sum(axis=-1) - 1) // 2, 0)
+    usual = np.take_along_axis(ordered, half[..., None], axis=-1)[..., 0]
+    return cloud.select(usual[cells] <= behind)
 
 
 def check_still(name: str, cloud: PointCloud) -> None:

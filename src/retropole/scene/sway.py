@@ -51,9 +51,12 @@ LEVERS = 0.3, 2.0, 8.0
 ASIDE = 0.25
 """Part of the turn that a mast moves aside of the way that was seen, 1 σ."""
 
-SHIFTS = 0.002, 0.01, 0.05
+SHIFTS = np.array([0.002, 0.01, 0.05])
 """1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
 half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by less than 0.03°."""
+
+SHIFTED = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+"""Root of the covariance of such a shift, of one metre."""
 
 SEEN, LEAST = 3.0, float(np.radians(0.003))
 """Logarithm of how much more probable the returns are with sway than without, or with a shift
@@ -95,7 +98,7 @@ class Motion:
     frequency
         Hz, its geometric mean.
     best
-        Features (B, F) of the most probable hypothesis, and its coefficients (6 F,).
+        Features (B, F) of the most probable hypothesis, and its coefficients (F, 6).
     """
 
     evidence: float
@@ -155,11 +158,15 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
         observed = observe(xyz, cloud.origin, when, motion)
         if not len(observed.plane):
             return None
-        roots = kinds(sizes, motion)
-        found = infer(observed, when.times, roots, noise)
+        asked = [
+            Asked(frequency, share, features, *observed.about(features))
+            for frequency, share, features in hypotheses(when.times)
+        ]
+        ways = ways_of(motion)
+        found = infer(asked, sizes, ways, noise)
         before, noise = noise, noise_of(observed, found)
         if noise != before:
-            found = infer(observed, when.times, roots, noise)
+            found = infer(asked, sizes, ways, noise)
         change = float(np.abs(found.motion - motion)[:, :3].max())
         motion = found.motion
         if not found.is_seen or change < AT_REST:
@@ -167,46 +174,55 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
     return found
 
 
+class Asked(NamedTuple):
+    """A frequency, Hz, how probable it is, its features (B, F), and what the returns say of their
+    coefficients: information (6 F, 6 F) and gradient (6 F,)."""
+
+    frequency: float
+    share: float
+    features: Array
+    left: Array
+    pull: Array
+
+
 def infer(
-    observed: Observed, times: Array, roots: Sequence[tuple[float, Array]], noise: float = 1.0
+    asked: Sequence[Asked], sizes: Array, ways: Sequence[tuple[float, Array]], noise: float = 1.0
 ) -> Motion:
     """Weigh all hypotheses of the motion by the returns.
 
     Parameters
     ----------
-    observed
-        What the returns say.
-    times
-        (B,) of the parts, s.
-    roots
-        How probable each kind of motion is, and a root (6, 6) of its covariance; see `kinds`.
+    asked
+        One at least.
+    sizes
+        1 σ of the turn, rad, each as probable as it is large.
+    ways
+        See `ways_of`.
     noise
         So many times the variance of the returns that they state themselves.
     """
     evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
-    for frequency, share, features in hypotheses(times):
-        left, pull = (each / noise for each in observed.about(features))
-        for one_of, root in roots:
-            one = weigh(left, pull, root)
-            evidence.append(one.evidence)
-            prior.append(share * one_of)
-            frequencies.append(frequency)
-            found.append((features, one))
-        for shift in SHIFTS:
-            alone = weigh(left, pull, np.diag(np.repeat([0.0, shift], 3))).evidence
-            shifted.append(alone + float(np.log(share / len(SHIFTS))))
+    for frequency, share, features, *told in asked:
+        left, pull = (each / noise for each in told)
+        for of_way, root in ways:
+            for size, one in zip(sizes, weigh(left, pull, root, sizes), strict=True):
+                evidence.append(one.evidence)
+                prior.append(share * of_way * size / sizes.sum())
+                frequencies.append(frequency)
+                found.append((features, one))
+        for alone in weigh(left, pull, SHIFTED, SHIFTS):
+            shifted.append(alone.evidence + float(np.log(share / len(SHIFTS))))
     total = float(np.logaddexp.reduce(np.array(evidence) + np.log(prior)))
     weighed = COUNTED * np.array(evidence) + np.log(prior)
     probability = np.exp(weighed - np.logaddexp.reduce(weighed))
-    motion, mean = np.zeros((len(times), 6)), np.zeros(6)
+    motion, mean = np.zeros((len(asked[0].features), 6)), np.zeros(6)
     square = np.zeros((6, 6))
     for p in np.flatnonzero(probability > NEGLIGIBLE):
         features, one = found[p]
-        coefficients = one.coefficients.reshape(-1, 6)
         own = features.mean(axis=0)
-        here = own @ coefficients
+        here = own @ one.coefficients
         spread = np.einsum("i,ixk->xk", own, one.root.reshape(len(own), 6, -1))
-        motion += probability[p] * (features @ coefficients)
+        motion += probability[p] * (features @ one.coefficients)
         mean += probability[p] * here
         square += probability[p] * (spread @ spread.T + np.outer(here, here))
     features, one = found[int(np.argmax(probability))]
@@ -220,29 +236,45 @@ def infer(
 
 
 class Weighed(NamedTuple):
-    """Logarithm of the evidence of a hypothesis; its coefficients (K,), and a root (K, K) of their
-    covariance."""
+    """Logarithm of the evidence of a hypothesis, and its coefficients (F, 6); the `way` and the
+    `scale` of each are a root of their covariance."""
 
     evidence: float
     coefficients: Array
-    root: Array
+    way: Array
+    scale: Array
+
+    @property
+    def root(self) -> Array:
+        """(6 F, 6 F) a root of the covariance of the coefficients."""
+        return self.way * self.scale
 
 
-def weigh(left: Array, pull: Array, root: Array) -> Weighed:
-    """Estimate coefficients with information (K, K) and gradient (K,) under a prior.
+def weigh(left: Array, pull: Array, root: Array, sizes: Array) -> list[Weighed]:
+    """Estimate coefficients with information (K, K) and gradient (K,) under priors of some sizes.
 
-    `root` (6, 6) is of the covariance of each six of them, over turn and shift, rad and m.
+    `root` (6, 6) is of the covariance of each six of them, over turn and shift, rad and m, where
+    the size is one.
     """
-    whole = np.kron(np.eye(len(pull) // 6), root)
+    count = len(pull) // 6
+    whole = np.kron(np.eye(count), root)
     value, way = np.linalg.eigh(whole.T @ left @ whole)
     value, way = np.maximum(value, 0.0), whole @ way
     along = way.T @ pull
-    evidence = 0.5 * float(np.sum(along**2 / (1 + value) - np.log1p(value)))
-    return Weighed(evidence, way @ (along / (1 + value)), way / np.sqrt(1 + value))
+    variance = sizes[:, None] ** 2
+    narrowed = 1 + variance * value
+    evidence = 0.5 * np.sum(variance * along**2 / narrowed - np.log(narrowed), axis=1)
+    coefficients = (variance * along / narrowed) @ way.T
+    return [
+        Weighed(float(each), own.reshape(count, 6), way, scale)
+        for each, own, scale in zip(
+            evidence, coefficients, np.sqrt(variance / narrowed), strict=True
+        )
+    ]
 
 
-def kinds(sizes: Array, motion: Array) -> list[tuple[float, Array]]:
-    """List kinds of motion: how probable each is, and a root (6, 6) of its covariance.
+def ways_of(motion: Array) -> list[tuple[float, Array]]:
+    """List ways to move: how probable each is, and a root (6, 6) of its covariance for 1 rad.
 
     Half of them go any way, with turn and shift in several proportions. The others go the way that
     was seen: a mast that moves to and fro in one plane would else be taken for one that moves less,
@@ -250,23 +282,16 @@ def kinds(sizes: Array, motion: Array) -> list[tuple[float, Array]]:
 
     Parameters
     ----------
-    sizes
-        1 σ of the turn, rad.
     motion
         (B, 6) as it is known; zero where it is not.
     """
-    shares = sizes / sizes.sum()
-    found = [
-        (0.5 * float(share) / len(LEVERS), np.diag(np.repeat([size, lever * size], 3)))
-        for size, share in zip(sizes, shares, strict=True)
-        for lever in LEVERS
-    ]
+    found = [(0.5 / len(LEVERS), np.diag(np.repeat([1.0, lever], 3))) for lever in LEVERS]
     apart = motion - motion.mean(axis=0)
     spread = apart.T @ apart / len(apart)
     turn = float(np.trace(spread[:3, :3]))
     if turn > 0:
-        way = root_of(spread / turn + np.diag(np.repeat([ASIDE, LEVERS[1] * ASIDE], 3) ** 2))
-        found += [(0.5 * s, size * way) for size, s in zip(sizes, shares.tolist(), strict=True)]
+        own = spread / turn + np.diag(np.repeat([ASIDE, LEVERS[1] * ASIDE], 3) ** 2)
+        found.append((0.5, root_of(own)))
     return found
 
 
@@ -304,7 +329,7 @@ def noise_of(observed: Observed, found: Motion) -> float:
     features, coefficients = found.best
     left, pull = observed.about(np.concatenate([own, features], axis=1))
     size = 6 * own.shape[1]
-    rest = pull[:size] - left[:size, size:] @ coefficients
+    rest = pull[:size] - left[:size, size:] @ coefficients.reshape(-1)
     value, way = np.linalg.eigh(left[:size, :size])
     told = value > 1e-6 * value[-1]
     square = (way.T @ rest)[told] ** 2 / value[told]

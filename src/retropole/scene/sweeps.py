@@ -22,6 +22,9 @@ SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
 rings lie so far apart that no smaller one has two."""
 
+CORNERS = 2 ** np.array([0, 21, 42])
+"""One number for each cell, where none is 2²⁰ from the origin."""
+
 CUTS = 20
 """Parts of a side, in one of which cells begin."""
 
@@ -248,8 +251,7 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
         if len(left) < LEAST_RETURNS:
             return
         corner = np.floor((xyz[left] - _free(xyz[left], side)) / side).astype(np.int64)
-        _, own = np.unique(corner, axis=0, return_inverse=True)
-        own = own.reshape(-1)
+        _, own = np.unique(corner @ CORNERS, return_inverse=True)
         returns = np.bincount(own)
         middle, size, axes = _spread(xyz[left], own, returns)
         _, beams, _ = _spread(rays[left], own, returns)
