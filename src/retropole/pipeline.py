@@ -31,6 +31,7 @@ from .scene.agreement import check_contradiction, without_misplaced
 from .scene.by_place import align_by_place_where_open, check_held, check_told
 from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
+from .scene.one_mast import align_on_one_mast
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine_by_scene
 from .scene.scans import find_poles
@@ -153,7 +154,8 @@ def calibrate(
                     chosen, **known, by_place=scene and by_hand is None, count=poles, prior=prior
                 )
                 hypotheses = chosen.hypotheses
-                paired, aligned = without_misplaced(chosen.paired, aligned, **known, scene=scene)
+                paired, aligned = align_on_one_mast(chosen.paired, aligned, **known)
+                paired, aligned = without_misplaced(paired, aligned, **known, scene=scene)
                 first = replace(hypotheses[0], match=paired[0].hypothesis.match)
                 hypotheses = first, *hypotheses[1:]
                 placements = leave_one_out(paired, aligned, **known)

@@ -21,16 +21,25 @@ def beams() -> Array:
 
 
 def recorded(
-    motions: Array, rng: np.random.Generator, noise: float = 0.01, *, parts: int = 8
+    motions: Array,
+    rng: np.random.Generator,
+    noise: float = 0.01,
+    *,
+    parts: int = 8,
+    at: Array | None = None,
 ) -> PointCloud:
-    """Record with turn and shift (F × parts, 6) of each part of each sweep, one after the other."""
+    """Record with turn and shift (F × parts, 6) of each part of each sweep, one after the other.
+
+    At rest the LiDAR stands in the middle of the hall, or at `at` (3,), with the axes of the hall.
+    """
+    rests = np.zeros(3) if at is None else at
     rays = beams()
     part = np.arange(len(rays)) * parts // len(rays)
     xyz, time, frame = [], [], []
     for k, own in enumerate(motions.reshape(-1, parts, 6)):
         for p in range(parts):
             mine = rays[part == p]
-            R, origin = se3.exp_so3(own[p, :3]), own[p, 3:]
+            R, origin = se3.exp_so3(own[p, :3]), rests + own[p, 3:]
             world = mine @ R.T
             towards = np.where(world > 0, HALF - origin, HALF + origin)
             away = towards / np.maximum(np.abs(world), 1e-12)

@@ -6,7 +6,7 @@ import pytest
 from retropole.base.datatypes import PointCloud
 from retropole.io import read_cloud
 from retropole.scene.static import remove_dynamic_points
-from retropole.scene.sway import steadied
+from retropole.scene.sway import Steadied, steadied
 from tests.paths import SHARED
 from tests.scene.swaying import HALF, recorded, swaying
 
@@ -17,7 +17,7 @@ SIGMA = float(np.radians(0.05))
 def test_a_lidar_that_stands_is_left_as_it_is() -> None:
     for seed in range(3):
         cloud = recorded(np.zeros((80, 6)), np.random.default_rng(seed))
-        same, sway = steadied(cloud)
+        same, sway, _ = steadied(cloud)
         assert sway is None
         assert same is cloud
 
@@ -29,7 +29,7 @@ def test_what_sways_is_brought_to_rest(times: bool) -> None:
     moved = recorded(motion, rng, 0.003)
     rest = recorded(np.zeros_like(motion), np.random.default_rng(0), 0.003)
     given = moved if times else replace(moved, time=None)
-    steady, sway = steadied(given)
+    steady, sway, _ = steadied(given)
     assert sway is not None
     assert sway.angle_rad == pytest.approx(SIGMA, rel=0.15)
     assert sway.frequency == pytest.approx(1.0, rel=0.1)
@@ -51,7 +51,7 @@ def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period() -> None
         rng = np.random.default_rng(100 + seed)
         motion = swaying(10, SIGMA * (1 + seed % 2), 0.3 if seed % 3 else 1.0, rng)
         cloud = recorded(motion, rng)
-        steady, sway = steadied(cloud)
+        steady, sway, _ = steadied(cloud)
         assert sway is not None
         # What was taken out of the returns, over all: a turn and a shift.
         lever = np.concatenate(
@@ -77,13 +77,13 @@ def test_a_vehicle_that_creeps_does_not_sway() -> None:
     motion = np.zeros((80, 6))
     motion[:, 4] = np.linspace(0.0, 0.04, 80)
     cloud = recorded(motion, np.random.default_rng(0))
-    assert steadied(cloud) == (cloud, None)
+    assert steadied(cloud) == Steadied(cloud)
 
 
 def test_one_sweep_takes_what_is_stated() -> None:
     cloud = replace(recorded(np.zeros((8, 6)), np.random.default_rng(0)), frame=None)
-    assert steadied(cloud)[1] is None
-    same, sway = steadied(cloud, SIGMA)
+    assert steadied(cloud).sway is None
+    same, sway, _ = steadied(cloud, SIGMA)
     assert same is cloud
     assert sway is not None
     assert sway.frequency is None
@@ -93,7 +93,7 @@ def test_one_sweep_takes_what_is_stated() -> None:
 
 def test_sweeps_that_show_no_sway_narrow_what_is_stated() -> None:
     cloud = recorded(np.zeros((240, 6)), np.random.default_rng(0))
-    _, sway = steadied(cloud, SIGMA)
+    _, sway, _ = steadied(cloud, SIGMA)
     assert sway is not None
     assert sway.left_rad < SIGMA / 10
 
@@ -107,4 +107,4 @@ def test_a_real_vehicle_that_stands_does_not_sway(name: str) -> None:
     ]
     frames = np.repeat([0, 1, 5], [len(cloud) for cloud in clouds])
     xyz = np.concatenate([cloud.xyz for cloud in clouds])
-    assert steadied(remove_dynamic_points(PointCloud(xyz, frame=frames)))[1] is None
+    assert steadied(remove_dynamic_points(PointCloud(xyz, frame=frames))).sway is None

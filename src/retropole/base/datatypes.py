@@ -157,11 +157,9 @@ class Detection:
     ----------
     poles, rejected
         Accepted poles, the best supported first; every other cluster, each with its reason.
-    threshold, threshold_source
-        Intensity from which a return counts as retro-reflective, on the sensor's own scale; and
-        where it comes from: ``given``, ``VLP-16``, ``auto: …``.
-    retro_points
-        How many points passed it.
+    threshold, threshold_source, retro_points
+        Intensity from which a return counts as retro-reflective, on the sensor's own scale; where
+        it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.
     """
@@ -259,8 +257,9 @@ class Scan:
     ----------
     cloud, sensor
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
-    detection, refusal, sway
-        What was found; why it cannot be searched for poles; how the LiDAR swayed, or None.
+    detection, refusal, sway, motion
+        What was found; why it cannot be searched for poles; how the LiDAR swayed, and (B, 6) turn
+        and shift that were taken out of the parts of the cloud (`scene.sway`); each or None.
     """
 
     cloud: PointCloud
@@ -268,6 +267,7 @@ class Scan:
     detection: Detection | None = None
     refusal: Refusal | None = None
     sway: Sway | None = None
+    motion: Array | None = None
 
     @property
     def poles(self) -> tuple[Pole, ...]:
@@ -286,10 +286,9 @@ class Placement:
 
     Attributes
     ----------
-    target, source
-        What each LiDAR recorded.
-    left_out
-        How far the poles' pose lies from that without it; None where the others give none.
+    target, source, left_out
+        What each LiDAR recorded; and how far the poles' pose lies from that without it, None where
+        the others give none.
     """
 
     target: Scan

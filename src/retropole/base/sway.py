@@ -37,6 +37,8 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         rotation and translation, rad and m.
     times_s, angles_rad
         The motion as it was seen, from the first sweep on: the angle in its main direction.
+    is_shared
+        Whether other LiDARs sway with it, as on one mast.
     """
 
     angle_rad: Size
@@ -45,6 +47,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
     covariance: Covariance
     times_s: tuple[Number, ...] = ()
     angles_rad: tuple[Number, ...] = ()
+    is_shared: bool = False
 
     @property
     def left_rad(self) -> float:
@@ -54,7 +57,9 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
     @property
     def seconds_more(self) -> float:
         """How much longer to record for `ENOUGH` periods, s; 0 where they are there."""
-        return max(ENOUGH / self.frequency - self.seconds, 0.0) if self.frequency else 0.0
+        if self.frequency is None or self.is_shared:
+            return 0.0
+        return max(ENOUGH / self.frequency - self.seconds, 0.0)
 
     @property
     def words(self) -> str:
@@ -64,6 +69,11 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
             return (
                 f"{angle} as stated; the recording does not show where it rests, so the stated "
                 "error has all of it: record 10 s or more"
+            )
+        if self.is_shared:
+            return (
+                f"{angle} at {self.frequency:.2g} Hz together with another LiDAR, as on one mast: "
+                "the transform between them does not move"
             )
         more = f": record {math.ceil(self.seconds_more)} s more" if self.seconds_more else ""
         return (

@@ -26,6 +26,7 @@ from ..extraction.sensor_pattern import error_sizes
 from ..matching.placements import left_in
 from ..pipeline import calibrate
 from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
+from ..scene.one_mast import on_one_mast
 from ..scene.preference import preferences
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses
@@ -120,6 +121,7 @@ def _answered(
             return CheckResult("cannot_tell", (swapped,))
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
+    (recorded,) = on_one_mast([recorded], T_stored)
     left = left_in([recorded])
     clouds = Clouds(recorded.target.cloud, recorded.source.cloud, left)
     new = by_poles(question.stored, clouds, again, calibrate_again)

@@ -28,13 +28,13 @@ def find_poles(
     Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
     found elsewhere is not lost.
     """
-    sway = None
+    sway = motion = None
     try:
         cloud = remove_dynamic_points(located(without_copies(cloud), radius))
-        cloud, sway = steadied(cloud, mast_sway)
+        cloud, sway, motion = steadied(cloud, mast_sway)
         if not search:
-            return Scan(cloud, sensor, sway=sway)
+            return Scan(cloud, sensor, sway=sway, motion=motion)
         detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
-        return Scan(cloud, sensor, None, refusal, sway)
-    return Scan(cloud, sensor, detection, sway=sway)
+        return Scan(cloud, sensor, None, refusal, sway, motion)
+    return Scan(cloud, sensor, detection, sway=sway, motion=motion)

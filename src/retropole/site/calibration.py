@@ -28,6 +28,7 @@ from .datum import find_datum
 from .description import Site
 from .hanging import Hanging, find_hanging
 from .linked import check_linked
+from .masts import with_masts
 from .one_pole import link_by_place
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
@@ -85,6 +86,7 @@ def calibrate_site(
                 check_linked(site, scans, groups, pairs)
                 check_decided(site, choices, pairs, at)
             with step("adjust"):
+                scans = with_masts(scans, choices.best.poses)
                 poles = shared_poles(scans, choices.best.poses, site.radius)
                 hanging = find_hanging(pairs, choices.best.poses)
                 datum = find_datum(site, scans.origins, choices.best.poses, poles, hanging)
