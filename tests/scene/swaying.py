@@ -3,7 +3,8 @@
 import numpy as np
 
 from retropole.base import se3
-from retropole.base.datatypes import Array, PointCloud
+from retropole.base.datatypes import Array, PointCloud, Scan
+from retropole.scene.scans import find_poles
 
 HALF = np.array([6.0, 5.0, 2.0])
 """Half of the sides of the hall, metres."""
@@ -61,3 +62,17 @@ def swaying(
     angle = np.sqrt(2) * sigma * np.sin(2 * np.pi * frequency * times + phase)
     turn = angle[:, None] * axis
     return np.concatenate([turn, np.cross(turn, [0.0, 0.0, 5.0])], axis=1)
+
+
+def scan_on_mast(motion: Array, T: Array, rng: np.random.Generator) -> Scan:
+    """Record with a LiDAR whose pose in the hall, at rest, is `T`, on a mast that moves in it.
+
+    `motion` (sweeps × parts, 6) is of what is in the middle of the hall.
+    """
+    at = T[:3, 3]
+    beside = motion.copy()
+    beside[:, 3:] += np.cross(motion[:, :3], at)
+    cloud = recorded(beside, rng, at=at).transformed(se3.from_rt(T[:3, :3].T, np.zeros(3)))
+    scan = find_poles(cloud, sensor=None, threshold=None, radius=0.02, search=False)
+    assert scan.motion is not None
+    return scan

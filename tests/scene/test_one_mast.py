@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -7,8 +6,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
 from retropole.scene.one_mast import on_one_mast, together
-from retropole.scene.scans import find_poles
-from tests.scene.swaying import HALF, recorded, swaying
+from tests.scene.swaying import HALF, scan_on_mast, swaying
 
 SIGMA = float(np.radians(0.1))
 AT = np.array([1.5, -2.0, 0.4])
@@ -24,14 +22,7 @@ def on_masts(
     T[:3, 3] = AT
     motion = swaying(sweeps, SIGMA, frequency, rng)
     other = motion if one else swaying(sweeps, SIGMA, frequency, rng)
-    beside = other + np.concatenate([np.zeros((len(other), 3)), np.cross(other[:, :3], AT)], 1)
-    target = recorded(motion, rng)
-    source = recorded(beside, rng, at=AT)
-    turned = source.transformed(se3.from_rt(T[:3, :3].T, np.zeros(3)))
-    find = partial(find_poles, sensor=None, threshold=None, radius=0.02, search=False)
-    placement = Placement(find(target), find(turned))
-    assert all(scan.motion is not None for scan in placement.scans)
-    return placement, T
+    return Placement(scan_on_mast(motion, np.eye(4), rng), scan_on_mast(other, T, rng)), T
 
 
 def error_of(placement: Placement, T: Array) -> Array:
