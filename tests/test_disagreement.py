@@ -9,6 +9,7 @@ from retropole.base import se3
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq
+from tests.quick import first_of
 
 SCENES = ("street", "corridor", "harbor")
 
@@ -22,7 +23,7 @@ def small(scene: str, seed: int) -> SimulatedPair:
     )
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", first_of(SCENES))
 def test_a_diameter_given_for_the_radius_is_told_and_does_no_harm(scene: str) -> None:
     pair = small(scene, 0)
     wrong = calibrate(pair.target, pair.source, sensors=pair.sensors, radius=0.04)
@@ -49,7 +50,7 @@ def with_a_moved_pole(scene: str, seed: int) -> tuple[SimulatedPair, SimulatedPa
     return pair, record_again(between, rng)
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", first_of(SCENES))
 @pytest.mark.parametrize(
     "seed", [50, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(51, 55))]
 )

@@ -24,7 +24,7 @@ from retropole.simulation import SimulatedPair, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
 
-FEW, MANY, PARTS = 3, 500, 4
+FEW, MANY, PARTS = 2, 500, 4
 """Examples of each law with every run, and of the slow one, which comes in parts."""
 
 FEW_SEEDS, MANY_SEEDS = 3, 1000

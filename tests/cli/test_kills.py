@@ -18,6 +18,7 @@ import pytest
 
 from retropole.base.files import UNFINISHED
 from retropole.result.decoding import decode
+from tests.quick import first_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -136,7 +137,7 @@ def session_of(process: int) -> int | None:
         return None
 
 
-@pytest.mark.parametrize("seed", range(2, 4))
+@pytest.mark.parametrize("seed", first_of(range(2, 4)))
 def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)
 

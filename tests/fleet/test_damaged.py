@@ -330,7 +330,7 @@ def hold_many(kind: str, seeds: range, folder: Path, whole: Whole) -> None:
 def test_a_damaged_document_is_an_error_or_what_it_says(
     kind: str, tmp_path: Path, whole: Whole
 ) -> None:
-    hold_many(kind, range(60), tmp_path, whole)
+    hold_many(kind, range(30), tmp_path, whole)
 
 
 @pytest.mark.slow

@@ -29,9 +29,10 @@ from tests.matching.walls import (
     recorded,
     vest,
 )
+from tests.quick import first_of
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_of(range(3)))
 def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> None:
     answer = answer_of(recorded([FREE, AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -44,7 +45,7 @@ def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> No
         assert scan_.detection.candidates[0] is scan_.poles[-1]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_of(range(3)))
 def test_sure_poles_need_no_doubtful_ones(seed: int) -> None:
     answer = answer_of(recorded([FREE, pole((3.2, -1.2), -0.2 * X), AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -61,7 +62,7 @@ def test_the_bands_of_a_vest_are_no_second_pole(seed: int) -> None:
     assert len(answer.placements[0].target.poles) == 1, "what was sure, and no more"
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", first_of(range(2)))
 def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     target, source = recorded([FREE, AT_THE_WALL], seed)
     elsewhere = replace(AT_THE_WALL, centre=AT_THE_WALL.centre + np.array([0, 0.9, 0]))
@@ -268,7 +269,7 @@ def dimmed(cloud: PointCloud) -> PointCloud:
     return replace(cloud, intensity=0.5 * cloud.intensity)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", first_of(range(2)))
 def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user(
     seed: int,
 ) -> None:

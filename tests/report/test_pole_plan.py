@@ -35,6 +35,7 @@ from retropole.result.pole_plan import (
     StationDoc,
     TapeDoc,
 )
+from tests.quick import first_of
 from tests.report.made_up import HOSTILE, Page
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
@@ -407,7 +408,7 @@ def test_nothing_serious_is_found(browser: Browser, tmp_path: Path, scheme: str)
 
 @needs_browser
 @pytest.mark.skipif(not shutil.which("pdftotext"), reason="poppler-utils is not installed")
-@pytest.mark.parametrize("placements", [1, 2])
+@pytest.mark.parametrize("placements", first_of([1, 2]))
 def test_the_cards_are_printed_first_a_sheet_each(
     browser: Browser, tmp_path: Path, placements: int
 ) -> None:

@@ -17,6 +17,7 @@ import pytest
 from retropole.base.bounded import Status
 from retropole.report import render_report
 from retropole.result import ReasonDoc, ResultDoc
+from tests.quick import first_of
 from tests.report.browser import Browser, Image, needs_browser
 from tests.report.made_up import made_up
 
@@ -77,7 +78,7 @@ def tables_of(html: str) -> list[str]:
     return [joined(unescape(re.sub("<[^>]*>", " ", table))) for table in tables]
 
 
-@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
+@pytest.mark.parametrize("status", first_of(["ok", "warn", "refused"]))
 def test_it_prints_on_few_sheets_of_a4_and_no_table_is_cut(
     browser: Browser, tmp_path: Path, status: Status
 ) -> None:

@@ -21,6 +21,7 @@ from retropole.scene.choice import (
     not_rejected,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
+from tests.quick import first_of
 
 
 def hypothesis(
@@ -83,7 +84,7 @@ def test_names_are_told_from_what_is_none() -> None:
     assert not any(map(is_hypothesis_name, ("", "A", "ab", "3", "h0", "a\n", 1, None)))
 
 
-@pytest.fixture(scope="module", params=["corridor", "harbor"])
+@pytest.fixture(scope="module", params=first_of(["corridor", "harbor"]))
 def symmetric(request: pytest.FixtureRequest) -> tuple[SimulatedPair, Calibration]:
     pair = simulate_pair(request.param, np.random.default_rng(5), symmetric=True)
     return pair, calibrate(pair.target, pair.source)

@@ -16,6 +16,7 @@ from retropole.cli import cli
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 from retropole.simulation.site_arrangement import are_linked, closes_otherwise, groups_of
 from retropole.simulation.sites import draw_site, record_site
+from tests.quick import first_of
 from tests.simulation.sites import everything, largest_distance
 from tests.simulation.surfaces import distance_from
 
@@ -26,7 +27,7 @@ def made(kind: str = "truck", seed: int = 1, **given: object) -> SimulatedSite:
 
 
 @pytest.mark.parametrize(
-    ("kind", "lidars"), [("posts", 4), ("crane", 4), ("truck", 5), ("ring", 4)]
+    ("kind", "lidars"), first_of([("posts", 4), ("crane", 4), ("truck", 5), ("ring", 4)])
 )
 def test_exact_returns_lie_on_poles_that_link_all_lidars(kind: str, lidars: int) -> None:
     site = made(kind, lidars=lidars)

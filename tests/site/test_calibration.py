@@ -20,6 +20,7 @@ from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.datum import Datum
 from tests.numeric import numeric_jacobian
+from tests.quick import first_of
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -72,7 +73,7 @@ def test_the_answer_is_near_the_truth_and_says_how_near(
     np.testing.assert_array_equal(found.lidars[0].T_site_lidar, np.eye(4))
 
 
-@pytest.mark.parametrize("lidar", [0, 1])
+@pytest.mark.parametrize("lidar", first_of([0, 1]))
 def test_a_lidar_may_have_any_frame(
     simulated: SimulatedSite, found: SiteCalibration, lidar: int
 ) -> None:
@@ -96,7 +97,8 @@ def test_a_lidar_may_have_any_frame(
 
 
 @pytest.mark.parametrize(
-    ("lidars", "placements"), [((2, 0, 1), (0, 1)), ((0, 1, 2), (1, 0)), ((1, 0, 2), (1, 0))]
+    ("lidars", "placements"),
+    first_of([((2, 0, 1), (0, 1)), ((0, 1, 2), (1, 0)), ((1, 0, 2), (1, 0))]),
 )
 def test_the_order_makes_no_difference(
     simulated: SimulatedSite,

@@ -7,6 +7,7 @@ import pytest
 
 from retropole.site.blunders import significant, without_blunders
 from retropole.site.shared import SharedPole
+from tests.quick import first_of
 from tests.site.adjusting import Steps
 
 
@@ -26,7 +27,7 @@ def of_pole(steps: Steps, k: int, lidar: int, by: float) -> Steps:
     return replace(steps, datum=replace(steps.datum, poles=poles), scenes=[])
 
 
-@pytest.mark.parametrize("by", [0.1, 0.14, 0.4])
+@pytest.mark.parametrize("by", first_of([0.1, 0.14, 0.4]))
 def test_however_far_a_pole_is_pushed_it_is_named(steps: Steps, by: float) -> None:
     k = next(k for k, pole in enumerate(steps.datum.poles) if len(pole.seen) == 3)
     bumped = of_pole(steps, k, 1, by)
