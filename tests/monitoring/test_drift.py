@@ -214,6 +214,13 @@ def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
     assert check(stored, bare.target, bare.source).status != "same"
 
 
+def test_a_mast_that_sways_has_not_moved(street: SimulatedPair, stored: PoseEstimate) -> None:
+    """One sweep is taken at some phase of the sway: what is stated of it is no movement."""
+    again = record_again(street, np.random.default_rng(11), moved=SMALL_ROTATION)
+    swaying = check(stored, again.target, again.source, mast_sway=float(np.radians(0.3)))
+    assert swaying.status != "moved"
+
+
 @pytest.mark.parametrize("left", first_of([0, 10]))
 def test_hardly_any_points_cannot_tell(
     street: SimulatedPair, stored: PoseEstimate, left: int

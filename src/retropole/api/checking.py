@@ -213,7 +213,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
     pair
         The new recordings.
     config
-        Radius and thresholds.
+        Radius, thresholds, and how the masts sway.
     tolerance
         The movement that matters.
 
@@ -232,6 +232,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
         radius_sigma=config.radius_sigma_m,
         sensors=(pair.target.sensor, pair.source.sensor),
         thresholds=(config.threshold_target, config.threshold_source),
+        mast_sway=config.mast_sway,
     )
     return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 

@@ -65,6 +65,7 @@ def check(
     radius_sigma: float = 0.0,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
+    mast_sway: float | None = None,
 ) -> CheckResult:
     """Find the pose again and test it against the stored one.
 
@@ -81,7 +82,7 @@ def check(
         None, as of a pose from elsewhere, shares no errors with the new one.
     tolerance
         The movement that matters, or as small a one as these data can tell.
-    radius, radius_sigma, sensors, thresholds
+    radius, radius_sigma, sensors, thresholds, mast_sway
         As for `pipeline.calibrate`.
 
     Raises
@@ -95,7 +96,12 @@ def check(
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
     question = _Question(stored, uncertainty, tolerance, sensors)
     calibrate_again = partial(
-        calibrate, radius=radius, radius_sigma=radius_sigma, sensors=sensors, thresholds=thresholds
+        calibrate,
+        radius=radius,
+        radius_sigma=radius_sigma,
+        sensors=sensors,
+        thresholds=thresholds,
+        mast_sway=mast_sway,
     )
     # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
     by_confirmed_poles = partial(calibrate_again, candidates=False)
