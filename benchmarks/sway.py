@@ -3,13 +3,16 @@
 Usage:
     python benchmarks/sway.py --runs 12
     python benchmarks/sway.py --runs 12 --one-mast
+    python benchmarks/sway.py --runs 12 --modes
     python benchmarks/sway.py --runs 20 --one-sweep
 
 Each run is a street, a harbor or a square with all errors of the field. Both LiDARs stand on masts
 of 4 to 8 m, one each or both on one, which turns about its foot at one frequency; the axis and the
-phase are drawn. In every other run the returns have no times. Beside it the same with the masts at
-rest, and with all sweeps taken for one, so that nothing is known of the sway. Seeds from 1000
-state; seeds 0 to 3 and a hall (tests/scene/swaying.py) tuned.
+phase are drawn. With --modes it turns about two axes, at five frequencies of a narrow band and in a
+second mode, three times as fast and about a quarter as large. In half of the runs the returns have
+no times. Beside it the same with the masts at rest, and with all sweeps taken for one, so that
+nothing is known of the sway. Seeds from 1000 state; seeds 0 to 299 and a hall
+(tests/scene/swaying.py) tuned.
 """
 
 from __future__ import annotations
@@ -57,19 +60,61 @@ class Found:
     blind_covered: bool = False
 
 
-def draw_masts(
-    sigma: float, hz: float, pair: SimulatedPair, one: bool, rng: np.random.Generator
-) -> tuple[Sway, Sway]:
-    """Draw how both masts sway: 1 σ of the angle, rad, and the frequency, Hz."""
-    found = []
-    for T in (pair.T_world_target, pair.T_world_source):
+@dataclass(frozen=True)
+class Modes(Sway):
+    """A mast that moves at several frequencies, Hz (M,), about level axes (M, 3), with amplitudes,
+    rad, and phases (M,)."""
+
+    every: tuple[Array, Array, Array, Array] | None = None
+
+    def turn(self, rays: Array, times: Array) -> Array:
+        """Turn rays (N, 3) of the world as the mast stands at times (N,), s."""
+        assert self.every is not None
+        hz, axes, amplitudes, phases = self.every
+        turn = (amplitudes * np.sin(2 * np.pi * np.multiply.outer(times, hz) + phases)) @ axes
+        once = np.cross(turn, rays)
+        return np.asarray(rays + once + np.cross(turn, once) / 2)
+
+
+@dataclass(frozen=True)
+class Masts:
+    """How masts sway: 1 σ of the angle, rad, at a frequency, Hz; both LiDARs on one; in modes."""
+
+    sigma: float
+    hz: float
+    one: bool = False
+    modes: bool = False
+
+    def draw(self, pair: SimulatedPair, rng: np.random.Generator) -> tuple[Sway, Sway]:
+        """Draw those of both LiDARs."""
+        target, source = (
+            self._draw(T[:3, 3], rng) for T in (pair.T_world_target, pair.T_world_source)
+        )
+        return target, target if self.one else source
+
+    def _draw(self, rest: Array, rng: np.random.Generator) -> Sway:
         heading, phase = rng.uniform(0, 2 * np.pi, 2)
-        foot = T[:3, 3] - np.array([0.0, 0.0, rng.uniform(4.0, 8.0)])
+        foot = rest - np.array([0.0, 0.0, rng.uniform(4.0, 8.0)])
         axis = np.array([np.cos(heading), np.sin(heading), 0.0])
-        found.append(Sway(axis, float(np.sqrt(2) * sigma), float(phase), hz, foot))
-    if one:
-        found[1] = found[0]
-    return found[0], found[1]
+        largest = float(np.sqrt(2) * self.sigma)
+        if not self.modes:
+            return Sway(axis, largest, float(phase), self.hz, foot)
+        aside = np.array([-axis[1], axis[0], 0.0])
+        band = self.hz * (1 + 0.1 * rng.normal(size=5))
+        amplitudes = np.concatenate(
+            [
+                rng.rayleigh(size=5),
+                rng.uniform(0, 0.7) * rng.rayleigh(size=5),
+                0.2 * np.sqrt(5) * rng.rayleigh(size=2),
+            ]
+        )
+        every = (
+            np.concatenate([band, band, 3 * np.full(2, self.hz)]),
+            np.stack([axis] * 5 + [aside] * 5 + [axis, aside]),
+            amplitudes * largest / np.linalg.norm(amplitudes),
+            rng.uniform(0, 2 * np.pi, 12),
+        )
+        return Modes(axis, largest, float(phase), self.hz, foot, every)
 
 
 def recorded(
@@ -117,9 +162,9 @@ def holds(answer: Calibration, truth: Array) -> bool:
     return float(step @ np.linalg.solve(answer.covariance, step)) <= CHI2
 
 
-def run(job: tuple[Sequence[tuple[float, float]], int, int, bool]) -> list[Found]:
+def run(job: tuple[Sequence[tuple[float, float]], int, int, bool, bool]) -> list[Found]:
     """Record one scene with masts at rest and swaying in several ways, and calibrate."""
-    ways, frames, seed, one_mast = job
+    ways, frames, seed, one_mast, modes = job
     times = seed // 3 % 2 == 0
     with threadpool_limits(1, user_api="blas"):
         try:
@@ -132,7 +177,8 @@ def run(job: tuple[Sequence[tuple[float, float]], int, int, bool]) -> list[Found
         found = []
         for sigma_deg, hz in ways:
             rng = np.random.default_rng([seed, round(1e3 * sigma_deg), round(10 * hz)])
-            clouds = record(draw_masts(np.radians(sigma_deg), hz, pair, one_mast, rng))
+            masts = Masts(float(np.radians(sigma_deg)), hz, one_mast, modes)
+            clouds = record(masts.draw(pair, rng))
             stated = np.radians(sigma_deg) if frames == 1 else None
             answer = calibrate(*clouds, sensors=pair.sensors, mast_sway=stated)
             row = sigma_deg, hz, frames
@@ -210,12 +256,13 @@ def main() -> None:
     parser.add_argument("--frequencies", type=float, nargs="+", default=list(FREQUENCIES))
     parser.add_argument("--frames", type=int, nargs="+", default=list(FRAMES))
     parser.add_argument("--one-mast", action="store_true", help="both LiDARs on one")
+    parser.add_argument("--modes", action="store_true", help="masts that move in several modes")
     parser.add_argument("--one-sweep", action="store_true", help="one sweep, and the sway stated")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     ways = [(size, hz) for size in options.sizes for hz in options.frequencies]
     jobs = [
-        (ways, frames, seed, options.one_mast)
+        (ways, frames, seed, options.one_mast, options.modes)
         for frames in ([1] if options.one_sweep else options.frames)
         for seed in range(options.first, options.first + options.runs)
     ]
