@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from retropole.base import se3
 from retropole.base.sway import ENOUGH, LEVER, Sway, left_of, stated_sway
 
 
@@ -13,12 +14,16 @@ def test_what_is_left_averages_over_the_recordings() -> None:
     assert not left_of([None]).any()
 
 
-def test_a_stated_sway_shifts_what_stands_on_a_mast() -> None:
+def test_a_stated_sway_is_no_less_than_that_of_a_mast_whichever_way_is_up() -> None:
     covariance = np.asarray(stated_sway(0.001).covariance)
-    assert np.trace(covariance[:3, :3]) == pytest.approx(0.001**2)
-    assert np.trace(covariance[3:, 3:]) == pytest.approx((0.001 * LEVER) ** 2)
-    # To which side is not known.
-    assert np.ptp(np.linalg.eigvalsh(covariance)[:3]) == pytest.approx(0, abs=1e-12)
+    rng = np.random.default_rng(0)
+    for scale, block in ((1.0, covariance[:3, :3]), (LEVER, covariance[3:, 3:])):
+        for _ in range(5):
+            R = se3.random(rng)[:3, :3]
+            # About level axes, half of the variance each.
+            mast = R @ np.diag([0.5, 0.5, 0.0]) @ R.T * (0.001 * scale) ** 2
+            share = np.linalg.eigvals(np.linalg.solve(block, mast)).real
+            assert share.max() == pytest.approx(1)
 
 
 def test_words_say_how_much_longer_to_record() -> None:

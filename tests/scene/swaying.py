@@ -53,14 +53,24 @@ def recorded(
 
 
 def swaying(
-    sweeps: int, sigma: float, frequency: float, rng: np.random.Generator, parts: int = 8
+    sweeps: int,
+    sigma: float,
+    frequency: float,
+    rng: np.random.Generator,
+    parts: int = 8,
+    *,
+    second: float = 0.0,
 ) -> Array:
-    """(sweeps × parts, 6) motion of a mast about a level axis, 5 m above its foot, 1 σ in rad."""
+    """(sweeps × parts, 6) motion of a mast about a level axis, 5 m above its foot, 1 σ in rad.
+
+    `second` is the size of a mode three times as fast, of that of the first.
+    """
     times = (np.arange(sweeps * parts) + 0.5) * SWEEP / parts
-    heading, phase = rng.uniform(0, 2 * np.pi, 2)
-    axis = np.array([np.cos(heading), np.sin(heading), 0.0])
-    angle = np.sqrt(2) * sigma * np.sin(2 * np.pi * frequency * times + phase)
-    turn = angle[:, None] * axis
+    turn = np.zeros((len(times), 3))
+    for size, hz in ((sigma, frequency), (second * sigma, 3 * frequency)):
+        heading, phase = rng.uniform(0, 2 * np.pi, 2)
+        angle = np.sqrt(2) * size * np.sin(2 * np.pi * hz * times + phase)
+        turn += angle[:, None] * np.array([np.cos(heading), np.sin(heading), 0.0])
     return np.concatenate([turn, np.cross(turn, [0.0, 0.0, 5.0])], axis=1)
 
 

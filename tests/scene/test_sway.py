@@ -44,12 +44,15 @@ def test_what_sways_is_brought_to_rest(times: bool) -> None:
     assert sway.left_rad < SIGMA / 10
 
 
-def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period() -> None:
-    """Of masts drawn as they are assumed to be; too wide would show as well as too narrow."""
+@pytest.mark.parametrize("second", [0.0, 0.25])
+def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period(second: float) -> None:
+    """Of masts drawn as they are assumed to be, and with a faster mode, which in so short a time
+    may look like all there is; too wide would show as well as too narrow."""
     squares = []
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(100 + seed)
-        motion = swaying(10, SIGMA * (1 + seed % 2), 0.3 if seed % 3 else 1.0, rng)
+        frequency = 0.3 if seed % 3 or second else 1.0
+        motion = swaying(10, SIGMA * (1 + seed % 2), frequency, rng, second=second)
         cloud = recorded(motion, rng)
         steady, sway, _ = steadied(cloud)
         assert sway is not None
@@ -62,8 +65,8 @@ def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period() -> None
         covariance = np.asarray(sway.covariance)[:3, :3]
         squares.append(float(off @ np.linalg.solve(covariance, off)))
     # χ² with three degrees of freedom: 3 in the mean, and 95 % below 7.8.
-    assert 0.5 < np.median(squares) < 6.0
-    assert np.count_nonzero(np.array(squares) < 7.8) >= 10
+    assert 0.2 < np.median(squares) < 6.0
+    assert np.count_nonzero(np.array(squares) < 7.8) >= 7
 
 
 def _hats(xyz: np.ndarray) -> np.ndarray:
@@ -87,7 +90,7 @@ def test_one_sweep_takes_what_is_stated() -> None:
     assert same is cloud
     assert sway is not None
     assert sway.frequency is None
-    assert sway.left_rad == pytest.approx(SIGMA / np.sqrt(3))
+    assert sway.left_rad == pytest.approx(SIGMA / np.sqrt(2))
     assert "does not show where it rests" in sway.words
 
 

@@ -90,9 +90,10 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 def stated_sway(sigma: float) -> Sway:
     """Give what a mast is said to sway by, where a recording shows nothing of it.
 
-    `sigma` is the root mean square of its angle from rest, rad; to which side is not known.
+    `sigma` is the root mean square of its angle from rest, rad. A mast turns about level axes, half
+    of the variance about each; which axes of the LiDAR are level is not known: any may be.
     """
-    covariance = np.diag(np.repeat([sigma, LEVER * sigma], 3) ** 2) / 3
+    covariance = np.diag(np.repeat([sigma, LEVER * sigma], 3) ** 2) / 2
     return Sway(sigma, None, 0.0, covariance)
 
 
