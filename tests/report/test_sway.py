@@ -5,6 +5,7 @@ import numpy as np
 
 from retropole.base.sway import Sway, stated_sway
 from retropole.report import render_report
+from retropole.report.text import describe_result
 from retropole.result.sway import SwayDoc
 from tests.report.made_up import Page, made_up
 
@@ -23,5 +24,9 @@ def test_what_swayed_is_drawn_and_told() -> None:
     assert "The target: ± 0.04° at 0.5 Hz" in page
     assert "The source: ± 0.05° as stated" in page
     assert page.count('aria-labelledby="sway-') == 1
+    # The terminal has one line: of the one whose rest is known the least.
+    text = " ".join(describe_result(document, ()).split())
+    assert "swayed while recorded: the source ± 0.05° as stated" in text
+    assert "swayed" not in describe_result(run.result, ())
     assert 'id="sway"' not in render_report(run.result, run.placements)
     Page(page)
