@@ -53,8 +53,13 @@ def test_lidars_on_one_mast_rest_as_one(seed: int) -> None:
     before, after = (np.linalg.norm(error_of(each, T)[:3]) for each in (alone, shared))
     assert after < SIGMA / 20
     assert after < before
-    left = [np.asarray(scan.sway.covariance) for scan in shared.scans if scan.sway is not None]
-    assert all(np.linalg.eigvalsh(each).min() > -1e-15 for each in left)
+    sways = [scan.sway for scan in shared.scans if scan.sway is not None]
+    assert all(np.linalg.eigvalsh(np.asarray(each.covariance)).min() > -1e-15 for each in sways)
+    # They are told and drawn as one; to which side an angle counts is of each.
+    target, source = sways
+    assert source.angle_rad == pytest.approx(target.angle_rad, rel=0.05)
+    first, other = (np.array(each.angles_rad) for each in sways)
+    assert np.abs(other) == pytest.approx(np.abs(first), abs=SIGMA / 10)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -20,8 +20,8 @@ from ..alignment.adjustment import BeamAlignment
 from ..base import se3
 from ..base.datatypes import Array, Placement, Pole, Scan
 from ..matching.placements import PairedPlacement, align
-from .oscillation import COUNTED, SIZES, Asked, hypotheses, infer, ways_of
-from .sway import noise_of
+from .oscillation import COUNTED, SIZES, Asked, angle_of, hypotheses, infer, ways_of
+from .sway import drawn, main_angles, noise_of
 from .sweeps import observe, timed, without
 
 
@@ -206,10 +206,17 @@ def _moved(scan: Scan, from_rest: Array, apart: float) -> Scan:
             candidates=tuple(map(pole, found.candidates)),
         )
     covariance = apart * (np.asarray(scan.sway.covariance) + np.outer(from_rest, from_rest))
+    motion = scan.motion - from_rest
     return replace(
         scan,
         cloud=replace(scan.cloud, xyz=moved(scan.cloud.xyz)),
         detection=found,
-        sway=msgspec.structs.replace(scan.sway, covariance=covariance, is_shared=True),
-        motion=scan.motion - from_rest,
+        sway=msgspec.structs.replace(
+            scan.sway,
+            angle_rad=angle_of(motion),
+            covariance=covariance,
+            angles_rad=drawn(main_angles(motion)),
+            is_shared=True,
+        ),
+        motion=motion,
     )

@@ -108,7 +108,12 @@ class Motion:
     @property
     def angle(self) -> float:
         """Root mean square of the angle from rest, rad."""
-        return float(np.sqrt(np.mean(np.sum(self.motion[:, :3] ** 2, axis=1))))
+        return angle_of(self.motion)
+
+
+def angle_of(motion: Array) -> float:
+    """Root mean square of the angle from rest of a motion (B, 6), rad."""
+    return float(np.sqrt(np.mean(np.sum(motion[:, :3] ** 2, axis=1))))
 
 
 class Asked(NamedTuple):

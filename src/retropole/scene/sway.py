@@ -115,16 +115,24 @@ def noise_of(observed: Observed, found: Motion) -> float:
 
 
 def _stated(found: Motion, when: Timed) -> Sway:
-    """State the motion: its size, its frequency, and the angle in its main direction over time."""
-    turn = found.motion[:, :3]
-    main = np.linalg.svd(turn, full_matrices=False)[2][0]
-    every = max(1, -(-len(when.times) // STORED))
+    """State the motion: its size, its frequency, and how it went."""
     length = float(np.ptp(when.times)) + float(np.median(np.diff(when.times)))
     return Sway(
         found.angle,
         found.frequency,
         length,
         found.covariance,
-        tuple(when.times[::every].tolist()),
-        tuple((turn @ main)[::every].tolist()),
+        drawn(when.times),
+        drawn(main_angles(found.motion)),
     )
+
+
+def main_angles(motion: Array) -> Array:
+    """(B,) angle of a motion (B, 6) in its main direction, rad."""
+    turn = motion[:, :3]
+    return np.asarray(turn @ np.linalg.svd(turn, full_matrices=False)[2][0])
+
+
+def drawn(values: Array) -> tuple[float, ...]:
+    """Those of many values (B,) that are kept to be drawn."""
+    return tuple(values[:: max(1, -(-len(values) // STORED))].tolist())
