@@ -49,6 +49,7 @@ def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) 
     assert reason.values["second"] == "posts-2 in placement 2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_simulated_exchanges_are_named(seed: int) -> None:
     simulated, blunder = made_wrong("files", seed)
