@@ -51,9 +51,7 @@ def with_a_moved_pole(scene: str, seed: int) -> tuple[SimulatedPair, SimulatedPa
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
-@pytest.mark.parametrize(
-    "seed", [50, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(51, 55))]
-)
+@pytest.mark.parametrize("seed", first_of(range(50, 55)))
 def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     scene: str, seed: int
 ) -> None:
@@ -66,7 +64,7 @@ def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
 
 @pytest.mark.parametrize(
     "distance",
-    [0.0, pytest.param(0.05, marks=pytest.mark.slow), pytest.param(0.3, marks=pytest.mark.slow)],
+    first_of([0.0, 0.05, 0.3]),
 )
 def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
     """Or the answer is refused: moved by little, it may be any of them. Never is it wrong."""

@@ -231,7 +231,7 @@ def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
         assert metres < 0.1
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", first_of(range(2)))
 def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
     one = simulate_pair("street", np.random.default_rng(seed))
     other = simulate_pair("harbor", np.random.default_rng(seed + 50))

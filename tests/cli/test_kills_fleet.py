@@ -14,6 +14,7 @@ from retropole.result.decoding import decode, decode_site
 from tests.cli.test_kills import kill, start
 from tests.fleet.fleets import ENDS, write_fleet
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
+from tests.quick import first_of
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -76,7 +77,7 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
         assert {each for each, _ in reading.read(str(folder / "history"))} == IDS
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", first_of(range(2)))
 @pytest.mark.slow
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)

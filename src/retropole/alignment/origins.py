@@ -6,7 +6,7 @@ free from one that is sure, and sums of squares lose the digits that count.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +15,16 @@ from ..base import se3
 from ..base.datatypes import (
     Array,
     Calibration,
-    Detection,
     Hypothesis,
     Placement,
-    PointCloud,
     Pole,
     PoseEstimate,
     Scan,
 )
 from ..base.uncertainty import Uncertainty, covariance_at
+
+Move = Callable[[Array], Array]
+"""What moves points, or directions, (N, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,28 +109,26 @@ def _shifted(placement: Placement, by_target: Array, by_source: Array) -> Placem
 
 def shifted(scan: Scan, by: Array) -> Scan:
     """Express a scan in a frame whose origin lies at ``-by`` (3,), metres, of the one it is in."""
-    if not by.any():
-        return scan
-    found = scan.detection
-    return replace(
-        scan,
-        cloud=_cloud(scan.cloud, by),
-        detection=None if found is None else _detection(found, by),
-    )
+    return moved(scan, lambda xyz: xyz + by, lambda axes: axes) if by.any() else scan
 
 
-def _cloud(cloud: PointCloud, by: Array) -> PointCloud:
-    return replace(cloud, xyz=cloud.xyz + by, origin=cloud.origin + by)
+def moved(scan: Scan, points: Move, directions: Move) -> Scan:
+    """Move a scan with all that was found in it, by what moves its points and its directions."""
+    cloud, found = scan.cloud, scan.detection
 
+    def pole(each: Pole) -> Pole:
+        point, direction = points(each.point[None])[0], directions(each.direction[None])[0]
+        return replace(each, point=point, direction=direction, xyz=points(each.xyz))
 
-def _detection(found: Detection, by: Array) -> Detection:
-    return replace(
-        found,
-        poles=tuple(_pole(pole, by) for pole in found.poles),
-        rejected=tuple(replace(each, centre=each.centre + by) for each in found.rejected),
-        candidates=tuple(_pole(pole, by) for pole in found.candidates),
-    )
-
-
-def _pole(pole: Pole, by: Array) -> Pole:
-    return replace(pole, point=pole.point + by, xyz=pole.xyz + by)
+    if found is not None:
+        found = replace(
+            found,
+            poles=tuple(map(pole, found.poles)),
+            rejected=tuple(
+                replace(each, centre=points(each.centre[None])[0]) for each in found.rejected
+            ),
+            candidates=tuple(map(pole, found.candidates)),
+        )
+    origin = points(cloud.origin[None])[0]
+    cloud = replace(cloud, xyz=points(cloud.xyz), origin=origin)
+    return replace(scan, cloud=cloud, detection=found)

@@ -122,19 +122,19 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
         if largest is not None:
             yield f"main error source at {BUDGET_RANGE:g} m: {largest}"
     if site.sways:
-        most = max(site.sways, key=lambda each: each.sway.left_rad)
-        yield f"swayed while recorded: {subject.called(most.lidar)} {most.sway.words}"
+        found = max(site.sways, key=lambda each: each.sway.left_rad)
+        yield f"swayed while recorded: {subject.called(found.lidar)} {found.sway.words}"
     if pair is not None:
         yield from _of_pair(pair, verbose)
     else:
         yield from _of_site(site, subject.answered)
     moved = [each for each in site.without if each.translation is not None]
     if moved:
-        without = max(moved, key=lambda each: each.translation or 0.0)
-        whose = "" if without.lidar is None else f"{subject.called(without.lidar)}, "
-        change = f"{error(without.translation)} and {error(without.rotation, 'rad')}"
-        left_out = f"({whose}without placement {subject.placement(without.placement)})"
-        yield f"leaving out one placement: the pose changes by at most {change} {left_out}"
+        most = max(moved, key=lambda each: each.translation or 0.0)
+        whose = "" if most.lidar is None else f"{subject.called(most.lidar)}, "
+        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}"
+        without = f"({whose}without placement {subject.placement(most.placement)})"
+        yield f"leaving out one placement: the pose changes by at most {change} {without}"
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.special import expit
 
 from ..alignment.adjustment import BeamAlignment
+from ..alignment.origins import moved
 from ..base import se3
-from ..base.datatypes import Array, Placement, Pole, Scan
+from ..base.datatypes import Array, Placement, Scan
 from ..matching.placements import PairedPlacement, align
 from .oscillation import COUNTED, SIZES, Asked, angle_of, hypotheses, infer, ways_of
-from .sway import drawn, main_angles, noise_of
+from .sway import ask, drawn, judged, main_angles
 from .sweeps import observe, timed, without
 
 
@@ -78,12 +79,12 @@ def on_one_mast(placements: Sequence[Placement], T: Array) -> Sequence[Placement
         (4, 4) the pose, T_target_source, to a few degrees.
     """
     rows = [each.scans for each in placements]
-    moved = as_one(rows, (np.eye(4), T))
-    if moved is rows:
+    shared = as_one(rows, (np.eye(4), T))
+    if shared is rows:
         return placements
     return [
         replace(each, target=target, source=source)
-        for each, (target, source) in zip(placements, moved, strict=True)
+        for each, (target, source) in zip(placements, shared, strict=True)
         if target is not None and source is not None
     ]
 
@@ -105,11 +106,9 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     Returns
     -------
     sequence
-        The same where no placement shows that they do.
+        The same where no placement shows that they do, or where they are there.
     """
-    moving = [
-        [scan for scan in row if scan is not None and scan.motion is not None] for row in rows
-    ]
+    moving = [[scan for scan in row if scan is not None and _is_open(scan)] for row in rows]
     found = [together(row, poses) if len(row) == len(poses) else None for row in moving]
     odds = sum(each.odds for each in found if each is not None)
     if odds <= 0:
@@ -119,6 +118,11 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
         row if each is None else list(map(_moved, own, each.from_rest, [apart] * len(own)))
         for row, own, each in zip(rows, moving, found, strict=True)
     ]
+
+
+def _is_open(scan: Scan) -> bool:
+    """Whether a scan sways, and was not brought to the rest of others yet."""
+    return scan.motion is not None and scan.sway is not None and not scan.sway.is_shared
 
 
 def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
@@ -142,10 +146,9 @@ def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
     apart, common = 0.0, []
     for k, (one, motion) in enumerate(zip(observed, motions, strict=True)):
         own = [(f, share, np.split(features, cuts)[k]) for f, share, features in tried]
-        asked = [Asked(*each, *one.about(each[2])) for each in own]
-        ways = ways_of(motion)
-        noise = noise_of(one, infer(asked, SIZES, ways))
-        apart += infer(asked, SIZES, ways, noise).total
+        asked = list(ask(one, own))
+        alone, noise = judged(one, asked, SIZES, motion)
+        apart += alone.total
         common.append([_by_common(each, A[k], noise) for each in asked])
     told = [[sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)]
     both = [Asked(*each, *every) for each, every in zip(tried, told, strict=True)]
@@ -185,38 +188,21 @@ def _moved(scan: Scan, from_rest: Array, apart: float) -> Scan:
     """Bring a scan to the common rest; `apart` is how probable it is that there is none."""
     assert scan.sway is not None
     assert scan.motion is not None
+    origin = scan.cloud.origin
 
-    def moved(xyz: Array) -> Array:
-        return without(xyz, scan.cloud.origin, -np.broadcast_to(from_rest, (len(xyz), 6)))
+    def turned(directions: Array) -> Array:
+        changed = directions - np.cross(from_rest[:3], directions)
+        return np.asarray(changed / se3.lengths(changed)[:, None])
 
-    def pole(each: Pole) -> Pole:
-        direction = each.direction - np.cross(from_rest[:3], each.direction)
-        return replace(
-            each,
-            point=moved(each.point[None])[0],
-            direction=direction / np.linalg.norm(direction),
-            xyz=moved(each.xyz),
-        )
-
-    found = scan.detection
-    if found is not None:
-        found = replace(
-            found,
-            poles=tuple(map(pole, found.poles)),
-            candidates=tuple(map(pole, found.candidates)),
-        )
-    covariance = apart * (np.asarray(scan.sway.covariance) + np.outer(from_rest, from_rest))
+    at_rest = moved(scan, lambda xyz: without(xyz, origin, -from_rest[None]), turned)
     motion = scan.motion - from_rest
-    return replace(
-        scan,
-        cloud=replace(scan.cloud, xyz=moved(scan.cloud.xyz)),
-        detection=found,
-        sway=msgspec.structs.replace(
-            scan.sway,
-            angle_rad=angle_of(motion),
-            covariance=covariance,
-            angles_rad=drawn(main_angles(motion)),
-            is_shared=True,
-        ),
-        motion=motion,
+    sway = msgspec.structs.replace(
+        scan.sway,
+        angle_rad=angle_of(motion),
+        covariance=apart * (np.asarray(scan.sway.covariance) + np.outer(from_rest, from_rest)),
+        angles_rad=drawn(main_angles(motion)),
+        is_shared=True,
     )
+    # Beams start where the LiDAR rests, wherever that is.
+    cloud = replace(at_rest.cloud, origin=origin)
+    return replace(at_rest, cloud=cloud, sway=sway, motion=motion)

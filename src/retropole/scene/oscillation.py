@@ -143,13 +143,14 @@ def infer(
     noise
         So many times the variance of the returns that they state themselves.
     """
+    shares = sizes / sizes.sum()
     evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
     for frequency, share, features, *told in asked:
         left, pull = (each / noise for each in told)
         for of_way, root in ways:
-            for size, one in zip(sizes, weigh(left, pull, root, sizes), strict=True):
+            for of_size, one in zip(shares, weigh(left, pull, root, sizes), strict=True):
                 evidence.append(one.evidence)
-                prior.append(share * of_way * size / sizes.sum())
+                prior.append(share * of_way * of_size)
                 frequencies.append(frequency)
                 found.append((features, one))
         for alone in weigh(left, pull, SHIFTED, SHIFTS):
@@ -240,7 +241,7 @@ def ways_of(motion: Array) -> list[tuple[float, Array]]:
 
 def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
     """Yield frequencies that a mast may have, how probable each is, and its features (B, F)."""
-    length = float(np.ptp(times)) + float(np.median(np.diff(times)))
+    length = length_of(times)
     tried = [LOWEST]
     while tried[-1] < HIGHEST:
         tried.append(tried[-1] + min(SPACING * tried[-1], RESOLVED / length))
@@ -254,6 +255,11 @@ def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
         yield f, share / 3, np.concatenate([first, PART_OF_FASTER * faster], axis=1)
     every = np.geomspace(LOWEST, HIGHEST, BROAD)
     yield float(np.sqrt(LOWEST * HIGHEST)), 1 / 3, waves(times, every)
+
+
+def length_of(times: Array) -> float:
+    """How long a recording is, s, by the middles of its parts (B,)."""
+    return float(np.ptp(times)) + float(np.median(np.diff(times)))
 
 
 def waves(times: Array, frequencies: Array) -> Array:

@@ -5,6 +5,7 @@ The motion comes from the sweeps (`sweeps`), and where it rests from how masts m
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..base.datatypes import Array, PointCloud
 from ..base.sway import Sway, stated_sway
-from .oscillation import SIZES, Asked, Motion, hypotheses, infer, ways_of
+from .oscillation import SIZES, Asked, Motion, hypotheses, infer, length_of, ways_of
 from .static import MAX_TURN, MIN_FRAMES, turned_by
 from .sweeps import Observed, Timed, observe, timed, without
 
@@ -55,14 +56,15 @@ def steadied(cloud: PointCloud, stated: float | None = None) -> Steadied:
     Steadied
         The same cloud and no motion where it is not seen to sway, or moved otherwise.
     """
+    as_it_is = Steadied(cloud, None if stated is None else stated_sway(stated))
     if cloud.frame is None or len(np.unique(cloud.frame)) < MIN_FRAMES:
-        return Steadied(cloud, None if stated is None else stated_sway(stated))
+        return as_it_is
     when = timed(cloud)
     sizes = SIZES if stated is None else stated * np.array([0.5, 1.0, 2.0])
     found = motion_of(cloud, when, sizes)
     if found is None or (stated is None and not found.is_seen) or turned_by(cloud) > MAX_TURN:
         # What turned by more is refused: a LiDAR that was bumped does not sway.
-        return Steadied(cloud, None if stated is None else stated_sway(stated))
+        return as_it_is
     still = without(cloud.xyz, cloud.origin, found.motion[when.of_all])
     return Steadied(replace(cloud, xyz=still), _stated(found, when), found.motion)
 
@@ -75,24 +77,43 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
     xyz = cloud.xyz[when.index]
     found = None
     motion, noise = np.zeros((len(when.times), 6)), 1.0
+    tried = list(hypotheses(when.times))
     for _ in range(PASSES):
         observed = observe(xyz, cloud.origin, when, motion)
         if not len(observed.plane):
             return None
-        asked = [
-            Asked(frequency, share, features, *observed.about(features))
-            for frequency, share, features in hypotheses(when.times)
-        ]
-        ways = ways_of(motion)
-        found = infer(asked, sizes, ways, noise)
-        before, noise = noise, noise_of(observed, found)
-        if noise != before:
-            found = infer(asked, sizes, ways, noise)
+        found, noise = judged(observed, list(ask(observed, tried)), sizes, motion, noise)
         change = float(np.abs(found.motion - motion)[:, :3].max())
         motion = found.motion
         if not found.is_seen or change < AT_REST:
             break
     return found
+
+
+def ask(observed: Observed, tried: Iterable[tuple[float, float, Array]]) -> Iterator[Asked]:
+    """Ask the returns about the features of some `hypotheses`."""
+    for frequency, share, features in tried:
+        yield Asked(frequency, share, features, *observed.about(features))
+
+
+def judged(
+    observed: Observed, asked: Sequence[Asked], sizes: Array, motion: Array, noise: float = 1.0
+) -> tuple[Motion, float]:
+    """Weigh all hypotheses by what the returns were asked, and by their noise as it comes out.
+
+    Parameters
+    ----------
+    observed, asked
+        What the returns say, and what of the hypotheses.
+    sizes
+        As of `oscillation.infer`.
+    motion, noise
+        (B, 6) the motion, and the noise, as they are known.
+    """
+    ways = ways_of(motion)
+    found = infer(asked, sizes, ways, noise)
+    after = noise_of(observed, found)
+    return (found if after == noise else infer(asked, sizes, ways, after)), after
 
 
 def noise_of(observed: Observed, found: Motion) -> float:
@@ -116,11 +137,10 @@ def noise_of(observed: Observed, found: Motion) -> float:
 
 def _stated(found: Motion, when: Timed) -> Sway:
     """State the motion: its size, its frequency, and how it went."""
-    length = float(np.ptp(when.times)) + float(np.median(np.diff(when.times)))
     return Sway(
         found.angle,
         found.frequency,
-        length,
+        length_of(when.times),
         found.covariance,
         drawn(when.times),
         drawn(main_angles(found.motion)),

@@ -22,26 +22,23 @@ def with_masts(scans: SiteScans, poses: Mapping[int, Array]) -> SiteScans:
     """
     by_lidar = list(scans.by_lidar)
 
-    def asked(lidars: Sequence[int]) -> tuple[Sequence[Row], Sequence[Row]]:
-        """Rows of some LiDARs, and the same brought to one rest."""
+    def shared_by(*lidars: int) -> Sequence[Row] | None:
+        """Rows of some LiDARs, brought to one rest; None where they do not sway as one."""
         rows = list(zip(*(by_lidar[k] for k in lidars), strict=True))
-        return rows, as_one(rows, [poses[k] for k in lidars])
+        shared = as_one(rows, [poses[k] for k in lidars])
+        return None if shared is rows else shared
 
-    def is_shared(first: int, other: int) -> bool:
-        rows, moved = asked((first, other))
-        return moved is not rows
-
-    open_ = [
+    left = [
         k
         for k in poses
         if any(scan is not None and scan.motion is not None for scan in by_lidar[k])
     ]
-    while open_:
-        first, *others = open_
-        mast = [first, *(k for k in others if is_shared(first, k))]
-        if len(mast) > 1:
-            _, moved = asked(mast)
-            for k, row in zip(mast, zip(*moved, strict=True), strict=True):
-                by_lidar[k] = tuple(row)
-        open_ = [k for k in others if k not in mast]
+    while left:
+        first, *others = left
+        pairs = {k: rows for k in others if (rows := shared_by(first, k)) is not None}
+        rows = shared_by(first, *pairs) if len(pairs) > 1 else next(iter(pairs.values()), None)
+        if rows is not None:
+            for k, row in zip((first, *pairs), zip(*rows, strict=True), strict=True):
+                by_lidar[k] = row
+        left = [k for k in others if k not in pairs]
     return replace(scans, by_lidar=tuple(by_lidar))
