@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole
+from tests.tiers import Tiers
 
 # No test asserts a wall-clock time: a busy machine is no counterexample. Examples are the same in
 # every run; `pytest --hypothesis-profile=search` draws others, and more of them.
@@ -20,6 +21,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpool_limits(1, user_api="blas")
 
 PoleMaker = Callable[..., Pole]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Tiers(config), "tiers")
 
 
 @pytest.fixture

@@ -121,7 +121,7 @@ def test_the_package_stands_alone() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_modules_stay_small(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 350
+    assert len(path.read_text().splitlines()) <= 600
 
 
 def test_the_top_holds_the_method_alone() -> None:

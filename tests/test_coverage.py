@@ -17,7 +17,7 @@ RECORDINGS = 16
 Answered = tuple[SimulatedPair, Calibration]
 
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from packaging.utils import canonicalize_name
 
 from tests.licences import brought_by, extras, fault, licence_of
-from tests.quick import first_of
+from tests.tiers import first_of
 
 CORE_ALONE = """
 import json, sys

@@ -9,7 +9,7 @@ from retropole.base import se3
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SCENES = ("street", "corridor", "harbor")
 

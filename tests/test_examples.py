@@ -41,7 +41,7 @@ LONG = ["several_placements", "plot_placement", "draw_result"]
 
 @pytest.mark.parametrize(
     "script",
-    [pytest.param(p, marks=pytest.mark.slow) if p.stem in LONG else p for p in SCRIPTS],
+    [pytest.param(p, marks=pytest.mark.full) if p.stem in LONG else p for p in SCRIPTS],
     ids=lambda p: p.stem,
 )
 def test_example_runs(script: Path, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """What is handed out installs and runs: wheel, source archive, container, conda recipe.
 
-    pytest -m slow tests/test_packaging.py
+    pytest -m full tests/test_packaging.py
 
 builds both archives, installs each into a virtual environment that holds nothing else, and types
 there what the README says first. It takes the registry of packages, and some two minutes.
@@ -167,7 +167,7 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {"wheel": wheel, "sdist": source}
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
     with zipfile.ZipFile(archives["wheel"]) as wheel:
         names = set(wheel.namelist())
@@ -198,7 +198,7 @@ def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
     assert all(archive.stat().st_size < LARGEST_ARCHIVE for archive in archives.values())
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_a_newcomer_gets_from_the_archive_to_a_verified_answer(
     kind: str, archives: dict[str, Path], tmp_path: Path

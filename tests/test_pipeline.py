@@ -19,7 +19,7 @@ from retropole.pipeline import calibrate
 from retropole.scene import icp_refinement
 from retropole.scene.search import choose_after_icp
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +186,7 @@ def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
     return pair.source.select(~np.isin(pair.labels[1], [first + k for k in which]))
 
 
-@pytest.mark.parametrize("which", [(0,), pytest.param((0, 1), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("which", [(0,), pytest.param((0, 1), marks=pytest.mark.full)])
 def test_a_hidden_pole_is_refused_where_two_are_asked_for(
     corridor: SimulatedPair, which: tuple[int, ...]
 ) -> None:

@@ -1,6 +1,6 @@
 """Laws of the whole method: what changes the clouds and not the place, changes no answer.
 
-Of every law a few examples run with every test run, the same ones; `pytest -m slow` draws 500 new
+Of every law a few examples run with every test run, the same ones; `pytest -m full` draws 500 new
 ones each. An answer may always be refused, but not all may be, or the law would say nothing.
 """
 
@@ -365,7 +365,7 @@ def test_laws(law: Law) -> None:
     obey([law], FEW, FEW_SEEDS)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("part", range(PARTS))
 def test_laws_of_many_scenes(part: int) -> None:
     """All laws on one scene: it is simulated, and answered as it is, once for all of them."""

@@ -119,7 +119,7 @@ def test_an_edited_result_is_an_error_or_a_result(whole: Run, tmp_path: Path) ->
     hold_many(whole, tmp_path, range(150))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("part", range(20))
 def test_many_edited_results(part: int, whole: Run, tmp_path: Path) -> None:
     hold_many(whole, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))

@@ -24,7 +24,7 @@ def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
     hold_many(tmp_path, 0, 200, 120)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("part", range(10))
 def test_many_damaged_recordings(part: int, tmp_path: Path) -> None:
     hold_many(tmp_path, 10_000 * (part + 1), 10_000 * (part + 2), 3600)

@@ -193,7 +193,7 @@ def squared_distances(
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_covariance_tells_the_spread() -> None:
     """The median is 4.1; half the σ would give 16, three times the σ 0.5."""
     squares = squared_distances(NOISY, 100, 60)
@@ -201,7 +201,7 @@ def test_the_covariance_tells_the_spread() -> None:
     assert 2.0 < np.median(squares) < 8.0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_covariance_counts_range_errors_of_single_rings() -> None:
     """Rings off by 6 mm: stated without them the median is 8.3; half the σ would give 13, three
     times the σ 0.4.

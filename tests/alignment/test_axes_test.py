@@ -18,7 +18,7 @@ from retropole.base.systematic import (
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.recording import Arrangement, Recorders, record
 from tests.alignment.beams import beams_at, beams_in, paper
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SKEW = (2, 4)
 """Set-ups of the paper whose poles are at 33°, and nearest to each other where they are seen."""
@@ -32,7 +32,7 @@ def axes_of(pair: SimulatedPair, beams: tuple[Beams, Beams], start: Array) -> Ax
         return align_beams(*beams, start, radius=pair.poles[0].radius, sizes=known).axes_test
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_axes_that_stood_alike() -> None:
     """χ² with two degrees of freedom: the distance and the angle of two poles."""
     values = []

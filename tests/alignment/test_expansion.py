@@ -21,7 +21,7 @@ from retropole.base.systematic import (
 )
 from tests.alignment.beams import beams_at, beams_with_surroundings, paper, state_near
 from tests.numeric import numeric_jacobian
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 def bent(azimuth: Array, b: Array) -> Array:
@@ -78,7 +78,7 @@ def log_likelihood(
 
 
 @pytest.mark.parametrize("surroundings", first_of([False, True]))
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_gradient_is_that_of_the_likelihood_of_corrected_beams(surroundings: bool) -> None:
     """Over the pose, every error, and the axes; of each LiDAR and of each pole by itself."""
     if surroundings:

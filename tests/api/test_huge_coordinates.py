@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.quick import first_of
+from tests.tiers import first_of
 
 CODE = """
 import resource, sys, warnings

@@ -31,7 +31,7 @@ def made() -> PolePlan:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_arrays_are_planned() -> None:
     document = made().document
     assert [each.name for each in document.lidars] == ["target", "source"]
@@ -52,7 +52,7 @@ def test_slips_are_told() -> None:
         rp.plan(both.target, both.source, rough=np.eye(4), at=30.0)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_every_placement_is_held_against_the_plan() -> None:
     result = rp.calibrate(tables().target, tables().source)
     assert result.placements is not None

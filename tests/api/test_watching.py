@@ -129,7 +129,7 @@ def test_good_poles_are_kept_and_calibrated(
     assert any(np.allclose(kept[0].cloud.xyz[:5], own.xyz[:5], atol=1e-6) for own in sweeps[1])
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_both_lidars_exchanged_give_the_inverse(
     pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
@@ -141,7 +141,7 @@ def test_both_lidars_exchanged_give_the_inverse(
     assert np.linalg.norm(step[3:]) < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_need_that_is_not_met_asks_for_another_placement(
     pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
@@ -209,7 +209,7 @@ def test_recordings_that_end_are_calibrated_by_what_there_was(
     assert nothing.is_over
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_rig_is_checked_against_its_result(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:

@@ -105,7 +105,7 @@ def test_a_command_writes_its_own_rows(tmp_path: Path) -> None:
     assert page[0].startswith("<!-- figures: python -m studies.paper --only table1 · ")
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_whole_run_has_the_same_digits(tmp_path: Path) -> None:
     command = "python benchmarks/fleet_network.py --nodes 200 --seeds 0:2"
     page = f"<!-- figures: {command} · 2026-11-25 · abc1234 · whole -->\n"

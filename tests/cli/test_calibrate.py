@@ -50,7 +50,7 @@ def test_result_document_is_whole(scene: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("moved", ["target", "source"])
 @pytest.mark.parametrize("origin", ["kept", "lost"])
-@pytest.mark.slow
+@pytest.mark.full
 def test_moving_a_cloud_moves_the_answer(
     clouds: tuple[PointCloud, PointCloud], truth: Array, tmp_path: Path, moved: str, origin: str
 ) -> None:
@@ -141,7 +141,7 @@ def test_arguments_that_contradict_each_other(scene: Path) -> None:
         assert "Error" in done.stderr or "retropole:" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_two_topics_of_a_bag_give_what_their_files_give(
     scene: Path, bag: Path, tmp_path: Path
 ) -> None:
@@ -168,7 +168,7 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     assert "TARGET of placement 1 and TARGET of placement 2 are both topic /front" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_poles_that_the_user_trusts_are_recorded(tmp_path: Path) -> None:
     done = retropole_here("simulate", "bare", "--seed", 3, "--out", tmp_path / "bare")
     assert done.returncode == 0, done.stderr
@@ -255,7 +255,7 @@ def test_a_need_is_answered_and_the_next_commands_can_be_typed(scene: Path, tmp_
         assert retropole_here(*words).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_need_that_is_not_met_warns_also_when_quiet(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     asked = "calibrate", *files, "--need-cm", 0.6, "--at-m", 60, "--out", tmp_path

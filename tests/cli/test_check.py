@@ -69,7 +69,7 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
     assert answer["power"] > 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_tolerance_that_was_asked_for_is_held_to(site: Path) -> None:
     weak = ("r.json", "same", "--sigma-deg", "0.02", "--sigma-m", "0.02")
     words = ("--to", "json", "--out", "r.json")
@@ -136,7 +136,7 @@ def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
     assert run(site, "r", "same", "--target-topic", "/front") == (2, "")
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> None:
     result = json.loads((site / "r" / "result.json").read_text())
     assert result.pop("uncertainty") is not None
@@ -157,7 +157,7 @@ def test_help_has_worked_examples(site: Path) -> None:
     assert "retropole check " in done.stdout.split("Examples:")[1]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_of_a_site_two_lidars_are_named(site: Path, tmp_path: Path) -> None:
     document = free()
     lidars = [msgspec.structs.replace(lidar, sensor="auto") for lidar in document.lidars]

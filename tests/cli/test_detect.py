@@ -32,7 +32,7 @@ def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
     assert [cloud["topic"] for cloud in document["clouds"]] == ["/rear"]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_what_is_left_out_of_a_long_recording_is_said(
     clouds: tuple[PointCloud, PointCloud], tmp_path: Path
 ) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from retropole.base.files import UNFINISHED
 from retropole.result.decoding import decode
-from tests.quick import first_of
+from tests.tiers import first_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -142,7 +142,7 @@ def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(100, 400))
 def test_ended_at_many_moments(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)

@@ -14,7 +14,7 @@ from retropole.result.decoding import decode, decode_site
 from tests.cli.test_kills import kill, start
 from tests.fleet.fleets import ENDS, write_fleet
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
-from tests.quick import first_of
+from tests.tiers import first_of
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -78,12 +78,12 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
-@pytest.mark.slow
+@pytest.mark.full
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(100, 160))
 def test_ended_at_many_moments(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)

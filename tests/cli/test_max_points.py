@@ -13,7 +13,7 @@ from retropole.base.errors import UsageError
 from retropole.io import write_pcd
 from tests.api.test_calibration import answer_of
 from tests.cli.commands import retropole_here
-from tests.quick import first_of
+from tests.tiers import first_of
 
 Clouds = tuple[PointCloud, PointCloud]
 
@@ -64,7 +64,7 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
         rp.calibrate(*clouds, max_points=999)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_frames_that_are_left_out_are_said(clouds: Clouds, tmp_path: Path) -> None:
     few = clouds[0].select(np.arange(0, len(clouds[0]), 50))
     for k in range(30):

@@ -12,7 +12,7 @@ import pytest
 from retropole.report.figures import draw_detection
 from retropole.result.decoding import decode
 from tests.cli.commands import retropole, retropole_here
-from tests.quick import first_of
+from tests.tiers import first_of
 
 NAMES = {
     "signs": b"\n\x1b[2J\x07\xe2\x80\xae '\"`x`$(x);$\\frac{$ %41%s <script>alert(1)<!-- ]]> &amp;",

@@ -42,7 +42,7 @@ def test_a_plan_is_a_document_and_a_page(plan: Path) -> None:
     assert "http://" not in page.replace("http://www.w3.org", "")
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_recordings_are_planned_with_a_rough_pose(
     scene: Path, truth: Array, tmp_path: Path
 ) -> None:

@@ -17,7 +17,7 @@ def named(output: str) -> list[list[str]]:
     return [shlex.split(typed) for _, sign, typed in lines if sign]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_four_recordings_become_a_site_in_four_commands(tmp_path: Path) -> None:
     words = "simulate", "site", "posts", "--lidars", 4, "--placements", 1, "--poles", 4
     done = retropole(*words, "--seed", 5, "--out", "made", "-q", cwd=tmp_path)

@@ -44,7 +44,7 @@ def test_the_same_recordings_stand(site: Path) -> None:
     assert "posts-1, posts-3" in done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_lidar_that_moved_is_named(site: Path) -> None:
     words = "site", "check", site / "out" / "site-result.json", site / "moved" / "site.toml"
     done = retropole_here(*words)

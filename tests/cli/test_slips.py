@@ -107,7 +107,7 @@ class TestUnits:
         assert "look like" not in right
         assert "median 13.06 m" in right
 
-    @pytest.mark.slow
+    @pytest.mark.full
     def test_feet_are_told_by_the_poles(self, clouds: Clouds, tmp_path: Path) -> None:
         for k, cloud in enumerate(clouds):
             write_pcd(tmp_path / f"{k}.pcd", scaled(cloud, 1 / 0.3048))

@@ -20,7 +20,7 @@ def plain_double_sum(xyz: Array, sigma: float) -> float:
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05, 0.5])
 @pytest.mark.parametrize("n", [1, 200, 5000])
-@pytest.mark.slow
+@pytest.mark.full
 def test_it_is_the_plain_double_sum(n: int, sigma: float) -> None:
     xyz = floor_and_wall(n, 5)
     plain = plain_double_sum(xyz, sigma)

@@ -30,7 +30,7 @@ from tests.extraction.scenes import (
 )
 from tests.extraction.synthetic import line_with, offset, on_pole, scene
 from tests.paths import SHARED
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 @pytest.mark.parametrize("sensor", ["VLP-16", "HDL-32E", "XT32", "OS1", "Pandar64", "Mid-360"])

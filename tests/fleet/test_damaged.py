@@ -333,7 +333,7 @@ def test_a_damaged_document_is_an_error_or_what_it_says(
     hold_many(kind, range(30), tmp_path, whole)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_damaged_documents(kind: str, tmp_path: Path, whole: Whole) -> None:
     hold_many(kind, range(100, 600), tmp_path, whole)

@@ -61,7 +61,7 @@ def test_what_is_mapped_comes_in_order_and_is_done_here_where_a_worker_dies() ->
     assert len(client.given) == 4
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_two_workers_give_the_bytes_of_one_process(fleet: Path, tmp_path: Path) -> None:
     sites = find_sites([str(fleet)])
     calibrate_fleet(sites, str(tmp_path / "here"), here)
@@ -97,7 +97,7 @@ def said_at(address: tuple[str, int], context: ssl.SSLContext | None, words: byt
     return b""
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
     other: Any = Security
 

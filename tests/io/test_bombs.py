@@ -67,6 +67,6 @@ def test_bombs_are_harmless(tmp_path: Path) -> None:
     assert_harmless(tmp_path, 2**28, skipped=("again.bag", "again.mcap", "many.npz"))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_large_bombs_are_harmless(tmp_path: Path) -> None:
     assert_harmless(tmp_path, 5 * 2**30)

@@ -29,7 +29,7 @@ from tests.matching.walls import (
     recorded,
     vest,
 )
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))

@@ -78,7 +78,7 @@ def test_it_speaks_before_the_best_of_many_are_taken(make_pole: PoleMaker) -> No
     assert kept.tried.ways.tried == kept.tried.ways.found < len(every)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_it_decides_where_the_scene_does_not() -> None:
     pair = simulate_pair("bare", np.random.default_rng(5), symmetric=True)
     assert calibrate(pair.target, pair.source).status == "refused"

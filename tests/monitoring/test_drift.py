@@ -17,7 +17,7 @@ from retropole.pipeline import calibrate
 from retropole.scene.confirmation import MAX_CONFLICTING
 from retropole.scene.refinement import Refinement, refine
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
 SMALL_TRANSLATION = np.r_[0.0, 0, 0, 0.03, 0, 0]
@@ -81,7 +81,7 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
     assert "poles_no_intensity" in [reason.code for reason in answer.reasons]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
     street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,7 +100,7 @@ def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
         check(stored, astray.target, astray.source)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_errors_of_the_same_devices_cancel(
     street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
 ) -> None:
@@ -120,7 +120,7 @@ def test_errors_of_the_same_devices_cancel(
     assert same_devices.chi2 < 16.8
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_poles_that_moved_between_the_recordings_do_not_make_a_movement(
     street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
 ) -> None:
@@ -190,7 +190,7 @@ def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
     assert ("scene_denies_stored" in [r.code for r in answer.reasons]) == (status != "same")
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_gross_movements_are_found_with_poles_and_never_called_same_without(
     street: SimulatedPair, stored: PoseEstimate
 ) -> None:
@@ -206,7 +206,7 @@ def test_gross_movements_are_found_with_poles_and_never_called_same_without(
     assert check(stored, gone.source, gone.target).status != "same"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
     other = simulate_pair("harbor", np.random.default_rng(14))
     assert check(stored, other.target, other.source).status != "same"

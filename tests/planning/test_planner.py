@@ -7,7 +7,7 @@ from retropole.planning.planner import plan, worst_at
 from tests.planning.places import AREAS, planned, stations
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_swapped_lidars_are_planned_alike() -> None:
     """The place turns with its frame: the error is the same but for the grid that feet stand on."""
     swapped = plan(stations()[::-1], allowed=AREAS)

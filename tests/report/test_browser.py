@@ -17,11 +17,11 @@ from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report, render_site
 from retropole.result import ReasonDoc
 from retropole.simulation import simulate_pair
-from tests.quick import first_of
 from tests.report.browser import Browser, Picture, needs_browser
 from tests.report.made_up import HOSTILE, made_up
 from tests.report.pages import of_each_kind, page_of
 from tests.report.site.made_up import document_of, made_up_site
+from tests.tiers import first_of
 
 pytestmark = needs_browser
 
@@ -55,7 +55,7 @@ def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), after) < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     result = browser.picture()
@@ -78,7 +78,7 @@ def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), result) < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     seen = browser.picture()
@@ -102,7 +102,7 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     assert browser.picture().mean() < seen.mean() - 100
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path) -> None:
     def red(picture: Picture) -> float:
         return float(np.mean(np.all(np.abs(picture - [200, 0, 60]) < 20, axis=2)))
@@ -202,7 +202,7 @@ def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     assert {"theme", "marks", "pose", "size", "panel", "copy-button", "scroll"} <= reached
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     result, (placement,) = made_up(count=6000)
     cloud: PointCloud = placement.target.cloud
@@ -239,7 +239,7 @@ def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path
         browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
     browser = Browser(tmp_path / "profile", "--disable-3d-apis")
     try:

@@ -14,7 +14,7 @@ from retropole.base.errors import MissingExtraError
 from retropole.extraction.poles import extract_poles
 from retropole.report.figures import draw_detection, draw_result
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -69,7 +69,7 @@ def test_any_detection_can_be_drawn(case: str, pair: SimulatedPair, tmp_path: Pa
     assert pixels(tmp_path / "d.png").std() > 5
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_many_poles_are_drawn(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     draw_detection(
@@ -95,7 +95,7 @@ def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: P
     assert pixels(tmp_path / "none.png").std() > 5
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path) -> None:
     line = np.c_[np.linspace(-9, 9, 200), np.zeros((200, 2))]
     nothing, poles = np.zeros((0, 3)), ((), ())

@@ -129,7 +129,7 @@ def test_no_text_of_a_document_runs_in_the_report(
     assert given >= set(map(injection, range(len(INJECTIONS))))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @of_each_kind
 def test_no_text_runs_in_any_place_of_the_report(
     browser: Browser, tmp_path: Path, kind: str
@@ -163,7 +163,7 @@ def hostile_viewer() -> Iterator[Viewer]:
 
 
 # The browser ends first: viser waits for the connections that it holds ready.
-@pytest.mark.slow
+@pytest.mark.full
 def test_no_text_runs_in_the_viewer(hostile_viewer: Viewer, browser: Browser) -> None:
     browser.driver.get(hostile_viewer.url)
     text = "return document.body.textContent"

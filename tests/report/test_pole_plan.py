@@ -35,8 +35,8 @@ from retropole.result.pole_plan import (
     StationDoc,
     TapeDoc,
 )
-from tests.quick import first_of
 from tests.report.made_up import HOSTILE, Page
+from tests.tiers import first_of
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
 LENGTH = 2.0

@@ -17,9 +17,9 @@ import pytest
 from retropole.base.bounded import Status
 from retropole.report import render_report
 from retropole.result import ReasonDoc, ResultDoc
-from tests.quick import first_of
 from tests.report.browser import Browser, Image, needs_browser
 from tests.report.made_up import made_up
+from tests.tiers import first_of
 
 pytestmark = [
     needs_browser,
@@ -157,7 +157,7 @@ def test_the_picture_has_its_shape_and_is_on_white(
 
 
 @pytest.mark.parametrize("count", [2, 4])
-@pytest.mark.slow
+@pytest.mark.full
 def test_wherever_a_sheet_ends_no_warning_and_no_table_is_cut(
     browser: Browser, tmp_path: Path, count: int
 ) -> None:

@@ -175,7 +175,7 @@ def test_a_page_stays_small_and_says_how_much_it_shows(tmp_path: Path) -> None:
     assert "the page holds 1,400 of 4,000 points" in some
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_pages_of_many_clouds_stay_small() -> None:
     page = render_report(made_up(count=500).result, 10 * [placement_of(random_cloud(60_000))])
     assert f"holds {MAX_PAIR_POINTS:,} of 1,200,000 points" in Page(page).text

@@ -34,9 +34,9 @@ from retropole.simulation import Cylinder, SimulatedPair, simulate_pair
 from retropole.simulation.arrangement import rotated_by_180
 from retropole.simulation.recording import Arrangement, Recorders, record
 from retropole.simulation.scenes import TAPE
-from tests.quick import first_of
 from tests.scene.conftest import simulated_with_one_pole
 from tests.scene.test_one_pole import MOVED, assert_near, found_in, poses_in
+from tests.tiers import first_of
 
 SCENES = {"corridor": 3, "street": 1, "harbor": 2}
 
@@ -108,7 +108,7 @@ def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
     assert calibrate(one_pole.target, other.source).status == "refused"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_number_of_poles_that_was_asked_for_counts(one_pole: SimulatedPair) -> None:
     assert calibrate(one_pole.target, one_pole.source, poles=1).status == "ok"
     refused = calibrate(one_pole.target, one_pole.source, poles=2)
@@ -146,7 +146,7 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     check_held([PairedPlacement(placement, two)], None)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_what_nothing_about_the_poles_gives_is_laid_from_above(
     one_pole: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,7 +174,7 @@ def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> 
         assert has_rival([paired], 0.02) is expected
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> None:
     """Of two poles both LiDARs see a hand's breadth: they fit, and tell hardly any angle."""
     pair = simulate_pair("street", np.random.default_rng(4))

@@ -21,7 +21,7 @@ from retropole.scene.choice import (
     not_rejected,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 def hypothesis(
@@ -123,7 +123,7 @@ def test_the_letter_of_the_true_one_gives_the_true_pose_with_a_warning(
         assert np.array_equal(one.match.T_target_source, other.match.T_target_source)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_wrong_letter_is_refused_or_warned_of(
     symmetric: tuple[SimulatedPair, Calibration],
 ) -> None:
@@ -150,7 +150,7 @@ def test_a_letter_that_no_exact_hypothesis_has_is_an_error(
             calibrate(pair.target, pair.source, by_hand=name)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_where_the_scene_decides_its_choice_by_hand_is_the_same_with_a_warning() -> None:
     pair = simulate_pair("street", np.random.default_rng(12))
     by_scene, by_hand = (calibrate(pair.target, pair.source, by_hand=name) for name in (None, "a"))

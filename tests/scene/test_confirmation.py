@@ -15,7 +15,7 @@ from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SCENES = ("corridor", "street", "harbor")
 
@@ -88,7 +88,7 @@ def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     assert found.better_at > 1
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
     for seed in range(3):
         pair = simulate_pair("bare", np.random.default_rng(seed))

@@ -11,7 +11,7 @@ from retropole.scene.agreement import check_decisive
 from retropole.scene.decisive import MAX_SHARE, leverage
 from retropole.scene.places import Places
 from retropole.scene.refinement import Refinement, refine
-from tests.quick import first_of
+from tests.tiers import first_of
 
 
 def plane(rng: np.random.Generator, middle: Array, u: Array, v: Array, count: int) -> Array:

@@ -12,9 +12,9 @@ from retropole.scene.descent import RefinementProblem, minimise
 from retropole.scene.patch_pairs import pair_patches
 from retropole.scene.terms import scene_pairs
 from tests.numeric import numeric_jacobian
-from tests.quick import first_of
 from tests.site import geodetic
 from tests.site.adjusting import Steps
+from tests.tiers import first_of
 
 
 def problem_of(steps: Steps) -> RefinementProblem:

@@ -15,7 +15,7 @@ from retropole.scene.patches import Patches, surface_patches
 from retropole.scene.preference import SURELY, check_near_poles, preferences
 from retropole.scene.refinement import Refinement
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 TILT = np.r_[np.radians(0.3), 0.0, 0, 0, 0, 0]
 LIFT = np.r_[0.0, 0, 0, 0, 0, 0.03]

@@ -23,7 +23,7 @@ from retropole.scene.search import choose
 from retropole.simulation import FIELD, SimulatedPair, draw_device, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 from tests.paths import SHARED
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SPREAD = np.diag(np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05]) ** 2)
 
@@ -249,7 +249,7 @@ def test_the_pipeline_reports_both_stages() -> None:
     np.testing.assert_array_equal(alone.T_target_source, answer.poles.T_target_source)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_covariance_is_neither_too_small_nor_too_wide() -> None:
     """Six corridors, each recorded by two pairs of LiDARs with all errors of the field.
 
@@ -291,7 +291,7 @@ def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     assert "not_converged" in [reason.code for reason in answer.reasons]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("scene", ["street", "harbor"])
 def test_the_covariance_covers_the_truth(scene: str) -> None:
     """95 % regions of both stages hold the truth in most of 60 scenes, at their stated size."""

@@ -18,7 +18,7 @@ from retropole.scene.refinement import Refinement
 from retropole.scene.scans import find_poles
 from retropole.scene.similarity import UNITS, check_similarity, explain
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.quick import first_of
+from tests.tiers import first_of
 
 FIND = partial(find_poles, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
 REFUSED = Refusal("no_match", "none fit")

@@ -86,7 +86,7 @@ def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     assert refusal.value.code == "moving_pole"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_frames_average_the_noise_away() -> None:
     one: list[float] = []
     ten: list[float] = []

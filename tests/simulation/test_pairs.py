@@ -23,8 +23,8 @@ from retropole.simulation import (
 )
 from retropole.simulation.recording import MIN_RETURNS
 from retropole.simulation.scenes import SURROUNDINGS
-from tests.quick import first_of
 from tests.simulation.surfaces import distance_from
+from tests.tiers import first_of
 
 
 def assert_exact(pair: SimulatedPair) -> None:
@@ -162,7 +162,7 @@ def test_a_second_recording_is_of_the_same_place() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_impossible_demands_are_named() -> None:
     with pytest.raises(UsageError, match="street"):
         simulate_pair("moon", np.random.default_rng(0))

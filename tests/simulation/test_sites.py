@@ -16,9 +16,9 @@ from retropole.cli import cli
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 from retropole.simulation.site_arrangement import are_linked, closes_otherwise, groups_of
 from retropole.simulation.sites import draw_site, record_site
-from tests.quick import first_of
 from tests.simulation.sites import everything, largest_distance
 from tests.simulation.surfaces import distance_from
+from tests.tiers import first_of
 
 
 def made(kind: str = "truck", seed: int = 1, **given: object) -> SimulatedSite:

@@ -63,9 +63,9 @@ SLOW = "two placements", "parallel poles", "diameter for radius", "dim tape"
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(kind, marks=[pytest.mark.slow] if kind in SLOW else []) for kind in RECORDINGS],
+    [pytest.param(kind, marks=[pytest.mark.full] if kind in SLOW else []) for kind in RECORDINGS],
 )
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     targets, sources, sensors = recorded(kind)
     radius = 0.04 if kind == "diameter for radius" else 0.02

@@ -71,7 +71,7 @@ def moved_point(site: Site, by: Array) -> Site:
     return replace(site, points=(structs.replace(first, at=first.at + by), *others))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_control_point_that_is_off_is_named_and_left_out(
     simulated_survey: SimulatedSite, surveyed: Steps
 ) -> None:
@@ -162,7 +162,7 @@ def only_seen_by(site: Site, simulated: SimulatedSite, lidar: int, pole: int) ->
     return site
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_surveyed_pole_that_one_lidar_alone_sees_is_named_as_a_whole() -> None:
     """It has no test of its own as a pole, and neither end explains what both do."""
     pole, simulated = 1, made(survey=Survey((0, 1)))
@@ -181,7 +181,7 @@ def test_a_surveyed_pole_that_one_lidar_alone_sees_is_named_as_a_whole() -> None
     check_true(found, simulated)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_an_end_of_a_surveyed_pole_that_is_off_is_never_absorbed() -> None:
     simulated = made(survey=Survey((0,), 4))
     site = simulated.as_site()

@@ -20,8 +20,8 @@ from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.datum import Datum
 from tests.numeric import numeric_jacobian
-from tests.quick import first_of
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
+from tests.tiers import first_of
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 
@@ -115,7 +115,7 @@ def test_the_order_makes_no_difference(
         check_same(between(found, i, j), between(again, number[i], number[j]))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     plain = calibrate_site(site)
@@ -155,7 +155,7 @@ def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
     assert np.all((ratios > 0.7) & (ratios < 1.4))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_more_poles_and_lidars_make_no_pair_less_sure(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -186,7 +186,7 @@ def test_lidars_that_share_no_poles_are_refused_with_their_names(
     assert len(found.pairs) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_recording_without_intensity_is_done_without(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -226,7 +226,7 @@ def test_a_ring_that_is_cut_is_refused_with_its_lidars() -> None:
     assert "ring-2" in str(found.reasons[0].values["lidars"])
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     loose = tuple(structs.replace(each, sigma=3.0) for each in site.poles)
@@ -303,7 +303,7 @@ def test_poles_stand_where_they_are_adjusted(
     assert max(distances + turns) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_refusal_says_that_the_returns_deny_the_radius(
     simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

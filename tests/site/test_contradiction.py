@@ -13,8 +13,8 @@ from retropole.site.adjustment import Adjusted, Recorded
 from retropole.site.blunders import SIGNIFICANT, without_blunders, worst_test
 from retropole.site.contradiction import LEAST, conflicting_poles, more_coincide
 from retropole.site.datum import Datum, without_poles
-from tests.quick import first_of
 from tests.site.adjusting import Steps, made, off, steps_of
+from tests.tiers import first_of
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
     assert 0 in {k for k, _, _ in conflicting_poles(own.recorded, bad)}
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_little_else_than_ground_tells() -> None:
     """Nearly all that is seen coincides as well where the pose is 0.18 m off."""
     steps = steps_of(made(seed=9, lidars=2, placements=1).as_site())
@@ -127,7 +127,7 @@ def test_little_else_than_ground_tells() -> None:
     assert off(pose, se3.inverse(left.end.T[0]) @ left.end.T[1]) < 12.6
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_of_two_suspects_that_leave_what_fits_the_surroundings_tell(own: Steps) -> None:
     """Poles that do not fit, where without the right one the rest fits as well."""
     bad = own.again(displaced(without_poles(own.datum, {1}), 1, 0.2))

@@ -19,7 +19,7 @@ from retropole.site.datum import find_datum
 from retropole.site.description import Site, Up
 from retropole.site.scans import find_scans, patches_of
 from retropole.site.shared import shared_poles
-from tests.quick import first_of
+from tests.tiers import first_of
 
 pytest.importorskip("gtsam", reason="GTSAM has no wheel here")
 gtsam_adjustment = pytest.importorskip("tests.site.gtsam_adjustment")
@@ -101,7 +101,7 @@ def test_another_adjustment_agrees(seed: int) -> None:
     assert max(disagreement(simulated(seed), seed)) < AGREE
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_another_adjustment_agrees_on_a_hundred_sites(capsys: pytest.CaptureFixture[str]) -> None:
     found: list[tuple[float, float]] = []
     refused, seed = [], 0

@@ -109,7 +109,7 @@ def test_without_surroundings_it_is_linked_to_nothing() -> None:
     assert not refused.lidars
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_order_of_the_lidars_changes_nothing(
     hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
@@ -122,7 +122,7 @@ def test_the_order_of_the_lidars_changes_nothing(
         assert off(between(answer, i, j), other.T_i_j) < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_frame_of_the_lidar_that_hangs_may_be_that_of_the_site(
     hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
@@ -139,7 +139,7 @@ def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
     assert calibrate_site(moved.as_site()).status == "refused"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_pole_that_was_pushed_a_little_is_told(hidden: SimulatedSite) -> None:
     """Where it alone holds a part of the pose that is `not_checked`, where not it is refused."""
     pushed = with_pole_moved(hidden, 2, np.array([0.04, 0.03, 0.0]))
@@ -169,7 +169,7 @@ def test_a_parted_pole_is_seen_by_one_side_each(steps: Steps) -> None:
         assert {**parted[k].seen, **other.seen} == poles[k].seen
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_another_place_links_nothing(hidden: SimulatedSite) -> None:
     site = hidden.as_site()
     other = keeping(made(seed=104, placements=1), (2,)).as_site()
@@ -177,7 +177,7 @@ def test_another_place_links_nothing(hidden: SimulatedSite) -> None:
     assert calibrate_site(mixed).status == "refused"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_what_was_surveyed_holds_the_frame_and_the_place_what_hangs() -> None:
     surveyed = simulate_site(
         "posts",

@@ -7,8 +7,8 @@ import pytest
 
 from retropole.site.blunders import significant, without_blunders
 from retropole.site.shared import SharedPole
-from tests.quick import first_of
 from tests.site.adjusting import Steps
+from tests.tiers import first_of
 
 
 def pushed(pole: SharedPole, lidar: int, by: float) -> SharedPole:

@@ -74,7 +74,7 @@ def test_a_point_that_is_off_is_named(off: float) -> None:
         assert unmet[0].values["gap_m"] == pytest.approx(off, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_one_more_that_is_met_to_half_a_metre_is_no_better_than_all_others_exactly() -> None:
     """A point that is off a little more than what is met draws all of a survey along."""
     for seed in range(6):

@@ -12,7 +12,7 @@ from retropole.io import read_cloud
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.evaluation.rivals.staged import ROOM, assert_close, box
 from tests.paths import SHARED
-from tests.quick import first_of
+from tests.tiers import first_of
 
 DATA = SHARED / "planes_top_front"
 
@@ -51,7 +51,7 @@ def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
     assert refusal.value.code == "ambiguous"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_refinement_that_still_moves_is_refused(
     corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,7 +79,7 @@ def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair)
     assert 0 < found.rms < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None:
     there = planar_surfaces(corridor.target, corridor.source, np.random.default_rng(0))
     back = planar_surfaces(corridor.source, corridor.target, np.random.default_rng(1))
@@ -87,7 +87,7 @@ def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None
     assert_close(back.T_target_source @ there.T_target_source, np.eye(4), 0.2, 0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_equal_generators_give_equal_answers(corridor: SimulatedPair) -> None:
     one, two = (
         planar_surfaces(corridor.target, corridor.source, np.random.default_rng(3))
@@ -103,7 +103,7 @@ def test_corridors_are_found(seed: int) -> None:
     assert_close(found.T_target_source, pair.T_target_source, 1.0, 0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_corridors_are_found_or_refused_but_never_wrong() -> None:
     refused = 0
     for seed in range(100, 130):

@@ -13,7 +13,7 @@ from retropole.fleet.history.run import SiteChange, replay
 from retropole.fleet.history.store import append
 from retropole.fleet.history.watch import watch_all
 from tests.fleet.history.checks import MOVED, SIGMA, checks, row
-from tests.quick import first_of
+from tests.tiers import first_of
 
 WEEKS = 90
 

@@ -12,7 +12,7 @@ from retropole.base.datatypes import Array, IntArray
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
 from tests.fleet.network.networks import in_sigma, network_of
-from tests.quick import first_of
+from tests.tiers import first_of
 
 SIGMA = 1e-3
 AWAY = np.array([2.0, 0.0, 0.0])

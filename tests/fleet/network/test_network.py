@@ -150,7 +150,7 @@ def test_a_network_without_edges_stays_where_it_is_known() -> None:
 
 
 @pytest.mark.parametrize(
-    "nodes", [60, pytest.param(2500, marks=pytest.mark.slow)], ids=["small", "2500"]
+    "nodes", [60, pytest.param(2500, marks=pytest.mark.full)], ids=["small", "2500"]
 )
 def test_gtsam_finds_the_same(nodes: int) -> None:
     gtsam_network = pytest.importorskip(

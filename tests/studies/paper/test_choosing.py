@@ -35,7 +35,7 @@ def test_right_is_what_lies_near_the_truth(corridor: ScoredCorridor) -> None:
         assert is_right(right, se3.retract(T, step / 100), poles)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_every_rule_is_counted() -> None:
     assert [row[0] for row in all_exhibits()["table3_four_result"].rows] == ["a", "b", "c", "d"]
     counts = all_exhibits()["table3_how_often"].rows

@@ -96,7 +96,7 @@ def test_tape_fades_with_its_distance(pair: SimulatedPair) -> None:
     assert near > middle > none == 0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_every_trouble_is_counted_for_both_methods() -> None:
     rows = all_exhibits()["section5_failures"].rows
     assert len(rows) == 2 * len(TROUBLES)

@@ -40,7 +40,7 @@ def test_an_exhibit_is_written_as_markdown_csv_and_pictures(tmp_path: Path) -> N
     assert "<svg" in (tmp_path / "t.svg").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_command_writes_an_index_of_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -55,7 +55,7 @@ def test_the_command_writes_an_index_of_everything(
         assert (tmp_path / name.split(")")[0]).is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_experiments_make_what_they_say() -> None:
     assert list(all_exhibits()) == names_of()
 

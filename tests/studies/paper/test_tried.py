@@ -43,7 +43,7 @@ def test_two_scales_of_one_drawing_have_one_error() -> None:
     assert abs(q2[0] - q2[1]) < digits.sum()
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_all_cells_are_low_and_only_the_middle_point_counted_again_lifts_them_evenly() -> None:
     q1_least, q1_most, q1_rms, q2_least, q2_most, q2_rms = tried()[
         "as in the table: a beam at azimuth 0"

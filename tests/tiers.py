@@ -1,0 +1,95 @@
+"""Which tests run when, and what the default tier may cost.
+
+Three tiers. *Default*: what `pytest` runs. *Full*: the tests marked `full`, which `.ci/run` runs
+after the default ones. *Nightly*: what takes too long for `.ci/run`; runs only where `-m` names it.
+`pytest -m ''` runs everything but the nightly tests.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Generator, Iterable
+from typing import Any
+
+import pytest
+
+BUDGET_S = 240.0
+"""CPU time that the default tier may take: all processes of pytest, collecting included."""
+
+LISTED = 10
+"""Tests that are listed where the budget is exceeded, those that cost most."""
+
+
+def first_of(cases: Iterable[Any], count: int = 1) -> list[Any]:
+    """Let the first of all cases run by default, the others in the full tier.
+
+    For cases that take long, of which one shows most of what all do. A tuple is one case of several
+    arguments.
+    """
+    several = [case if isinstance(case, tuple) else (case,) for case in cases]
+    full = [pytest.param(*case, marks=pytest.mark.full) for case in several[count:]]
+    return [*(pytest.param(*case) for case in several[:count]), *full]
+
+
+def cpu_s() -> float:
+    """CPU time of this process and of those of its children that have ended."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+class Tiers:
+    """Leaves nightly tests out, and fails a run of the default tier that costs too much.
+
+    Each worker of pytest-xdist measures its own processes; the run that started it adds them up.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.is_default = config.option.markexpr == "not full and not nightly"
+        self.by_test: Counter[str] = Counter()
+        self.workers_s = 0.0
+        self.spent_s = self.last_s = cpu_s()
+
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
+        if "nightly" in config.option.markexpr:
+            return
+        nightly = [item for item in items if item.get_closest_marker("nightly")]
+        if nightly:
+            config.hook.pytest_deselected(items=nightly)
+            items[:] = [item for item in items if not item.get_closest_marker("nightly")]
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self) -> Generator[None, Any, Any]:
+        """Keep with each phase of a test what it took; fixtures count where they were made."""
+        report = yield
+        now = cpu_s()
+        report.cpu_s, self.last_s = now - self.last_s, now
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.by_test[report.nodeid] += getattr(report, "cpu_s", 0.0)
+
+    def pytest_testnodedown(self, node: Any) -> None:
+        self.workers_s += getattr(node, "workeroutput", {}).get("cpu_s", 0.0)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        self.spent_s = cpu_s() + self.workers_s
+        output = getattr(session.config, "workeroutput", None)
+        if output is not None:
+            output["cpu_s"] = self.spent_s
+        elif self.exceeded:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    @property
+    def exceeded(self) -> bool:
+        return self.is_default and self.spent_s > BUDGET_S
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        write = terminalreporter.write_line
+        write(f"{self.spent_s:.0f} s of CPU time")
+        if self.exceeded:
+            write(f"The default tier may take {BUDGET_S:.0f} s. The tests that cost most:")
+            for name, spent in self.by_test.most_common(LISTED):
+                write(f"{spent:7.1f} s  {name}")
