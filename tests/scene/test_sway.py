@@ -1,3 +1,5 @@
+"""A LiDAR that sways is brought to rest, within what is stated; one at rest is left as it is."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +11,7 @@ from retropole.scene.static import remove_dynamic_points
 from retropole.scene.sway import Steadied, steadied
 from tests.paths import SHARED
 from tests.scene.swaying import HALF, recorded, swaying
+from tests.tiers import first_of
 
 DATA = SHARED / "pandaset"
 SIGMA = float(np.radians(0.05))
@@ -44,12 +47,14 @@ def test_what_sways_is_brought_to_rest(times: bool) -> None:
     assert sway.left_rad < SIGMA / 10
 
 
-@pytest.mark.parametrize("second", [0.0, 0.25])
-def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period(second: float) -> None:
+@pytest.mark.parametrize(("second", "runs"), first_of([(0.25, 2), (0.0, 8), (0.25, 8)]))
+def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period(
+    second: float, runs: int
+) -> None:
     """Of masts drawn as they are assumed to be, and with a faster mode, which in so short a time
     may look like all there is; too wide would show as well as too narrow."""
     squares = []
-    for seed in range(8):
+    for seed in range(runs):
         rng = np.random.default_rng(100 + seed)
         frequency = 0.3 if seed % 3 or second else 1.0
         motion = swaying(10, SIGMA * (1 + seed % 2), frequency, rng, second=second)
@@ -66,7 +71,7 @@ def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period(second: f
         squares.append(float(off @ np.linalg.solve(covariance, off)))
     # χ² with three degrees of freedom: 3 in the mean, and 95 % below 7.8.
     assert 0.2 < np.median(squares) < 6.0
-    assert np.count_nonzero(np.array(squares) < 7.8) >= 7
+    assert np.count_nonzero(np.array(squares) < 7.8) >= runs - 1
 
 
 def _hats(xyz: np.ndarray) -> np.ndarray:
