@@ -94,6 +94,7 @@ def measured(sensor: Sensor, share: float) -> Sensor:
     return replace(sensor, errors={name: share * size for name, size in sizes.items()})
 
 
+@pytest.mark.full
 def test_the_smaller_errors_were_measured_the_less_is_stated(corridor: SimulatedPair) -> None:
     of = corridor.sensors
     whole, half = (

@@ -75,6 +75,7 @@ def test_a_pole_that_was_displaced_between_the_recordings(seed: int) -> None:
     assert displaced(0.05 * np.cross(across, b)) < 14
 
 
+@pytest.mark.full
 def test_freeing_the_displaced_pole_of_three_explains_all() -> None:
     only_range = replace(EXACT, range_noise=0.6)
     pair = simulate_pair("street", np.random.default_rng(2), poles=3, noise=only_range)

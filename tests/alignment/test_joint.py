@@ -12,6 +12,7 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import Steps
+from tests.tiers import first_of
 
 
 def at_answer(steps: Steps) -> tuple[JointState, Array, JointPriors]:
@@ -34,7 +35,7 @@ def evaluated(
     return evaluate_joint(state, log_noise, sights, steps.datum.surveyed, priors)
 
 
-@pytest.mark.parametrize("which", ["steps", "surveyed", "pair_steps"])
+@pytest.mark.parametrize("which", first_of(["pair_steps", "steps", "surveyed"]))
 def test_gradient_and_information_are_those_of_finite_differences(
     which: str, request: pytest.FixtureRequest
 ) -> None:

@@ -10,6 +10,7 @@ from retropole.base.datatypes import Array
 from retropole.base.systematic import band_of
 from tests.site import geodetic
 from tests.site.adjusting import Steps
+from tests.tiers import first_of
 
 
 def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Steps) -> None:
@@ -109,7 +110,7 @@ def test_bands_are_those_of_poles_and_surfaces(steps: Steps) -> None:
     assert isinstance(steps.adjusted.network.unknowns, Unknowns)
 
 
-@pytest.mark.parametrize("first_held", [False, True])
+@pytest.mark.parametrize("first_held", first_of([False, True]))
 def test_the_covariance_is_that_of_drawn_observations(first_held: bool) -> None:
     network = geodetic.network(first_held=first_held)
     rng = np.random.default_rng(0)

@@ -193,6 +193,7 @@ def test_what_was_begun_is_not_lost(sweeps: list[list[PointCloud]], tmp_path: Pa
     assert len(list(read_frames(written, topic="/target/points"))) > 1
 
 
+@pytest.mark.full
 def test_recordings_that_end_are_calibrated_by_what_there_was(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     assert answer_of((target, source)).status == "ok"
 
 
+@pytest.mark.full
 def test_a_constant_ring_gives_the_answer_of_none() -> None:
     clouds = recorded([FREE, AT_THE_WALL])
     none, constant = (

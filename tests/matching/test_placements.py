@@ -29,6 +29,7 @@ def test_placements_share_the_truth(harbor: list[SimulatedPair]) -> None:
         assert not np.allclose(pair.poles[0].centre, harbor[0].poles[0].centre)
 
 
+@pytest.mark.full
 def test_one_answer_for_all(harbor: list[SimulatedPair]) -> None:
     answer = calibrate([p.target for p in harbor], [p.source for p in harbor])
     assert answer.T_target_source is not None, answer.reasons

@@ -41,12 +41,15 @@ def stored(calibration: Calibration) -> PoseEstimate:
 
 @pytest.mark.parametrize(
     ("moved", "status", "poles"),
-    [
-        (np.zeros(6), "same", True),
-        (np.zeros(6), "same", False),
-        (SMALL_ROTATION, "moved", True),
-        (SMALL_TRANSLATION, "moved", False),
-    ],
+    first_of(
+        [
+            (np.zeros(6), "same", True),
+            (SMALL_TRANSLATION, "moved", False),
+            (np.zeros(6), "same", False),
+            (SMALL_ROTATION, "moved", True),
+        ],
+        2,
+    ),
 )
 def test_small_movements_are_found(
     street: SimulatedPair, stored: PoseEstimate, moved: Array, status: str, poles: bool
@@ -147,6 +150,7 @@ def test_several_minima_cannot_tell(
     assert "several_minima" in [reason.code for reason in answer.reasons]
 
 
+@pytest.mark.full
 def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
     street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,7 +178,7 @@ def with_strangers(pair: SimulatedPair, count: int) -> PointCloud:
     return PointCloud(np.concatenate([pair.source.xyz, se3.apply(se3.inverse(T), places)]))
 
 
-@pytest.mark.parametrize(("count", "status"), [(40, "same"), (1800, "cannot_tell")])
+@pytest.mark.parametrize(("count", "status"), first_of([(1800, "cannot_tell"), (40, "same")]))
 def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
     street: SimulatedPair, stored: PoseEstimate, count: int, status: str
 ) -> None:

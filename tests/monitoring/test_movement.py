@@ -43,6 +43,7 @@ def test_equal_poses_are_the_same() -> None:
     np.testing.assert_allclose(answer.covariance, 2 * spread)
 
 
+@pytest.mark.full
 def test_the_false_alarm_rate_holds_for_errors_that_repeat() -> None:
     """Systematic errors ten times the random ones, all of which both poses have, move nothing."""
     rng = np.random.default_rng(9)

@@ -58,14 +58,14 @@ def recorded(kind: str) -> tuple[list[PointCloud], list[PointCloud], tuple[Senso
     return targets, sources, (None, None) if kind == "sensors not named" else pair.sensors
 
 
-SLOW = "two placements", "parallel poles", "diameter for radius", "dim tape"
+COSTLY = "parallel poles", "dim tape"
+"""Two thirds of the CPU time of all."""
 
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(kind, marks=[pytest.mark.full] if kind in SLOW else []) for kind in RECORDINGS],
+    [pytest.param(kind, marks=[pytest.mark.full] if kind in COSTLY else []) for kind in RECORDINGS],
 )
-@pytest.mark.full
 def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     targets, sources, sensors = recorded(kind)
     radius = 0.04 if kind == "diameter for radius" else 0.02

@@ -34,6 +34,7 @@ def test_fewer_than_three_independent_planes_are_refused(faces: str, side: int) 
     assert refusal.value.values["lidar"] == ("target", "source")[side]
 
 
+@pytest.mark.full
 def test_planes_with_other_angles_are_refused() -> None:
     rng = np.random.default_rng(6)
     room = box(rng, ROOM, "xyz")
@@ -43,6 +44,7 @@ def test_planes_with_other_angles_are_refused() -> None:
     assert refusal.value.code == "planes_unmatched"
 
 
+@pytest.mark.full
 def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
     rng = np.random.default_rng(7)
     clouds = [box(rng, ROOM, "xyz") for _ in range(2)]
@@ -68,6 +70,7 @@ def test_no_points_are_refused() -> None:
     assert refusal.value.code == "too_few_planes"
 
 
+@pytest.mark.full
 def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(8)
     A, B = se3.random(rng), se3.random(rng)
