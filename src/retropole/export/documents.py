@@ -302,7 +302,7 @@ def _stamped(message: dict[str, Any]) -> Found:
         parts = _mapping(message["transform"])
         t, q = _scalars(parts["translation"]), _scalars(parts["rotation"])
     except KeyError as error:
-        raise ReadError(f"a transform as a message of ROS has no {error}") from None
+        raise ReadError(f"a transform as a message of ROS has no {said(error)}") from None
     if not isinstance(parent, str) or not isinstance(child, str):
         raise ReadError("frame_id and child_frame_id are no names")
     values = t | {f"q{name}": q[name] for name in q}
