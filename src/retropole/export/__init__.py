@@ -41,7 +41,7 @@ from .tree import Tree, tree_of
 from .tree_formats import TREE_FORMATS as TREE_FORMATS
 from .urdf import put_into_urdf as put_into_urdf
 from .urdf import read_urdf, write_urdf
-from .xml_scan import is_xml
+from .xml_scan import is_xml, scan_xml
 
 
 class Format(NamedTuple):
@@ -265,8 +265,7 @@ def detect_format(path: Path, data: bytes) -> str:
         return _SUFFIXES[path.suffix.lower()]
     head = data.lstrip()
     if is_xml(data):
-        root = re.search(rb"<(launch|robot)\b", data.replace(b"\0", b""))
-        return "launch" if root is not None and root[1] == b"launch" else "urdf"
+        return "launch" if scan_xml(data).root.tag == "launch" else "urdf"
     if head.startswith(b"{"):
         return "json"
     text = data.decode()

@@ -335,11 +335,12 @@ def _keys(node: Any) -> set[str]:
 
 def _outline(root: Any) -> str:
     """Say what a document has at its top, two levels deep."""
-    return ", ".join(
-        f"{key.value}: {{{', '.join(sorted(_keys(value)))}}}" if _keys(value) else f"{key.value}"
-        for key, value in root.value[:5]
-        if isinstance(key.value, str)
-    )
+    found = []
+    for key, value in root.value[:5]:
+        below = ", ".join(sorted(_keys(value))[:4])
+        if isinstance(key.value, str):
+            found.append(f"{key.value}: {{{below}}}" if below else key.value)
+    return ", ".join(found)
 
 
 def _mapping(node: Any) -> dict[str, Any]:

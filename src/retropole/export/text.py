@@ -70,7 +70,8 @@ def read_matrix(data: bytes) -> list[Found]:
     text = data.decode()
     parent, child = names_in_words(text)
     printed = _TERMINAL.findall(text)
-    body = _WRAPPING.sub(" ", printed[0] if len(printed) == 1 else text)
+    is_printed = len(printed) == 1
+    body = _WRAPPING.sub(" ", printed[0] if is_printed else text)
     body = re.sub(r"#.*|//.*|\[[^][]*\]", _without_notes, body)
     words = re.sub(r"[][,;]", " ", body).split()
     if len(words) != 16:
@@ -80,7 +81,7 @@ def read_matrix(data: bytes) -> list[Found]:
             "pitch_deg: yaw_deg:"
         )
     values = np.array([to_float(word) for word in words]).reshape(4, 4)
-    return [Found(parent, child, lambda: values)]
+    return [Found(parent, child, lambda: values, is_of_lidars=is_printed)]
 
 
 def _without_notes(bracketed: re.Match[str]) -> str:
@@ -148,12 +149,12 @@ def _echoed(text: str) -> Array:
     t, q = (
         np.array([to_float(word) for word in parts[name]]) for name in ("Translation", "Quaternion")
     )
-    rounding = max(10.0 ** -len(word.partition(".")[2]) for word in parts["Quaternion"])
+    rounding = min(10.0 ** -len(word.partition(".")[2]) for word in parts["Quaternion"])
     T = from_quaternion(t, q, max(rounding, se3.RIGID_TOLERANCE))
     angles = parts.get("RPY (degree)", [])
     if len(angles) != 3:
         return T
-    sharper = from_rpy(t, np.radians([to_float(word) for word in angles]))
+    sharper = _from_degrees(t, np.array([to_float(word) for word in angles]))
     apart = se3.difference(T, sharper).rotation
     if apart <= 4 * rounding:
         return sharper
@@ -186,9 +187,7 @@ def pose_of(values: dict[str, str], *, unit_is_known: bool = True) -> Array:
     if kind == QUATERNION:
         return from_quaternion(t, angles)
     if kind == RPY_DEG:
-        if np.abs(angles).max() > 360:
-            raise ReadError(f"an angle of {max(angles, key=abs):g}° is beyond 360°")
-        return from_rpy(t, np.radians(angles))
+        return _from_degrees(t, angles)
     T = from_rpy(t, angles)
     if kind == RPY and not unit_is_known and angles.any():
         raise ReadError(
@@ -196,6 +195,12 @@ def pose_of(values: dict[str, str], *, unit_is_known: bool = True) -> Array:
             "degrees: name them roll_rad, pitch_rad, yaw_rad, or roll_deg, pitch_deg, yaw_deg"
         )
     return T
+
+
+def _from_degrees(translation: Array, rpy: Array) -> Array:
+    if np.abs(rpy).max() > 360:
+        raise ReadError(f"an angle of {max(rpy, key=abs):g}° is beyond 360°")
+    return from_rpy(translation, np.radians(rpy))
 
 
 def to_float(word: str) -> float:

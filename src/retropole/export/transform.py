@@ -349,9 +349,8 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
     for role, there, given in zip(one.roles, (one.parent, one.child), (parent, child), strict=True):
         if one.is_of_lidars and there is None and (given or "").rpartition("/")[2] in NO_LIDARS:
             raise UsageError(
-                f"the transform is from LiDAR to LiDAR, and {given!r} is by its name no LiDAR: "
-                f"name the frame of the {role} itself; for its pose in {given!r} give where the "
-                "target is mounted, --mounting FILE, or the robot, --into ROBOT.urdf"
+                f"{given!r} is by its name no LiDAR: name the frame of the {role} itself; its pose "
+                "on a robot takes --mounting FILE or --into ROBOT.urdf"
             )
     return Transform(
         se3.rigid(one.pose()),
