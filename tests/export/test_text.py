@@ -54,6 +54,7 @@ def test_what_calibrate_prints_is_read_back(verbose: bool, tmp_path: Path) -> No
     text = describe_result(result, ["result.json"], verbose=verbose)
     assert "T_target_source" in text
     transform = read(text, tmp_path)
+    assert result.T_target_source is not None
     np.testing.assert_allclose(transform.T_parent_child, result.T_target_source, atol=1e-8)
     with pytest.raises(UsageError, match="no LiDAR"):
         read_transform(tmp_path / "t.txt", parent="base_link")

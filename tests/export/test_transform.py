@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,12 @@ T = se3.random(RNG)
 
 def found(*names: str) -> list[Found]:
     """Transforms with random poses between frames: ``base>front``."""
-    poses = [se3.random(np.random.default_rng(k)) for k in range(len(names))]
-    return [
-        Found(*name.split(">"), lambda pose=pose: pose)  # type: ignore[misc]
-        for name, pose in zip(names, poses, strict=True)
-    ]
+    out = []
+    for k, name in enumerate(names):
+        pose = se3.random(np.random.default_rng(k))
+        parent, _, child = name.partition(">")
+        out.append(Found(parent, child, partial(np.copy, pose)))
+    return out
 
 
 # --- over several transforms ---------------------------------------------------------------------

@@ -111,8 +111,8 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     placement = Placement(Scan(pair.target), Scan(pair.source))
     off = se3.retract(pair.T_target_source, np.r_[0.0, 0.0, 0.0, 2.0, 1.0, 0.0])
     made = made_up(count=500).result
-    hypotheses = [msgspec.structs.replace(made.hypotheses[0], T_target_source=off)]
-    result = msgspec.structs.replace(
+    hypotheses = [msgspec.msgspec.structs.replace(made.hypotheses[0], T_target_source=off)]
+    result = msgspec.msgspec.structs.replace(
         made, T_target_source=pair.T_target_source, hypotheses=hypotheses
     )
     browser.open(tmp_path, render_report(result, [placement]))
@@ -129,6 +129,18 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     assert "Red" not in browser.find("#state").text
 
 
+def test_lines_have_the_frames_of_the_recordings(browser: Browser, tmp_path: Path) -> None:
+    run = made_up(count=500)
+    inputs = [
+        msgspec.structs.replace(each, frame_id=name)
+        for each, name in zip(run.result.inputs, ("front/lidar", "rear"), strict=True)
+    ]
+    page = render_report(msgspec.structs.replace(run.result, inputs=inputs), run.placements)
+    browser.open(tmp_path, page)
+    line = browser.find('[data-export="ros2"]').text
+    assert line.endswith("--frame-id front/lidar --child-frame-id rear")
+
+
 def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=500)))
     field = browser.find('[name="target"]')
@@ -136,6 +148,12 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
     field.send_keys("top; rm lidar_source")
     line = browser.find('[data-export="ros2"]').text
     assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
+    # A robot's base is no LiDAR.
+    for name, shown in (("base_link", "lidar_target"), ("a/map", "lidar_target"), ("top", "top")):
+        field.clear()
+        field.send_keys(name)
+        line = browser.find('[data-export="ros2"]').text
+        assert line.endswith(f"--frame-id {shown} --child-frame-id lidar_source")
     button = browser.find('.copy:has([data-export="ros2"]) .copy-button')
     browser.run("arguments[0].click()", button)
     browser.run("document.body.append(document.createElement('textarea'))")
@@ -147,9 +165,9 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
 def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
     result, placements = made_up(count=500)
     path = f"/data/{HOSTILE.replace('/', '')}"
-    hostile = msgspec.structs.replace(
+    hostile = msgspec.msgspec.structs.replace(
         result,
-        inputs=[msgspec.structs.replace(item, path=path) for item in result.inputs],
+        inputs=[msgspec.msgspec.structs.replace(item, path=path) for item in result.inputs],
         reasons=[ReasonDoc(HOSTILE, HOSTILE, {})],
     )
     browser.open(tmp_path, render_report(hostile, placements))
@@ -162,7 +180,7 @@ def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
 def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty: bool) -> None:
     result, placements = made_up("refused", 6000)
     if empty:
-        result = msgspec.structs.replace(result, hypotheses=[])
+        result = msgspec.msgspec.structs.replace(result, hypotheses=[])
     browser.open(tmp_path, render_report(result, placements))
     picture = browser.picture()
     half = picture.shape[1] // 2

@@ -124,6 +124,8 @@ def export(
     if mounting is not None and (into is not None or fmt == MCAP):
         why = f"--to {MCAP} has the LiDARs alone" if into is None else "the robot holds it"
         raise click.UsageError(f"--mounting does not apply: {why}")
+    base = None if mounting is None else transforms.read_mounting(mounting, parent)
+    parent = base.child if base else parent
     if parent is None or child is None:
         tree = transforms.read_tree(result) if source_format in ("auto", "json") else None
         if tree is not None:
@@ -146,10 +148,7 @@ def export(
             return 0
     if fmt not in (None, *TITLES):
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
-    base = None if mounting is None else transforms.read_mounting(mounting, parent)
-    transform = transforms.read_transform(
-        result, fmt=source_format, parent=base.child if base else parent, child=child
-    )
+    transform = transforms.read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if base is not None:
         transform = transforms.mounted(transform, base)

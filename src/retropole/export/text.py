@@ -77,8 +77,8 @@ def read_matrix(data: bytes) -> list[Found]:
     if len(words) != 16:
         raise ReadError(
             f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is "
-            "read with their names, a line each: x: y: z: and qx: qy: qz: qw:, or roll_deg: "
-            "pitch_deg: yaw_deg:"
+            "read with their names, a line each, 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
+            "pitch_deg yaw_deg"
         )
     values = np.array([to_float(word) for word in words]).reshape(4, 4)
     return [Found(parent, child, lambda: values, is_of_lidars=is_printed)]

@@ -130,7 +130,7 @@ def inverted(transform: Transform) -> Transform:
         parent=transform.child,
         child=transform.parent,
         covariance=covariance,
-        roles=transform.roles[::-1],
+        roles=transform.roles if "parent" in transform.roles else transform.roles[::-1],
     )
 
 
