@@ -144,7 +144,7 @@ def test_a_document_has_the_frame_that_a_recording_names(
     )
     given = read_input(path, Reading(topic="/points0"))
     assert given.read is not None
-    headers = [FrameHeader(k, None, each) for k, each in enumerate(frames)]
+    headers = tuple(FrameHeader(k, None, each) for k, each in enumerate(frames))
     (document,) = input_documents([replace(given, read=replace(given.read, headers=headers))])
     assert document.frame_id == name
     write_pcd(tmp_path / "a.pcd", cloud)

@@ -273,8 +273,8 @@ def test_the_robot_has_both_lidars_as_the_transform_says(
     # Nothing moved but what leads to the child.
     for parent, child in (joint.split(">") for joint in joints):
         if child != "rear":
-            same = [in_robot(data, parent, child, tmp_path) for data in (before, after)]
-            np.testing.assert_array_equal(*same)
+            was, now = (in_robot(data, parent, child, tmp_path) for data in (before, after))
+            np.testing.assert_array_equal(now, was)
     assert put_into_urdf(after, TRANSFORM) == after
     if "base>front" not in joints or "base>rear" not in joints:
         return

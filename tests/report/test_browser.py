@@ -111,8 +111,8 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     placement = Placement(Scan(pair.target), Scan(pair.source))
     off = se3.retract(pair.T_target_source, np.r_[0.0, 0.0, 0.0, 2.0, 1.0, 0.0])
     made = made_up(count=500).result
-    hypotheses = [msgspec.msgspec.structs.replace(made.hypotheses[0], T_target_source=off)]
-    result = msgspec.msgspec.structs.replace(
+    hypotheses = [msgspec.structs.replace(made.hypotheses[0], T_target_source=off)]
+    result = msgspec.structs.replace(
         made, T_target_source=pair.T_target_source, hypotheses=hypotheses
     )
     browser.open(tmp_path, render_report(result, [placement]))
@@ -165,9 +165,9 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
 def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
     result, placements = made_up(count=500)
     path = f"/data/{HOSTILE.replace('/', '')}"
-    hostile = msgspec.msgspec.structs.replace(
+    hostile = msgspec.structs.replace(
         result,
-        inputs=[msgspec.msgspec.structs.replace(item, path=path) for item in result.inputs],
+        inputs=[msgspec.structs.replace(item, path=path) for item in result.inputs],
         reasons=[ReasonDoc(HOSTILE, HOSTILE, {})],
     )
     browser.open(tmp_path, render_report(hostile, placements))
@@ -180,7 +180,7 @@ def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
 def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty: bool) -> None:
     result, placements = made_up("refused", 6000)
     if empty:
-        result = msgspec.msgspec.structs.replace(result, hypotheses=[])
+        result = msgspec.structs.replace(result, hypotheses=[])
     browser.open(tmp_path, render_report(result, placements))
     picture = browser.picture()
     half = picture.shape[1] // 2

@@ -72,9 +72,9 @@ def export(
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words. Their
-    names are those of the LiDARs' own frames, never that of a robot's base: its pose in base_link
-    takes --mounting or --into.
+    the parent, and is the pose of the child in the parent. Every output says so in words. --parent
+    and --child name the LiDARs' own frames, never a robot's base: for the pose in base_link give
+    --mounting or --into.
 
     \b
     --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they

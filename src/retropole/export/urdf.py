@@ -192,7 +192,7 @@ def _check_link(name: str, robot: Element) -> None:
     if name not in links:
         raise UsageError(
             f"the robot has no link {name!r} for the parent; it has "
-            f"{len(links)}: {', '.join(links[:20]) or 'none'}. Name one with --parent"
+            f"{len(links)}: {', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
         )
 
 
