@@ -191,8 +191,8 @@ def _check_link(name: str, robot: Element) -> None:
     links = [link.attributes.get("name", "") for link in robot.named("link")]
     if name not in links:
         raise UsageError(
-            f"the robot has no link {name!r} for the parent; it has "
-            f"{len(links)}: {', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
+            f"the robot has no link {name!r} for the parent; it has {len(links)}: "
+            f"{', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
         )
 
 
