@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 import retropole as rp
 from retropole.api.inputs import input_documents, read_input
-from retropole.io import sha256_of, write_pcd
+from retropole.export.recording import Track, write_recording
+from retropole.io import Frame, sha256_of, write_pcd
+from retropole.io.recordings import FrameHeader
+from retropole.result import Reading
 from tests.api.clouds import cloud_of
 
 TABLE = np.array([[1.5, 2.0, 3.25, 10], [-4.0, 5.5, 6.0, 20], [7.0, -8.0, 9.0, 255]])
@@ -122,3 +125,27 @@ def test_a_file_is_hashed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     write_pcd(tmp_path / "a.pcd", cloud_of(TABLE))
     input_documents([read_input(tmp_path / "a.pcd")] * 4)
     assert hashed == [str(tmp_path / "a.pcd")]
+
+
+@pytest.mark.parametrize(
+    ("frames", "name"),
+    [(("front", "front"), "front"), (("front", "other"), ""), (("a\nb", "a\nb"), ""), (("",), "")],
+)
+def test_a_document_has_the_frame_that_a_recording_names(
+    frames: tuple[str, ...], name: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("mcap")
+    path = tmp_path / "a.mcap"
+    cloud = cloud_of(TABLE)
+    path.write_bytes(
+        write_recording(
+            {f"/points{k}": Track(each, [Frame(0, cloud)]) for k, each in enumerate(frames)}
+        )
+    )
+    given = read_input(path, Reading(topic="/points0"))
+    assert given.read is not None
+    headers = tuple(FrameHeader(k, None, each) for k, each in enumerate(frames))
+    (document,) = input_documents([replace(given, read=replace(given.read, headers=headers))])
+    assert document.frame_id == name
+    write_pcd(tmp_path / "a.pcd", cloud)
+    assert input_documents([read_input(tmp_path / "a.pcd")])[0].frame_id == ""

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from retropole.api import watching
 from retropole.api.checking import read_stored
+from retropole.api.result import CalibrationResult
 from retropole.api.watching import Watch, Wish, names_of, open_sources
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
+from retropole.export import Transform
+from retropole.export.publishing import Published
 from retropole.io import Frame, read_frames
-from retropole.result import RunConfig
+from retropole.result import InputDoc, RunConfig
 from retropole.result.watching import WatchDoc
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.simulation.pairs import place_again, record_again
+from tests.report.made_up import made_up
 
 pytest.importorskip("mcap")
 
@@ -260,3 +266,69 @@ def test_names_come_from_topics() -> None:
     assert names_of(["velodyne:2368", "velodyne:2369"], other) == other
     assert names_of(["folder:in/front", "replay:in/rear.bag"], other) == ("front", "rear")
     assert names_of(["ros2:/points", "ros2:/points"], other) == other
+
+
+# --- the frames of what is published -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (("", "rear"), "the sweeps of front name no frame"),
+        (("front", ""), "the sweeps of rear name no frame"),
+        (("lidar", "lidar"), "both LiDARs name the frame 'lidar'"),
+        (("front\nlidar", "rear"), "no name for the parent frame"),
+        (("front", "x" * 501), "501 characters"),
+    ],
+)
+def test_frames_that_cannot_be_published_are_found_before_the_work(
+    frames: tuple[str, str], said: str, sweeps: list[list[PointCloud]], tmp_path: Path
+) -> None:
+    watch, sources, _ = watch_of(sweeps, WISH, tmp_path)
+    for source, frame in zip(sources, frames, strict=True):
+        source.frame_id = frame
+    assert watch.frames() is None
+    watch.step()
+    with pytest.raises(UsageError) as refused:
+        watch.frames()
+    assert said in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_answer_is_published_in_its_frames_and_withdrawn(
+    sweeps: list[list[PointCloud]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = []
+
+    def publish(transforms: Sequence[Transform], **where: object) -> Published:
+        sent.extend([(each.parent, each.child) for each in transforms])
+        return Published(object())
+
+    monkeypatch.setattr(watching, "publish", publish)
+    watch, sources, _ = watch_of(sweeps, WISH, tmp_path)
+    watch.step()
+    names = watch.frames()
+    assert names == ("front_frame", "rear_frame")
+    inputs = [InputDoc("a", "0" * 64, 1, 0, "auto", None, frame_id=each) for each in names]
+    document = replace(made_up("ok", 400).result, inputs=inputs)
+    watch.result = CalibrationResult(document, None, None)
+    watch.publish()
+    first = watch.published
+    assert sent == [names]
+    assert first is not None
+    watch.publish()
+    assert first.writer is None
+    second = watch.published
+    assert second is not None
+    watch.withdraw()
+    assert second.writer is None
+    assert watch.published is None
+    # The driver has another frame now: what was calibrated fits its sweeps no longer.
+    sources[1].frame_id = "back"
+    watch.step()
+    watch.publish()
+    assert sent == [names, names]
+    assert watch.published is None
+    words = " ".join(watch.step().words)
+    assert "withdrawn from /tf_static" in words
+    assert "not published: the sweeps have other frames now" in words

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import ast
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import retropole
 from retropole.base.errors import (
     LONGEST_MESSAGE,
     ReadError,
     Refusal,
     UsageError,
     printable,
+    said,
     shortened,
 )
 
@@ -51,3 +56,46 @@ def test_an_error_is_one_short_line(kind: type[Exception]) -> None:
 def test_a_refusal_is_our_own_words_in_full() -> None:
     refusal = Refusal("no_intensity", "x\n" * 400, {"points": 3})
     assert str(refusal) == refusal.message == "x\\n" * 400
+
+
+OURS = {"LineError", "MissingExtraError", "ReadError", "Refusal", "RetropoleError", "UsageError"}
+"""Errors that always have a message."""
+
+PACKAGE = Path(retropole.__file__).parent
+
+
+def handlers(tree: ast.AST) -> Iterator[ast.ExceptHandler]:
+    """Give what catches errors of others under a name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ExceptHandler) and node.name and node.type is not None:
+            kinds = node.type.elts if isinstance(node.type, ast.Tuple) else [node.type]
+            if not {ast.unparse(kind).rpartition(".")[2] for kind in kinds} <= OURS:
+                yield node
+
+
+def quotes_bare(text: ast.FormattedValue, name: str) -> bool:
+    """Tell whether a part of a text is the error as it is, which may have no words."""
+    value = text.value
+    if isinstance(value, ast.BoolOp):
+        # An error is true, whatever its words.
+        value = value.values[0]
+        return isinstance(value, ast.Name) and value.id == name
+    return ast.unparse(value) == name or f"str({name})" in ast.unparse(value)
+
+
+def test_no_reason_is_empty() -> None:
+    """MemoryError and many errors of libraries have no words: ``said`` gives their kind then."""
+    bare = [
+        f"{path}:{node.lineno}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for handler in handlers(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(handler)
+        if isinstance(node, ast.FormattedValue) and quotes_bare(node, handler.name or "")
+    ]
+    assert bare == []
+
+
+def test_an_error_without_words_is_named() -> None:
+    assert said(MemoryError()) == "MemoryError"
+    assert said(ValueError(" \n")) == "ValueError"
+    assert said(ValueError("too deep")) == "too deep"

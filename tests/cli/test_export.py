@@ -9,7 +9,8 @@ import pytest
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
-from retropole.export import FORMATS, read_transform
+from retropole.export import FORMATS, Transform, read_transform
+from retropole.export.transform import from_rpy
 from retropole.result import ReasonDoc
 from tests import results
 from tests.cli.commands import Done, retropole_here
@@ -102,6 +103,86 @@ def test_into_a_robot_in_place_or_elsewhere(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert robot.stat().st_mode & 0o777 == 0o640
     np.testing.assert_allclose(read_transform(robot).T_parent_child, T, rtol=0, atol=1e-9)
+
+
+# --- on a robot ----------------------------------------------------------------------------------
+
+TWO_ON_A_BASE = """<robot name="car">
+  <link name="base_link"/><link name="front"/><link name="rear"/>
+  <joint name="f" type="fixed"><parent link="base_link"/><child link="front"/>
+    <origin xyz="1.0 0 1.5" rpy="0 0 0.5"/></joint>
+  <joint name="r" type="fixed"><parent link="base_link"/><child link="rear"/>
+    <origin xyz="-1.0 0 1.5" rpy="0 0 3.14"/></joint>
+</robot>
+"""
+M = from_rpy(np.array([1.0, 0, 1.5]), np.array([0, 0, 0.5]))
+
+
+@pytest.mark.parametrize("words", [(), ("--to", "urdf")])
+def test_both_lidars_on_a_base(words: tuple[str, ...], tmp_path: Path) -> None:
+    path, robot = write_result(tmp_path, pose=T), tmp_path / "robot.urdf"
+    robot.write_text(TWO_ON_A_BASE)
+    done = export(path, *words, "--into", robot, "--parent", "front", "--child", "rear")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert "the joint from base_link to rear is changed by" in done.stderr
+    back = read_transform(robot, parent="base_link", child="rear")
+    np.testing.assert_allclose(back.T_parent_child, M @ T, rtol=0, atol=1e-9)
+    again = export(path, *words, "--into", robot, "--parent", "front", "--child", "rear")
+    assert "is changed by 0" in again.stderr
+
+
+@pytest.mark.parametrize("fmt", [*FORMATS, "mcap", "into"])
+@pytest.mark.parametrize("names", [("base_link", "rear"), ("front", "car/base_link")])
+def test_no_format_takes_a_base_for_a_lidar(
+    fmt: str, names: tuple[str, str], tmp_path: Path
+) -> None:
+    path, out = write_result(tmp_path, pose=T), tmp_path / "out"
+    out.write_text(TWO_ON_A_BASE)
+    where = ("--into", out) if fmt == "into" else ("--to", fmt, "--out", out)
+    done = export(path, *where, "--parent", names[0], "--child", names[1])
+    assert done.returncode == 2
+    assert "is by its name no LiDAR" in done.stderr
+    assert out.read_text() == TWO_ON_A_BASE
+
+
+@pytest.mark.parametrize("mounting", ["urdf", "yaml"])
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_a_mounting_gives_the_pose_on_the_base(fmt: str, mounting: str, tmp_path: Path) -> None:
+    path, file = write_result(tmp_path, pose=T), tmp_path / f"mounting.{mounting}"
+    file.write_text(
+        TWO_ON_A_BASE
+        if mounting == "urdf"
+        else FORMATS["yaml"].write(Transform(M, "base_link", "front"))
+    )
+    words = ("--to", fmt, "--mounting", file, "--child", "rear", "--parent", "front")
+    done = export(path, *words)
+    assert (done.returncode, done.stderr) == (0, "")
+    back, *names = read_back(done.stdout, tmp_path, fmt)
+    np.testing.assert_allclose(back, M @ T, rtol=0, atol=1e-9)
+    assert names == ["base_link", "rear"]
+    back, *names = read_back(export(*(path, *words, "--invert")).stdout, tmp_path, fmt)
+    np.testing.assert_allclose(back @ M @ T, np.eye(4), rtol=0, atol=1e-9)
+    assert names == ["rear", "base_link"]
+
+
+def test_a_mounting_is_needed_once(tmp_path: Path) -> None:
+    path, file = write_result(tmp_path, pose=T), tmp_path / "mounting.urdf"
+    file.write_text(TWO_ON_A_BASE)
+    for words, reason in (
+        (("--into", file, "--mounting", file), "the robot holds it"),
+        (("--to", "mcap", "--out", tmp_path / "x", "--mounting", file), "has the LiDARs alone"),
+        (("--to", "json", "--mounting", file), "2 transforms fit"),
+        (("--to", "json", "--mounting", file, "--parent", "left"), "0 transforms fit"),
+    ):
+        done = export(path, *words)
+        assert done.returncode == 2
+        assert reason in done.stderr
+
+
+def test_help_names_no_base_as_a_lidar() -> None:
+    text = export("--help").stdout
+    assert "--parent base_link" not in text
+    assert "--mounting" in text
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from retropole.export import FORMATS, TREE_FORMATS, read_transform
@@ -51,6 +52,24 @@ def test_two_of_its_frames_go_into_any_format(fmt: str, result: Path, tmp_path: 
     assert (done.returncode, done.stderr) == (0, "")
     back = read_transform(out, fmt=fmt)
     assert (back.parent, back.child) == ("gate", "mast-b")
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_a_mounting_is_that_of_a_lidar_of_the_site(fmt: str, result: Path, tmp_path: Path) -> None:
+    mounting, out = tmp_path / "mounting.yaml", tmp_path / "out"
+    mounting.write_text("truck: {mast-b: {x: 1, y: 0, z: 2, roll: 0, pitch: 0, yaw: 0.5}}")
+    words = ("--to", fmt, "--mounting", mounting, "--child", "gate", "--out", out)
+    assert export(result, *words).returncode == 0
+    between = read_transform(result, parent="mast-b", child="gate").T_parent_child
+    back = read_transform(out, fmt=fmt)
+    expected = read_transform(mounting).T_parent_child @ between
+    assert (back.parent, back.child) == ("truck", "gate")
+    np.testing.assert_allclose(back.T_parent_child, expected, atol=1e-9)
+    # The names of a site are those of its LiDARs: none is called something else.
+    for name in ("base_link", "front"):
+        done = export(result, "--to", fmt, "--parent", name, "--child", "gate")
+        assert done.returncode == 2
+        assert "0 transforms fit" in done.stderr
 
 
 def test_a_refused_site_exits_with_3_and_writes_nothing(tmp_path: Path) -> None:

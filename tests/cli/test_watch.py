@@ -65,6 +65,16 @@ def test_it_says_what_to_do_and_ends_with_the_answer(
     assert np.linalg.norm(step[3:]) < 0.02
 
 
+def test_sweeps_without_a_frame_are_not_published(recorded: Path, tmp_path: Path) -> None:
+    pytest.importorskip("cyclonedds")
+    out = tmp_path / "out"
+    words = ("--publish", "--interface", "lo", "--domain", "77", "--no-page", "--out", out)
+    done = retropole_here("watch", *sources(recorded), *words)
+    assert done.returncode == 2
+    assert "name no frame" in done.stderr
+    assert not (out / "result.json").exists()
+
+
 def test_the_page_shows_the_state_and_an_interrupt_ends_it(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

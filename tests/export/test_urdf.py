@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, UsageError
-from retropole.export import Transform, export_lines, put_into_urdf, read_transform
+from retropole.export import (
+    Transform,
+    export_lines,
+    inverted,
+    put_into_urdf,
+    read_transform,
+)
 from retropole.export.transform import from_rpy
 from retropole.export.xml_scan import scan_xml, with_attributes
 
@@ -169,13 +175,26 @@ def test_one_joint_of_a_robot_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.T_parent_child, T, rtol=0, atol=1e-9)
 
 
+BESIDE = Transform(T, "front", "side")
+"""Of a LiDAR that is on the base as the front one is."""
+
+ON_BASE = (
+    '<link name="side"/><joint name="s" type="fixed"><parent link="base"/><child link="side"/>'
+    '<origin xyz="9 9 9" rpy="0 0 1"/></joint></robot>'
+)
+
 SECOND = '<joint name="k" type="fixed"><parent link="base"/><child link="rear"/></joint></robot>'
 
 
 @pytest.mark.parametrize(
     ("old", "new", "transform", "reason"),
     [
-        ('<parent link="front"/>', '<parent link="base"/>', TRANSFORM, "already hangs on 'base'"),
+        ('<parent link="front"/>', '<parent link="top"/>', TRANSFORM, "no joints lead from 'top'"),
+        ('name="j1"   type="fixed"', 'name="j1" type="revolute"', BESIDE, "'j1' is revolute"),
+        ('name="j1"   type="fixed"', 'name="j1" type="floating"', BESIDE, "'j1' is floating"),
+        ('xyz = "1 2 3" />', 'xyz="${x} 2 3" />', BESIDE, "'j1' is an expression"),
+        ("rpy='0 0  0'", "rpy='0 0 90'", BESIDE, "degrees"),
+        ('<link name="front"/>', '<link name="nose"/>', BESIDE, "no link 'front'.*--parent"),
         ("</robot>", SECOND, TRANSFORM, "child of 2 joints: 'a > b', 'k'"),
         ('"a > b" type="fixed"', '"a > b" type="revolute"', TRANSFORM, "is revolute, not fixed"),
         ('note="x>y"', 'note="${pi}"', TRANSFORM, "expression"),
@@ -201,8 +220,89 @@ def test_where_it_is_unclear_what_to_change_nothing_is(
     old: str, new: str, transform: Transform, reason: str
 ) -> None:
     robot = ROBOT.replace(old, new, 1)
-    with pytest.raises((UsageError, ReadError), match=reason):
+    if transform is BESIDE:
+        robot = robot.replace("</robot>", ON_BASE)
+    with pytest.raises((UsageError, ReadError), match=reason) as refused:
         put_into_urdf(robot.encode(), transform)
+    # To call the target something else is no way out.
+    assert "xport to" not in str(refused.value)
+
+
+# --- both LiDARs on a base -----------------------------------------------------------------------
+
+
+def chained(*joints: str) -> bytes:
+    """A robot of fixed joints with random poses: ``base>mast mast>front``."""
+    rng = np.random.default_rng(len(joints))
+    links = dict.fromkeys(name for joint in joints for name in joint.split(">"))
+    lines = [f'<link name="{name}"/>' for name in links]
+    for joint in joints:
+        parent, child = joint.split(">")
+        xyz, rpy = (" ".join(map(str, rng.uniform(-1.5, 1.5, 3))) for _ in range(2))
+        lines.append(
+            f'<joint name="{joint.replace(">", "_")}" type="fixed"><parent link="{parent}"/>'
+            f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/></joint>'
+        )
+    return f'<robot name="r">\n{chr(10).join(lines)}\n</robot>'.encode()
+
+
+def in_robot(data: bytes, parent: str, child: str, folder: Path) -> Array:
+    path = folder / "robot.urdf"
+    path.write_bytes(data)
+    return read_transform(path, parent=parent, child=child).T_parent_child
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        ("base>front", "base>rear"),
+        ("base>mast", "mast>head", "head>front", "base>rear"),
+        ("base>front", "base>tail", "tail>bumper", "bumper>rear"),
+        ("base>mast", "mast>front", "base>tail", "tail>rear", "rear>mesh"),
+        ("front>bracket", "bracket>rear"),
+        ("front>rear",),
+        ("base>front", "front>mesh"),
+    ],
+)
+def test_the_robot_has_both_lidars_as_the_transform_says(
+    joints: tuple[str, ...], tmp_path: Path
+) -> None:
+    before = chained(*joints)
+    after = put_into_urdf(before, TRANSFORM)
+    np.testing.assert_allclose(in_robot(after, "front", "rear", tmp_path), T, atol=1e-9)
+    # Nothing moved but what leads to the child.
+    for parent, child in (joint.split(">") for joint in joints):
+        if child != "rear":
+            was, now = (in_robot(data, parent, child, tmp_path) for data in (before, after))
+            np.testing.assert_array_equal(now, was)
+    assert put_into_urdf(after, TRANSFORM) == after
+    if "base>front" not in joints or "base>rear" not in joints:
+        return
+    mine, theirs = (put_into_urdf(before, each) for each in (TRANSFORM, inverted(TRANSFORM)))
+    np.testing.assert_allclose(in_robot(theirs, "front", "rear", tmp_path), T, atol=1e-9)
+    np.testing.assert_array_equal(
+        in_robot(theirs, "base", "rear", tmp_path), in_robot(before, "base", "rear", tmp_path)
+    )
+    assert mine != theirs
+
+
+def test_another_program_reads_both_on_the_base() -> None:
+    urdf = pytest.importorskip("urdf_parser_py.urdf")
+    robot = urdf.URDF.from_xml_string(put_into_urdf(chained("base>front", "base>rear"), TRANSFORM))
+
+    def pose(joint: str) -> Array:
+        origin = robot.joint_map[joint].origin
+        return from_rpy(np.array(origin.xyz), np.array(origin.rpy))
+
+    np.testing.assert_allclose(pose("base_front") @ T, pose("base_rear"), rtol=0, atol=1e-9)
+
+
+def test_a_target_below_the_source_is_a_circle() -> None:
+    for joints in (("rear>bracket", "bracket>front", "base>rear"), ("rear>front",)):
+        with pytest.raises(UsageError, match=r"below 'rear' in the robot.*--invert"):
+            put_into_urdf(chained(*joints), TRANSFORM)
+        back = put_into_urdf(chained(*joints), inverted(TRANSFORM))
+        assert back != chained(*joints)
 
 
 def test_a_joint_inside_a_macro_is_not_touched() -> None:

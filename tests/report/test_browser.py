@@ -129,6 +129,18 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     assert "Red" not in browser.find("#state").text
 
 
+def test_lines_have_the_frames_of_the_recordings(browser: Browser, tmp_path: Path) -> None:
+    run = made_up(count=500)
+    inputs = [
+        msgspec.structs.replace(each, frame_id=name)
+        for each, name in zip(run.result.inputs, ("front/lidar", "rear"), strict=True)
+    ]
+    page = render_report(msgspec.structs.replace(run.result, inputs=inputs), run.placements)
+    browser.open(tmp_path, page)
+    line = browser.find('[data-export="ros2"]').text
+    assert line.endswith("--frame-id front/lidar --child-frame-id rear")
+
+
 def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=500)))
     field = browser.find('[name="target"]')
@@ -136,6 +148,12 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
     field.send_keys("top; rm lidar_source")
     line = browser.find('[data-export="ros2"]').text
     assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
+    # A robot's base is no LiDAR.
+    for name, shown in (("base_link", "lidar_target"), ("a/map", "lidar_target"), ("top", "top")):
+        field.clear()
+        field.send_keys(name)
+        line = browser.find('[data-export="ros2"]').text
+        assert line.endswith(f"--frame-id {shown} --child-frame-id lidar_source")
     button = browser.find('.copy:has([data-export="ros2"]) .copy-button')
     browser.run("arguments[0].click()", button)
     browser.run("document.body.append(document.createElement('textarea'))")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, said
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -193,4 +193,4 @@ def _transform(given: Array | CalibrationResult | str | Path) -> Array:
     try:
         return rigid(given)
     except (ReadError, TypeError, ValueError) as error:
-        raise UsageError(f"T_target_source: {error}") from None
+        raise UsageError(f"T_target_source: {said(error)}") from None

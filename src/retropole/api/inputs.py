@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import PER_POINT, PointCloud, Scan
-from ..base.errors import ReadError, Refusal, UsageError
+from ..base.errors import ReadError, Refusal, UsageError, quoting
 from ..base.files import path_in_text
 from ..base.quantities import counted
 from ..base.sensors import Sensor, sensor_or_auto
@@ -248,9 +248,17 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
+            frame_id=_frame_of(each),
         )
         for each in inputs
     ]
+
+
+def _frame_of(given: Input) -> str:
+    """Name the one frame that a recording says its points are in; empty where there is none."""
+    names = set() if given.read is None else {each.frame_id for each in given.read.headers}
+    name = names.pop() if len(names) == 1 else ""
+    return name if name == quoting(name) else ""
 
 
 def recording_hash(path: Path) -> str:

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import inspect
 from msgspec.structs import replace
 
-from ..base.errors import UsageError
+from ..base.errors import UsageError, said
 from ..base.sensors import name_from
 from ..matching.prior import rotation_prior
 from ..result import RunConfig
@@ -61,7 +61,7 @@ def checked_options(config: RunConfig) -> RunConfig:
     except msgspec.ValidationError as error:
         raise UsageError(_in_words(str(error), config)) from None
     except (TypeError, AttributeError, OverflowError) as error:
-        raise UsageError(f"an option has a value of the wrong type: {error}") from None
+        raise UsageError(f"an option has a value of the wrong type: {said(error)}") from None
     if config.at_m is not None and config.need_m is None:
         raise UsageError("at is the distance for need, how accurate the answer must be: give both")
     if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from ..base.errors import ReadError, UsageError, printable, shortened
+from ..base.errors import ReadError, UsageError, printable, said, shortened
 from ..base.quantities import counted
 from ..io import BAGS, PACKETS, READERS
 from ..io.bag_files import is_rosbag2
@@ -96,7 +96,7 @@ def draft_site(folder: Path, path: Path) -> Draft:
         decode_site_file(text.encode())
     except (ReadError, UnicodeEncodeError) as error:
         # Names that no site file can hold: too long, not printable, too many.
-        raise UsageError(f"{folder}: its names make no site file: {error}") from None
+        raise UsageError(f"{folder}: its names make no site file: {said(error)}") from None
     missing = [
         f"{lidar} has no recording of placement {placement}"
         for lidar in lidars

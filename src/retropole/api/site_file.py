@@ -17,7 +17,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from ..base.datatypes import DEFAULT_RADIUS
-from ..base.errors import ReadError, RetropoleError
+from ..base.errors import ReadError, RetropoleError, said
 from ..base.se3 import FARTHEST
 from ..base.sensors import name_from, sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
@@ -193,7 +193,7 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
         raw = tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
         # Also of what is no UTF-8, and of integers that Python does not convert.
-        raise ReadError(f"is not TOML: {error}") from None
+        raise ReadError(f"is not TOML: {said(error)}") from None
     try:
         site = msgspec.convert(raw, SiteFile)
     except msgspec.ValidationError as error:

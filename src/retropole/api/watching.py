@@ -12,16 +12,19 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 from msgspec.structs import replace as with_options
 
-from ..base.errors import RetropoleError
+from ..base.errors import RetropoleError, UsageError
 from ..base.files import write_together
 from ..base.quantities import counted
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import USABLE
-from ..export import read_transform
+from ..export.documents import found_in_result
 from ..export.publishing import Published, publish
+from ..export.publishing import check_publishing as check_publishing
 from ..export.recording import TOPICS, Track, write_recording
+from ..export.transform import Transform, choose
 from ..io.live import Source
 from ..io.live import names_of as names_of
 from ..io.live import open_sources as open_sources
@@ -71,6 +74,8 @@ class Watch:
     ----------
     result, checked
         The answer; None before there is one.
+    published
+        The answer on ``/tf_static``, for as long as it is there.
     written
         Files that were written.
     is_over
@@ -86,6 +91,7 @@ class Watch:
     ) -> None:
         self.result: CalibrationResult | None = None
         self.checked: CheckResult | None = None
+        self.published: Published | None = None
         self.written: list[Path] = []
         self.is_over = False
         self._wish, self._out, self._clock, self._start = wish, out, clock, clock()
@@ -135,8 +141,38 @@ class Watch:
                     self.written += files
         return self.written
 
-    def publish(self, *, domain: int | None = None, interface: str | None = None) -> Published:
+    def frames(self) -> tuple[str, str] | None:
+        """Name the frames that the sweeps come in, which `publish` takes; None before both came.
+
+        Raises
+        ------
+        UsageError
+            Where nothing published can fit the sweeps: they name no frame, both the same, or what
+            can be no name.
+        """
+        for own, name in zip(self._lidars, self._wish.names, strict=True):
+            if own.frame_id == "":
+                raise UsageError(
+                    f"the sweeps of {name} name no frame, so nothing on /tf_static could fit them: "
+                    "watch without --publish, then retropole export"
+                )
+        target, source = (each.frame_id for each in self._lidars)
+        if target is None or source is None:
+            return None
+        if target == source:
+            raise UsageError(
+                f"the sweeps of both LiDARs name the frame {target!r}, so nothing on /tf_static "
+                "could place one to the other: give each driver a frame_id of its own"
+            )
+        # As what is published, so that a name that no frame can have is found now.
+        Transform(np.eye(4), target, source)
+        return target, source
+
+    def publish(self, *, domain: int | None = None, interface: str | None = None) -> None:
         """Publish the answer on ``/tf_static``, between the frames that the sweeps came in.
+
+        What was published before is withdrawn. Where the frames are such no longer that it fits
+        them, a note says so.
 
         Raises
         ------
@@ -145,12 +181,29 @@ class Watch:
         Refusal
             Where the answer was refused.
         """
-        parent, child = (each.frame_id or each.view.name for each in self._lidars)
-        if parent == child:
-            parent, child = self._wish.names
-        transform = read_transform(self._out, parent=parent, child=child)
-        self._note(f"published on /tf_static: {transform.parent} to {transform.child}")
-        return publish([transform], domain=domain, interface=interface)
+        self.withdraw()
+        assert self.result is not None
+        found = found_in_result(self.result.document)
+        try:
+            now = self.frames()
+        except UsageError as error:
+            self._note(f"not published: {error}")
+            return
+        if now is None or now != (found.parent, found.child):
+            self._note("not published: the sweeps have other frames now than were calibrated")
+            return
+        self.published = publish([choose([found], *now)], domain=domain, interface=interface)
+        self._note(f"published on /tf_static: {now[0]} to {now[1]}")
+
+    def withdraw(self) -> None:
+        """Publish the answer before this one no longer."""
+        if self.published is not None:
+            self.published.withdraw()
+            self.published = None
+            self._note(
+                "withdrawn from /tf_static: the answer before no longer holds; what heard it keeps "
+                "it until it is restarted"
+            )
 
     def _take(self, k: int) -> None:
         """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""

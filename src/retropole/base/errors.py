@@ -47,6 +47,11 @@ def quoting(text: str) -> str:
     return shortened(printable(text))
 
 
+def said(error: BaseException) -> str:
+    """Give the words of an error of the system or a library, or its kind where it has none."""
+    return str(error).strip() or type(error).__name__
+
+
 class RetropoleError(Exception):
     """Base of all errors raised by retropole; the message is one line that can be printed."""
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from .errors import UsageError
+from .errors import UsageError, said
 from .se3 import Array
 
 
@@ -243,7 +243,7 @@ def read_sensor(path: Path) -> Sensor:
         model = "" if like is None else find_sensor(str(like).removesuffix(SENSOR_FILE)).name
         listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: no description of a sensor: {error}") from error
+        raise UsageError(f"{path}: no description of a sensor: {said(error)}") from error
     return listed.sensor(str(path))
 
 

@@ -37,14 +37,24 @@ TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
     help="Format of RESULT.",
 )
 @click.option("--out", type=FILE, help="File to write.  [default: print]")
-@click.option("--parent", help="Name of the target's frame.  [default: as in RESULT, or target]")
-@click.option("--child", help="Name of the source's frame.  [default: as in RESULT, or source]")
+@click.option(
+    "--parent", help="Frame of the target's LiDAR itself.  [default: as in RESULT, or target]"
+)
+@click.option(
+    "--child", help="Frame of the source's LiDAR itself.  [default: as in RESULT, or source]"
+)
+@click.option(
+    "--mounting",
+    type=FILE,
+    help="Where the target's LiDAR is mounted: a transform base_link -> target, in any format that "
+    "is read. Written is base_link -> source.",
+)
 @click.option("--invert", is_flag=True, help="Write the inverse: parent and child change places.")
 @click.option(
     "--into",
     type=FILE,
-    help="URDF to put the joint into, all else in it byte for byte as it was; --out writes the "
-    "outcome elsewhere.",
+    help="URDF to put the pose into: the joint that leads to the source's link is written, from "
+    "the link where it starts. All else stays byte for byte; --out writes the outcome elsewhere.",
 )
 def export(
     result: Path,
@@ -54,6 +64,7 @@ def export(
     out: Path | None,
     parent: str | None,
     child: str | None,
+    mounting: Path | None,
     invert: bool,
     into: Path | None,
 ) -> int:
@@ -61,7 +72,9 @@ def export(
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words.
+    the parent, and is the pose of the child in the parent. Every output says so in words. --parent
+    and --child name the LiDARs' own frames, never a robot's base: for the pose in base_link give
+    --mounting or --into.
 
     \b
     --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
@@ -82,10 +95,11 @@ def export(
 
     \b
     Examples:
-      retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
+      retropole export retropole-out --to ros2 --parent front_lidar --child rear_lidar
       retropole export result.json --to json --out calibration.json
       retropole export result.json --to matrix --invert
       retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
+      retropole export result.json --to launch --mounting base_to_front.yaml --child rear_lidar
       retropole export sensors_calibration.yaml --to urdf --parent front --child rear
       retropole export retropole-out --to mcap --out aligned.mcap
       retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
@@ -107,14 +121,19 @@ def export(
         raise click.UsageError(f"only --to {MCAP} takes clouds")
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
+    if mounting is not None and (into is not None or fmt == MCAP):
+        why = f"--to {MCAP} has the LiDARs alone" if into is None else "the robot holds it"
+        raise click.UsageError(f"--mounting does not apply: {why}")
+    base = None if mounting is None else transforms.read_mounting(mounting, parent)
+    parent = base.child if base else parent
     if parent is None or child is None:
         tree = transforms.read_tree(result) if source_format in ("auto", "json") else None
         if tree is not None:
-            if parent or child or invert or clouds or into is not None:
+            if parent or child or invert or clouds or into is not None or mounting is not None:
                 raise click.UsageError(
                     f"{result} is of a site: --parent and --child together name two of its frames; "
-                    "without both, all of them are written, and --invert, --into and clouds do not "
-                    "apply"
+                    "without both, all of them are written, and --invert, --into, --mounting and "
+                    "clouds do not apply"
                 )
             _warn(result)
             if fmt not in TREE_TITLES:
@@ -131,11 +150,20 @@ def export(
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
     transform = transforms.read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
+    if base is not None:
+        transform = transforms.mounted(transform, base)
     if invert:
         transform = transforms.inverted(transform)
     if into is not None:
-        _write(transforms.put_into_robot(into, transform), out or into)
+        robot, change = transforms.put_into_robot(into, transform)
+        _write(robot, out or into)
+        _note(change)
     elif fmt == MCAP:
+        if set(transform.roles) != {"target", "source"}:
+            raise click.UsageError(
+                f"{result} is no transform from LiDAR to LiDAR: --to {MCAP} aligns their clouds by "
+                "one"
+            )
         from ..api.inputs import Listener
         from ..api.stored import recording_of
 

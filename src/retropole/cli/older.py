@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ..base.errors import RetropoleError, printable
+from ..base.errors import RetropoleError, printable, said
 from ..base.files import set_aside
 from .common import say
 
@@ -43,7 +43,7 @@ def set_older_aside(folder: Path, *, site: bool = False) -> None:
     try:
         moved = set_aside([folder / name for name in names])
     except OSError as error:
-        say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
+        say(f"retropole: {printable(str(folder))} may hold an older result: {said(error)}")
     else:
         now = " and ".join(printable(str(path)) for path in moved)
         if moved:

@@ -145,7 +145,7 @@ def watch(
     """
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
-    from ..api.watching import Watch, Wish, names_of, open_sources
+    from ..api.watching import Watch, Wish, check_publishing, names_of, open_sources
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
@@ -164,30 +164,35 @@ def watch(
     latest: list[bytes] = [b"{}"]
     with ExitStack() as stack:
         stopped = stack.enter_context(_until_signal())
+        to_publish = ("ok", "warn") if publish_warned else ("ok",) if publish else ()
+        if to_publish:
+            check_publishing(domain=domain, interface=interface)
         made = Watch(open_sources(texts, domain=domain, interface=interface), wish, out)
         stack.callback(lambda: _told(made.finish(), quiet))
         if not no_page:
             server = _served(lambda: latest[0], port, listen=listen)
             stack.callback(server.stop)
         view = stack.enter_context(_view(quiet))
-        to_publish = ("ok", "warn") if publish_warned else ("ok",) if publish else ()
-        published = None
         shown = None
         while True:
             begun = time.monotonic()
             said = made.step()
             latest[0] = encode(said)
             view(said)
+            if to_publish and stored is None and made.result is None:
+                made.frames()
             if made.result is not shown:
                 shown = made.result
                 if shown is not None and shown.status in to_publish:
-                    published = made.publish(domain=domain, interface=interface)
+                    made.publish(domain=domain, interface=interface)
+                else:
+                    made.withdraw()
             if made.is_over or stopped.is_set():
                 break
             stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
             stopped.wait(PAGE_SECONDS)
-        if published is not None and not stopped.is_set():
+        if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
     if made.result is None and stored is None:

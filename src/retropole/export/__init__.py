@@ -13,9 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, said
 from ..base.files import read_document
+from ..base.quantities import error
 from ..base.se3 import rigid
 from ..io.failures import naming
 from ..result import ReasonDoc, ResultDoc
@@ -34,10 +36,12 @@ from .text import (
 from .transform import Found, choose
 from .transform import Transform as Transform
 from .transform import inverted as inverted
+from .transform import mounted as mounted
 from .tree import Tree, tree_of
 from .tree_formats import TREE_FORMATS as TREE_FORMATS
 from .urdf import put_into_urdf as put_into_urdf
 from .urdf import read_urdf, write_urdf
+from .xml_scan import is_xml, scan_xml
 
 
 class Format(NamedTuple):
@@ -64,6 +68,7 @@ FORMATS = {
 }
 
 _SUFFIXES = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".urdf": "urdf", ".py": "launch"}
+_SUFFIXES[".launch"] = "launch"
 
 _PUBLISHER = re.compile(r"\b(tf|tf2_ros)\s+static_transform_publisher\b")
 
@@ -108,8 +113,9 @@ def read_transform(
     fmt
         Name of the format; None or ``auto`` to tell it by the suffix and the content.
     parent, child
-        Which transform to take where the file names its frames; what the frames are called where
-        it does not (then ``target`` and ``source`` unless given).
+        Which transform to take where the file names its frames, also over several transforms of
+        it; what the frames are called where it does not (then ``target`` and ``source`` unless
+        given).
 
     Returns
     -------
@@ -121,22 +127,57 @@ def read_transform(
     ReadError
         Where the file is not of that format, holds none or several transforms that fit, or one
         that is not rigid; the reason says so in numbers.
+    UsageError
+        Where a frame of two LiDARs is given the name of a robot's (`transform.NO_LIDARS`).
     Refusal
         Where it is a refused result.
     OSError
         Where it cannot be read.
     """
-    path = Path(path)
-    file = any_result_file(path)
+    with naming(any_result_file(Path(path))):
+        return choose(_found_in(path, fmt), parent, child)
+
+
+def _found_in(path: Path, fmt: str | None = None) -> list[Found]:
+    """Read the transforms of a file, by the name of its format or by what it is."""
+    file = any_result_file(Path(path))
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
-    with naming(file):
-        try:
-            name = fmt if fmt not in (None, "auto") else detect_format(file, data)
-            if name not in FORMATS:
-                raise UsageError(f"there is no format {name!r}; there are: {', '.join(FORMATS)}")
-            return choose(FORMATS[name].read(data), parent, child)
-        except UnicodeDecodeError as error:
-            raise ReadError(f"no text: {error}") from None
+    try:
+        name = fmt if fmt not in (None, "auto") else detect_format(file, data)
+        if name not in FORMATS:
+            raise UsageError(f"there is no format {name!r}; there are: {', '.join(FORMATS)}")
+        return FORMATS[name].read(data)
+    except UnicodeDecodeError as fault:
+        raise ReadError(f"no text: {said(fault)}") from None
+
+
+def read_mounting(path: Path, target: str | None) -> Transform:
+    """Read where the LiDAR of the target is mounted, in any of `FORMATS`.
+
+    Parameters
+    ----------
+    path
+        The file; it names its frames.
+    target
+        The frame of the target; None where the file has one transform alone, which names it.
+
+    Raises
+    ------
+    ReadError
+        As `read_transform`.
+    UsageError
+        Where the file does not name its frames.
+    OSError
+        Where it cannot be read.
+    """
+    with naming(path):
+        found = _found_in(path)
+        if any(each.parent is None or each.child is None for each in found):
+            raise UsageError(
+                "does not name the frames of the mounting; write it with both: retropole export "
+                "FILE --to yaml --parent base_link --child front"
+            )
+        return choose(found, None, target)
 
 
 def read_result(path: Path) -> ResultDoc | SiteDoc | None:
@@ -182,8 +223,15 @@ def read_tree(path: Path) -> Tree | None:
         return tree_of(document) if isinstance(document, SiteDoc) else None
 
 
-def put_into_robot(file: Path, transform: Transform) -> bytes:
+def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
     """Put a transform into the URDF of a file, as `put_into_urdf` does.
+
+    Returns
+    -------
+    bytes
+        The robot with it.
+    str
+        Which joint that is, and by how much its pose changes.
 
     Raises
     ------
@@ -194,7 +242,21 @@ def put_into_robot(file: Path, transform: Transform) -> bytes:
     """
     data = read_document(file)
     with naming(file):
-        return put_into_urdf(data, transform)
+        robot = put_into_urdf(data, transform)
+    before, after = (
+        {each.child: each for each in read_urdf(urdf)}.get(transform.child)
+        for urdf in (data, robot)
+    )
+    assert after is not None
+    words = f"the joint from {after.parent} to {after.child} is"
+    if before is None:
+        return robot, f"{words} new"
+    try:
+        apart = se3.difference(before.pose(), after.pose())
+    except ReadError as fault:
+        return robot, f"{words} replaced: before, {fault}"
+    change = f"{error(apart.translation)} and {error(apart.rotation, 'rad')}"
+    return robot, f"{words} changed by {change}"
 
 
 def detect_format(path: Path, data: bytes) -> str:
@@ -202,14 +264,18 @@ def detect_format(path: Path, data: bytes) -> str:
     if path.suffix.lower() in _SUFFIXES:
         return _SUFFIXES[path.suffix.lower()]
     head = data.lstrip()
-    if head.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        return "urdf"
+    if is_xml(data):
+        return "launch" if scan_xml(data).root.tag == "launch" else "urdf"
     if head.startswith(b"{"):
         return "json"
     text = data.decode()
     code = [line.partition("#")[0].rstrip() for line in text.splitlines()]
     if any(line.startswith("def generate_launch_description") for line in code):
         return "launch"
+    if any(line.startswith("T_target_source") for line in code):
+        return "matrix"
+    if any(line.lstrip("- \t").startswith("Translation:") for line in code):
+        return "quaternion"
     if any(_PUBLISHER.search(line) for line in code):
         return (
             "ros2" if any("ros2 run" in line or "--frame-id" in line for line in code) else "ros1"
@@ -217,6 +283,6 @@ def detect_format(path: Path, data: bytes) -> str:
     keys = {line.partition(":")[0] for line in code if ":" in line and "[" not in line}
     if "qw" in keys:
         return "quaternion"
-    if "yaw" in keys:
+    if not keys.isdisjoint(("yaw", "yaw_deg", "yaw_rad")):
         return "rpy"
     return "yaml" if keys else "matrix"

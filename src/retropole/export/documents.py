@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from ..base.bounded import LARGEST
 from ..base.datatypes import Array
-from ..base.errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError, said
 from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
@@ -32,6 +33,7 @@ from .transform import (
     covariance_from_ros,
     covariance_to_ros,
     from_quaternion,
+    is_name,
     notes_on,
     to_quaternion,
 )
@@ -46,7 +48,7 @@ ROS_COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([
 _KEYS = {
     "T_target_source": ("target", "source"),
     "T_source_target": ("source", "target"),
-    "T_parent_child": ("target", "source"),
+    "T_parent_child": ("parent", "child"),
 }
 VERDICT = re.compile(r"verdict of the calibration: [a-z0-9_ ,;.%]{1,2000}")
 """What `result.verdict.verdict_line` writes: safe in a comment of any format."""
@@ -94,14 +96,14 @@ def read_json(data: bytes) -> list[Found]:
     try:
         document = msgspec.json.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise ReadError(f"no JSON: {error}") from None
+        raise ReadError(f"no JSON: {said(error)}") from None
     if not isinstance(document, dict):
         raise ReadError("the JSON is no object with a key T_target_source")
     result = result_in(data)
     if isinstance(result, SiteDoc):
         return found_in_site(result)
     if result is not None:
-        return [_of_result(result)]
+        return [found_in_result(result)]
     if document.get("schema") == TREE_SCHEMA:
         entries = document.get("transforms")
         if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
@@ -120,7 +122,8 @@ def _found(document: dict[str, Any]) -> Found:
     verdict = _text(document, "verdict") or ""
     verdict = verdict if VERDICT.fullmatch(verdict) else ""
     pose = partial(_pose, document, keys[0])
-    return Found(parent, child, pose, covariance, _KEYS[keys[0]], verdict)
+    roles = _KEYS[keys[0]]
+    return Found(parent, child, pose, covariance, roles, verdict, roles != ("parent", "child"))
 
 
 class _Named(msgspec.Struct):
@@ -149,13 +152,31 @@ def result_in(data: bytes) -> ResultDoc | SiteDoc | None:
     return decode_site(data) if is_result(data, SITE_SCHEMA) else None
 
 
-def _of_result(result: ResultDoc) -> Found:
+def found_in_result(result: ResultDoc) -> Found:
+    """Give the transform of a result, between the frames that its recordings name.
+
+    Raises
+    ------
+    Refusal
+        Where it was refused.
+    """
     T = result.T_target_source
     if T is None:
         words = "the calibration was refused, there is no transform: "
         raise refusal_of(result.reasons, words)
-    verdict = verdict_line(result.status, result.reasons)
-    return Found(None, None, lambda: T, result.covariance, verdict=verdict)
+    # Target and source of each placement, in turn.
+    target, source = ({each.frame_id for each in result.inputs[k::2]} for k in (0, 1))
+    parent = child = None
+    if len(target) == len(source) == 1 and target != source and all(map(is_name, target | source)):
+        (parent,), (child,) = target, source
+    return Found(
+        parent,
+        child,
+        lambda: T,
+        result.covariance,
+        verdict=verdict_line(result.status, result.reasons),
+        is_of_lidars=True,
+    )
 
 
 def _text(document: dict[str, Any], key: str) -> str | None:
@@ -176,7 +197,7 @@ def _pose(document: dict[str, Any], key: str) -> Array:
             if apart > 1e-6:
                 raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise ReadError(f"{key} and what is beside it are no transform: {error}") from None
+        raise ReadError(f"{key} and what is beside it are no transform: {said(error)}") from None
     return T
 
 
@@ -227,7 +248,8 @@ def _yaml_key(name: str) -> str:
 def read_yaml(data: bytes) -> list[Found]:
     """Read every ``parent: child: {x, y, z, roll, pitch, yaw}``; needs the extra ``yaml``.
 
-    Without aliases: a few of them write out to millions of transforms.
+    Also what ``ros2 topic echo /tf_static`` prints. Without aliases: a few of them write out to
+    millions of transforms.
     """
     try:
         import yaml
@@ -245,21 +267,87 @@ def read_yaml(data: bytes) -> list[Found]:
                 what = "aliases" if depth <= DEEPEST_YAML else "so many levels"
                 raise ReadError(f"line {event.start_mark.line + 1}: {what} are not read")
         # Nodes, not values: a key given twice would be lost in a dict, and 1e-3 be a string.
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        roots = [root for root in yaml.compose_all(text, Loader=yaml.SafeLoader) if root.value]
     except (yaml.YAMLError, RecursionError) as error:
-        raise ReadError(f"no YAML: {error}") from None
+        raise ReadError(f"no YAML: {said(error)}") from None
+    # A latched message comes again with every echo.
+    found = list(dict.fromkeys(each for root in roots for each in _transforms(_mapping(root))))
+    if not found:
+        keys = "; ".join(_outline(root) for root in roots[:3]) or "nothing"
+        raise ReadError(f"{EXPECTED_YAML}; found {keys}{_NOT_OURS if 'extrinsic_' in text else ''}")
+    return found
+
+
+def _transforms(root: dict[str, Any]) -> list[Found]:
+    """Transforms of one document: Autoware's, or as a message of ROS."""
+    messages = getattr(root.get("transforms"), "value", None)
+    if "child_frame_id" in root:
+        return [_stamped(root)]
+    if isinstance(messages, list) and all(hasattr(each, "id") for each in messages):
+        return [_stamped(_mapping(each)) for each in messages]
     return [
         Found(parent, child, lambda pose=pose: pose_of(_scalars(pose)))  # type: ignore[misc]
-        for parent, children in _mapping(root).items()
+        for parent, children in root.items()
+        if getattr(children, "id", "") == "mapping"
         for child, pose in _mapping(children).items()
+        if not _keys(pose).isdisjoint(TRANSLATION_KEYS)
     ]
+
+
+def _stamped(message: dict[str, Any]) -> Found:
+    """Read a TransformStamped: its header names the parent."""
+    try:
+        parent = _mapping(message["header"])["frame_id"].value
+        child = message["child_frame_id"].value
+        parts = _mapping(message["transform"])
+        t, q = _scalars(parts["translation"]), _scalars(parts["rotation"])
+    except KeyError as error:
+        raise ReadError(f"a transform as a message of ROS has no {said(error)}") from None
+    if not isinstance(parent, str) or not isinstance(child, str):
+        raise ReadError("frame_id and child_frame_id are no names")
+    values = t | {f"q{name}": q[name] for name in q}
+    return Found(parent, child, _Stamped(tuple(values.items())))
+
+
+@dataclass(frozen=True)
+class _Stamped:
+    """Numbers of a message by name; equal ones are the same transform."""
+
+    values: tuple[tuple[str, str], ...]
+
+    def __call__(self) -> Array:
+        return pose_of(dict(self.values))
+
+
+EXPECTED_YAML = "expected the YAML to be parent: child: {x, y, z, roll, pitch, yaw}"
+
+_NOT_OURS = (
+    "; extrinsic_T and extrinsic_R (FAST-LIO) are the LiDAR in its IMU, no transform from LiDAR to "
+    "LiDAR"
+)
+
+
+def _keys(node: Any) -> set[str]:
+    """Keys of a node, if it is a mapping."""
+    pairs = node.value if getattr(node, "id", "") == "mapping" else []
+    return {key.value for key, _ in pairs if isinstance(key.value, str)}
+
+
+def _outline(root: Any) -> str:
+    """Say what a document has at its top, two levels deep."""
+    found = []
+    for key, value in root.value[:5]:
+        below = ", ".join(sorted(_keys(value))[:4])
+        if isinstance(key.value, str):
+            found.append(f"{key.value}: {{{below}}}" if below else key.value)
+    return ", ".join(found)
 
 
 def _mapping(node: Any) -> dict[str, Any]:
     """Keys and nodes of a YAML mapping."""
     pairs = getattr(node, "value", None)
     if getattr(node, "id", "") != "mapping" or not isinstance(pairs, list):
-        raise ReadError("expected the YAML to be parent: child: {x, y, z, roll, pitch, yaw}")
+        raise ReadError(EXPECTED_YAML)
     out: dict[str, Any] = {}
     for key, value in pairs:
         if not isinstance(key.value, str) or key.value in out:

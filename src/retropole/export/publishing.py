@@ -12,11 +12,29 @@ from .recording import TRANSFORM_TOPIC, TRANSFORMS, transform_message
 from .transform import Transform
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Published:
     """What is published, for as long as this is kept: those who come late are told all the same."""
 
     writer: Any
+
+    def withdraw(self) -> None:
+        """Publish it no longer: who comes from now on does not get it.
+
+        Who listens already keeps it until it starts again: tf2 forgets no static transform.
+        """
+        self.writer = None
+
+
+def check_publishing(*, domain: int | None = None, interface: str | None = None) -> None:
+    """Join the domain, so that `publish` finds nothing missing when there is an answer.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `publish`.
+    """
+    participant(domain_or_default(domain), interface)
 
 
 def publish(

@@ -1,7 +1,8 @@
 """ROS: static_transform_publisher lines for ROS 1 and ROS 2, and a launch file for ROS 2.
 
 Argument order as `tf2_ros` has it. ROS 1: ``x y z qx qy qz qw frame_id child_frame_id``, or with
-``yaw pitch roll`` in place of the quaternion. ROS 2: flags. The frame is the parent.
+``yaw pitch roll`` in place of the quaternion; the program of the package `tf` takes a period after
+these. ROS 2: flags. The frame is the parent.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, said
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, comments, pose_of, pose_values, to_float
 from .transform import Found, Transform, from_quaternion, from_rpy, notes_on
+from .xml_scan import is_xml, scan_xml
 
 PROGRAM = "static_transform_publisher"
 
@@ -96,12 +98,17 @@ def read_ros2(data: bytes) -> list[Found]:
 
 
 def read_launch(data: bytes) -> list[Found]:
-    """Read the publishers of a Python launch file from its syntax; nothing in it is run."""
+    """Read the publishers of a launch file, in Python or XML; nothing in it is run.
+
+    Of Python from its syntax alone.
+    """
+    if is_xml(data):
+        return _read_launch_xml(data)
     try:
         tree = ast.parse(data)
     # What nests deeper than Python's parser goes ends in either of the last two.
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ReadError(f"no Python launch file: {error or 'nested too deep'}") from None
+        raise ReadError(f"no Python launch file: {str(error) or 'nested too deep'}") from None
     found = []
     for call in ast.walk(tree):
         if not isinstance(call, ast.Call):
@@ -120,6 +127,30 @@ def read_launch(data: bytes) -> list[Found]:
     return found
 
 
+def _read_launch_xml(data: bytes) -> list[Found]:
+    """Read the publishers of a launch file of ROS 1 (``type=``) or ROS 2 (``exec=``)."""
+    root = scan_xml(data).root
+    if root.tag != "launch":
+        raise ReadError(f"no launch file: the root element is <{root.tag}>, not <launch>")
+    found: list[Found] = []
+    for node in root.walk():
+        of = node.attributes
+        if node.tag != "node" or PROGRAM not in (of.get("type"), of.get("exec")):
+            continue
+        args, name = of.get("args", ""), of.get("name", PROGRAM)
+        if "$(" in args:
+            raise ReadError(f"node {name!r}: its args hold $(…); put in the numbers and names")
+        try:
+            words = shlex.split(args)
+        except ValueError as error:
+            raise ReadError(f"node {name!r}: {said(error)}") from None
+        if "exec" in of:
+            found.append(_ros2_arguments(words))
+        else:
+            found.append(_positional(words, of.get("pkg", "")))
+    return found
+
+
 def _commands(data: bytes) -> list[list[str]]:
     """Arguments of every call of the program in a shell script."""
     commands = []
@@ -129,12 +160,15 @@ def _commands(data: bytes) -> list[list[str]]:
         try:
             words = shlex.split(line, comments=True)
         except ValueError as error:
-            raise ReadError(f"{line.strip()!r}: {error}") from None
+            raise ReadError(f"{line.strip()!r}: {said(error)}") from None
         if PROGRAM not in words:
             continue
         at = words.index(PROGRAM)
         if at and words[at - 1] == "tf":
-            raise ReadError(f"'tf {PROGRAM}' takes a period; the one of tf2_ros is read alone")
+            raise ReadError(
+                f"'tf {PROGRAM}' takes a period; the one of tf2_ros is read alone: leave out the "
+                "period and write tf2_ros"
+            )
         commands.append(words[at + 1 :])
     return commands
 
@@ -160,15 +194,24 @@ def _ros2_arguments(words: list[str]) -> Found:
     return Found(parent, child, lambda: pose_of(full))
 
 
-def _positional(words: list[str]) -> Found:
-    """Read ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``."""
-    if len(words) not in (8, 9):
-        raise ReadError(f"{PROGRAM} of tf2_ros takes 8 or 9 arguments, this has {len(words)}")
+def _positional(words: list[str], package: str = "tf2_ros") -> Found:
+    """Read ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``.
+
+    The program of the package `tf` takes a period in milliseconds as one more.
+    """
+    more = package == "tf"
+    if len(words) not in (8 + more, 9 + more):
+        raise ReadError(
+            f"{PROGRAM} of {package} takes {8 + more} or {9 + more} arguments, this has "
+            f"{len(words)}: x y z yaw pitch roll, or x y z qx qy qz qw, parent child"
+            f"{' period' if more else ''}"
+        )
+    *numbers, parent, child = words[: len(words) - more]
 
     def pose() -> Array:
-        values = np.array([to_float(word) for word in words[:-2]])
+        values = np.array([to_float(word) for word in numbers])
         if len(values) == 7:
             return from_quaternion(values[:3], values[3:])
         return from_rpy(values[:3], values[:2:-1])
 
-    return Found(words[-2], words[-1], pose)
+    return Found(parent, child, pose)

@@ -23,6 +23,7 @@ from .transform import (
 TRANSLATION_KEYS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 RPY = ("roll", "pitch", "yaw")
+RPY_RAD, RPY_DEG = (tuple(f"{name}{unit}" for name in RPY) for unit in ("_rad", "_deg"))
 RPY_MEANING = "metres and radians; fixed axes x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll)"
 
 
@@ -54,15 +55,39 @@ def write_cloudcompare(transform: Transform) -> str:
     return f"{_rows(transform.T_parent_child)}[ {'; '.join(transform.notes)} ]\n"
 
 
+_TERMINAL = re.compile(r"^T_target_source\b.*\n((?:.*\n?){4})", re.M)
+"""The matrix as `retropole calibrate` prints it, in the middle of its other lines."""
+
+_WRAPPING = re.compile(r"\b(?:(?:np|numpy)\.)?(?:array|matrix)\s*\(|,?\s*dtype\s*=\s*[\w.]+|\)")
+"""What the repr of an array of NumPy has about its numbers."""
+
+
 def read_matrix(data: bytes) -> list[Found]:
-    """Read sixteen numbers, row by row; comments start with # or // or stand in [ ]."""
+    """Read sixteen numbers, row by row, also in brackets with commas, as NumPy prints them.
+
+    Comments start with # or //, or stand in [ ] with more than numbers.
+    """
     text = data.decode()
     parent, child = names_in_words(text)
-    words = re.sub(r"#.*|//.*|\[[^]]*\]", " ", text).replace(",", " ").split()
+    printed = _TERMINAL.findall(text)
+    is_printed = len(printed) == 1
+    body = _WRAPPING.sub(" ", printed[0] if is_printed else text)
+    body = re.sub(r"#.*|//.*|\[[^][]*\]", _without_notes, body)
+    words = re.sub(r"[][,;]", " ", body).split()
     if len(words) != 16:
-        raise ReadError(f"a 4×4 matrix has 16 numbers, this has {len(words)}")
+        raise ReadError(
+            f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is "
+            "read with their names, a line each, 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
+            "pitch_deg yaw_deg"
+        )
     values = np.array([to_float(word) for word in words]).reshape(4, 4)
-    return [Found(parent, child, lambda: values)]
+    return [Found(parent, child, lambda: values, is_of_lidars=is_printed)]
+
+
+def _without_notes(bracketed: re.Match[str]) -> str:
+    """Leave out a comment; what is in brackets stays where it is numbers alone."""
+    numbers = re.fullmatch(r"(?i)\[((?:[-+\d.e,;\s]|nan|inf)*)\]", bracketed[0])
+    return f" {numbers[1]} " if numbers else " "
 
 
 def pose_values(transform: Transform, rotation: tuple[str, ...]) -> dict[str, str]:
@@ -85,30 +110,97 @@ def write_rpy(transform: Transform) -> str:
 
 
 def read_named(data: bytes) -> list[Found]:
-    """Read lines ``name: number`` with a translation and a quaternion or roll-pitch-yaw."""
+    """Read lines ``name: number`` with a translation and a quaternion or roll-pitch-yaw.
+
+    Angles are in the unit that their names or a comment state. Also what ``tf2_echo`` prints.
+    """
     text = data.decode()
+    names, code = names_in_words(text), re.sub(r"#.*", "", text)
+    if "Translation:" in code:
+        return [Found(*names, lambda: _echoed(code))]
     values: dict[str, str] = {}
-    for line in re.sub(r"#.*", "", text).splitlines():
+    for line in code.splitlines():
         if not line.strip():
             continue
         name, colon, value = line.partition(":")
         if not colon or name.strip() in values:
             raise ReadError(f"expected one line 'name: number' for each name, got {line.strip()!r}")
         values[name.strip()] = value
-    return [Found(*names_in_words(text), lambda: pose_of(values))]
+    comment = "\n".join(re.findall("#.*", text))
+    radians = re.search(r"\bradians?\b", comment) and not re.search(r"\bdegrees?\b", comment)
+    known = RPY_MEANING in text or bool(radians)
+    return [Found(*names, lambda: pose_of(values, unit_is_known=known))]
 
 
-def pose_of(values: dict[str, str]) -> Array:
-    """Build a 4×4 transform from ``x y z`` and ``qx qy qz qw`` or ``roll pitch yaw`` by name."""
-    kind = QUATERNION if "qw" in values else RPY
+_ECHOED = re.compile(r"(Translation|Quaternion|RPY \(degree\))[^[\n]*\[([^][\n]*)\]")
+
+
+def _echoed(text: str) -> Array:
+    """Read the one transform that ``tf2_echo PARENT CHILD`` prints, over and over.
+
+    Its quaternion has three decimals. Angles in degrees with as many say the same to 0.001°.
+    """
+    poses = {tuple(_ECHOED.findall(f"Translation{each}")) for each in text.split("Translation")[1:]}
+    if len(poses) > 1:
+        raise ReadError(f"tf2_echo printed {len(poses)} different transforms: this one moves")
+    parts = {name: values.replace(",", " ").split() for name, values in poses.pop()}
+    if [len(parts.get(name, ())) for name in ("Translation", "Quaternion")] != [3, 4]:
+        raise ReadError("expected Translation: [x, y, z] and Quaternion [x, y, z, w] of tf2_echo")
+    t, q = (
+        np.array([to_float(word) for word in parts[name]]) for name in ("Translation", "Quaternion")
+    )
+    rounding = min(10.0 ** -len(word.partition(".")[2]) for word in parts["Quaternion"])
+    T = from_quaternion(t, q, max(rounding, se3.RIGID_TOLERANCE))
+    angles = parts.get("RPY (degree)", [])
+    if len(angles) != 3:
+        return T
+    sharper = _from_degrees(t, np.array([to_float(word) for word in angles]))
+    apart = se3.difference(T, sharper).rotation
+    if apart <= 4 * rounding:
+        return sharper
+    # With the nose straight up or down tf2 loses an angle, not the quaternion.
+    if abs(abs(to_float(angles[1])) - 90) < 0.1:
+        return T
+    raise ReadError(f"quaternion and roll-pitch-yaw of tf2_echo differ by {apart:.3g} rad")
+
+
+def pose_of(values: dict[str, str], *, unit_is_known: bool = True) -> Array:
+    """Build a 4×4 transform from ``x y z`` and ``qx qy qz qw`` or ``roll pitch yaw`` by name.
+
+    Parameters
+    ----------
+    values
+        The numbers; angles also as ``roll_deg``, … or ``roll_rad``, ….
+    unit_is_known
+        Whether angles whose names have no unit are in radians.
+    """
+    kinds = (QUATERNION, RPY_DEG, RPY_RAD, RPY)
+    kind = next((names for names in kinds if names[-1] in values), RPY)
     if set(values) != {*TRANSLATION_KEYS, *kind}:
         raise ReadError(
             f"expected {' '.join(TRANSLATION_KEYS)} and {' '.join(QUATERNION)} or {' '.join(RPY)}, "
             f"got {' '.join(values) or 'nothing'}"
         )
-    t, angles = ([to_float(values[name]) for name in names] for names in (TRANSLATION_KEYS, kind))
-    build = from_quaternion if kind == QUATERNION else from_rpy
-    return build(np.array(t), np.array(angles))
+    t, angles = (
+        np.array([to_float(values[name]) for name in names]) for names in (TRANSLATION_KEYS, kind)
+    )
+    if kind == QUATERNION:
+        return from_quaternion(t, angles)
+    if kind == RPY_DEG:
+        return _from_degrees(t, angles)
+    T = from_rpy(t, angles)
+    if kind == RPY and not unit_is_known and angles.any():
+        raise ReadError(
+            f"roll, pitch, yaw of {', '.join(f'{angle:g}' for angle in angles)} may be radians or "
+            "degrees: name them roll_rad, pitch_rad, yaw_rad, or roll_deg, pitch_deg, yaw_deg"
+        )
+    return T
+
+
+def _from_degrees(translation: Array, rpy: Array) -> Array:
+    if np.abs(rpy).max() > 360:
+        raise ReadError(f"an angle of {max(rpy, key=abs):g}° is beyond 360°")
+    return from_rpy(translation, np.radians(rpy))
 
 
 def to_float(word: str) -> float:

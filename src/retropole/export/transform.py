@@ -7,6 +7,7 @@ the parent, as ROS and URDF have it. The target LiDAR is the parent, the source 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,11 +17,20 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, said
 from ..base.relative import relative_jacobian
 
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""
+
+NO_LIDARS = {
+    *("base", "base_footprint", "base_link", "chassis", "ego_vehicle", "vehicle"),
+    *("odom", "map", "world", "earth"),
+}
+"""Frames of a robot and of its surroundings (REP 105, REP 120, and others by custom)."""
+
+FULL_TURN = 2 * math.pi + 1e-4
+"""No angle in radians is larger; four printed decimals of 2π are by less."""
 
 LONGEST_NAME = 500
 """Characters of a frame's name: YAML takes keys of 1024, and each may have to be escaped."""
@@ -29,6 +39,11 @@ _TO_ROS = [3, 4, 5, 0, 1, 2]
 _PLAIN = r"[A-Za-z0-9_./]+(?:-[A-Za-z0-9_./]+)*"
 _NAME = rf'({_PLAIN}|"(?:[^"\\]|\\.)*")'
 _MEANING = re.compile(f"maps points of {_NAME} into {_NAME}; parent: {_NAME}, child: {_NAME}")
+
+
+def is_name(name: str) -> bool:
+    """Tell whether a frame can have a name: see `Transform`."""
+    return len(name) <= LONGEST_NAME and bool(name.strip()) and name.isprintable()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +62,7 @@ class Transform:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
     roles
         What parent and child are in the calibration: ``("target", "source")``, or the other way
-        round after `inverted`.
+        round after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
     verdict
         Of the calibration that it is from, on one line (`result.verdict`); empty where not known.
 
@@ -75,7 +90,7 @@ class Transform:
                     f"the name of the {role} frame has {len(name)} characters; "
                     f"{LONGEST_NAME} at most"
                 )
-            if not name.strip() or not name.isprintable():
+            if not is_name(name):
                 raise UsageError(f"{name[:60]!r} is no name for the {role} frame")
         if self.parent == self.child:
             raise UsageError(f"parent and child are both named {self.parent!r}; they must differ")
@@ -115,7 +130,30 @@ def inverted(transform: Transform) -> Transform:
         parent=transform.child,
         child=transform.parent,
         covariance=covariance,
-        roles=transform.roles[::-1],
+        roles=transform.roles if "parent" in transform.roles else transform.roles[::-1],
+    )
+
+
+def mounted(transform: Transform, mounting: Transform) -> Transform:
+    """Give the pose of the child in the frame that the parent is mounted in.
+
+    Parameters
+    ----------
+    transform
+        ``T_parent_child``.
+    mounting
+        ``T_frame_parent``, taken as exact: its child is the parent of `transform`.
+    """
+    covariance = transform.covariance
+    if covariance is not None:
+        turn = np.kron(np.eye(2), mounting.T_parent_child[:3, :3])
+        covariance = turn @ covariance @ turn.T
+    return replace(
+        transform,
+        T_parent_child=mounting.T_parent_child @ transform.T_parent_child,
+        parent=mounting.parent,
+        covariance=covariance,
+        roles=("parent", "child"),
     )
 
 
@@ -128,19 +166,21 @@ covariance_from_ros = covariance_to_ros
 """The way back: exchanging the two halves undoes itself."""
 
 
-def from_quaternion(translation: Array, xyzw: Array) -> Array:
+def from_quaternion(
+    translation: Array, xyzw: Array, tolerance: float = se3.RIGID_TOLERANCE
+) -> Array:
     """Build a 4×4 transform from a translation, m, and a unit quaternion ``x y z w``.
 
     Raises
     ------
     ReadError
-        Where a number is not finite, or the norm is further than `se3.RIGID_TOLERANCE` from 1.
+        Where a number is not finite, or the norm is further than the tolerance from 1.
     """
     q, t = np.asarray(xyzw, dtype=float), np.asarray(translation, dtype=float)
     if not (np.isfinite(q).all() and np.isfinite(t).all()):
         raise ReadError("no rigid transform: a number is not finite")
     norm = float(np.hypot.reduce(q))
-    if abs(norm - 1) > se3.RIGID_TOLERANCE:
+    if abs(norm - 1) > tolerance:
         raise ReadError(f"no unit quaternion: x y z w = {q.tolist()} has norm {norm:.6g}, not 1")
     return se3.from_quaternion_xyzw(q, t)
 
@@ -154,9 +194,21 @@ def from_rpy(translation: Array, rpy: Array) -> Array:
     """Build a 4×4 transform from a translation, m, and roll, pitch, yaw, rad.
 
     About fixed axes, x then y then z: ``R = Rz(yaw) Ry(pitch) Rx(roll)``, as in URDF and ROS.
+
+    Raises
+    ------
+    ReadError
+        Where a number is not finite, or an angle is larger than a full turn.
     """
     if not (np.isfinite(rpy).all() and np.isfinite(translation).all()):
         raise ReadError("no rigid transform: a number is not finite")
+    largest = max(map(float, rpy), key=abs)
+    if abs(largest) > FULL_TURN:
+        raise ReadError(
+            f"an angle of {largest:g} is beyond 2π = 6.283: degrees? Give radians, "
+            f"{math.radians(largest):.6g} for {largest:g}°; text and YAML may have degrees as "
+            "roll_deg, pitch_deg, yaw_deg"
+        )
     return se3.from_rt(se3.rotation_from_rpy(rpy), np.asarray(translation, dtype=float))
 
 
@@ -179,7 +231,7 @@ def names_in_words(text: str) -> tuple[str | None, str | None]:
     try:
         parent, child = (json.loads(n) if n[0] == '"' else n for n in found.groups()[2:])
     except json.JSONDecodeError as error:
-        raise ReadError(f"cannot read the names in {found[0]!r}: {error}") from None
+        raise ReadError(f"cannot read the names in {found[0]!r}: {said(error)}") from None
     return parent, child
 
 
@@ -204,6 +256,8 @@ class Found(NamedTuple):
         (6, 6) over ``[φ, δ]``, axes of the parent, or None.
     roles, verdict
         As in `Transform`.
+    is_of_lidars
+        Whether both frames are known to be those of LiDARs, whatever they are called.
     """
 
     parent: str | None
@@ -212,17 +266,78 @@ class Found(NamedTuple):
     covariance: Array | None = None
     roles: tuple[str, str] = ("target", "source")
     verdict: str = ""
+    is_of_lidars: bool = False
+
+
+class Way(NamedTuple):
+    """Transforms from two frames up to the first frame that is above both, nearest first."""
+
+    of_parent: list[Found]
+    of_child: list[Found]
+
+    def pose(self) -> Array:
+        """Give ``T_parent_child`` (4, 4)."""
+        above = [np.eye(4), np.eye(4)]
+        for k, steps in enumerate(self):
+            for step in steps:
+                above[k] = se3.rigid(step.pose()) @ above[k]
+        return se3.inverse(above[0]) @ above[1]
+
+
+def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
+    """Find the way from one frame to another over the transforms of a file.
+
+    A frame that is the child of several transforms ends the way: it is unclear where it is.
+
+    Returns
+    -------
+    Way or None
+        None where no way leads from one to the other.
+    """
+    above: dict[str, list[Found]] = {}
+    for each in found:
+        if each.parent and each.child:
+            above.setdefault(each.child, []).append(each)
+
+    def up(frame: str) -> dict[str, list[Found]]:
+        """Each frame from one upwards, with the transform that leads on from it, if any."""
+        frames: dict[str, list[Found]] = {}
+        while frame not in frames:
+            over = above.get(frame, [])
+            frames[frame] = over if len(over) == 1 else []
+            frame = over[0].parent or "" if len(over) == 1 else frame
+        return frames
+
+    of_parent, of_child = up(parent), up(child)
+    top = next((frame for frame in of_parent if frame in of_child), None)
+    if top is None:
+        return None
+    return Way(
+        *(
+            [steps[0] for steps in list(own.values())[: list(own).index(top)]]
+            for own in (of_parent, of_child)
+        )
+    )
 
 
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
     """Take the one transform that fits the names; name it where the file does not.
 
+    Where none has both names, that over a way of several: over ``base_link`` to both LiDARs.
+
     Raises
     ------
     ReadError
         Where none fits, several do, or the one is no rigid transform.
+    UsageError
+        Where a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
     """
     fits = [f for f in found if _fits(f.parent, parent) and _fits(f.child, child)]
+    if not fits and parent and child:
+        way = way_between(found, parent, child)
+        # Against the direction of the file is what --invert is for.
+        if way is not None and way.of_child:
+            fits = [Found(parent, child, way.pose)]
     if len(fits) != 1:
         listed = ", ".join(f"{f.parent or 'unnamed'} -> {f.child or 'unnamed'}" for f in found[:20])
         wanted = f"{parent or 'any parent'} -> {child or 'any child'}"
@@ -231,6 +346,12 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
             "(--parent, --child)"
         )
     one = fits[0]
+    for role, there, given in zip(one.roles, (one.parent, one.child), (parent, child), strict=True):
+        if one.is_of_lidars and there is None and (given or "").rpartition("/")[2] in NO_LIDARS:
+            raise UsageError(
+                f"{given!r} is by its name no LiDAR: name the frame of the {role} itself; its pose "
+                "on a robot takes --mounting FILE or --into ROBOT.urdf"
+            )
     return Transform(
         se3.rigid(one.pose()),
         one.parent or parent or one.roles[0],

@@ -7,15 +7,16 @@ angles about fixed axes, x then y then z.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
 
+from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
 from .text import RPY, pose_values, to_float
-from .transform import Found, Transform, from_rpy
+from .transform import Found, Transform, from_rpy, mounted, way_between
 from .xml_scan import Element, Scan, scan_xml, with_attributes
 
 
@@ -61,9 +62,13 @@ def _joint(transform: Transform, indent: str) -> list[str]:
 
 def read_urdf(data: bytes) -> list[Found]:
     """Read the joints of a robot; the pose of one that moves is refused when it is asked for."""
+    return _found(_robot(scan_xml(data)).named("joint"))
+
+
+def _found(joints: Iterable[Element]) -> list[Found]:
     return [
         Found(_link(joint, "parent"), _link(joint, "child"), lambda joint=joint: _pose(joint))  # type: ignore[misc]
-        for joint in _robot(scan_xml(data)).named("joint")
+        for joint in joints
     ]
 
 
@@ -91,6 +96,11 @@ def _check_fixed(joint: Element) -> None:
     name, kind = joint.attributes.get("name", "?"), joint.attributes.get("type")
     if kind != "fixed":
         raise ReadError(f"joint {name!r} is {kind}, not fixed: its origin is not the whole pose")
+    if any("$" in value for each in joint.named("origin") for value in each.attributes.values()):
+        raise ReadError(
+            f"the origin of joint {name!r} is an expression; expand the file first: xacro FILE > "
+            "robot.urdf"
+        )
     if len(joint.named("origin")) > 1:
         raise ReadError(f"joint {name!r} has {len(joint.named('origin'))} origins, not one")
 
@@ -105,9 +115,10 @@ def _three(text: str, name: str) -> Array:
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     """Put a transform into a robot, and leave every other byte as it is.
 
-    Where a fixed joint already leads from parent to child, the ``xyz`` and ``rpy`` of its origin
-    are replaced; where the child has no joint yet, one is added at the end of the robot, and the
-    child's link with it if that is missing.
+    The joint that leads to the child is written. Where it starts at another link than the parent,
+    its origin is the way there from that link, over fixed joints, times the transform: the robot
+    then has both LiDARs as the transform says. Where the child has no joint yet, one is added at
+    the end of the robot, and the child's link with it if that is missing.
 
     Parameters
     ----------
@@ -124,46 +135,72 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     Raises
     ------
     ReadError
-        Where it is no well-formed URDF.
+        Where it is no well-formed URDF, and where a joint on the way moves or is an expression.
     UsageError
-        Where it is unclear what to change: the parent is no link, the child already has another
-        parent or several joints, the joint moves or is an expression, or it would close a circle.
+        Where it is unclear what to change: the parent is no link, or is not connected with the
+        link that the child's joint starts at; the child has several joints; its joint moves or is
+        an expression; or it would close a circle.
     """
     scan = scan_xml(data)
     robot = _robot(scan)
     joints = [e for e in robot.walk() if e.tag == "joint" and e.named("child")]
     mine = [joint for joint in joints if _link(joint, "child") == transform.child]
     if mine:
-        _check_same_joint(mine, robot, transform)
-        out = _with_origin(scan, mine[0], transform)
+        _check_joint(mine, robot)
+        written = _from_link(_link(mine[0], "parent"), robot, transform)
+        out = _with_origin(scan, mine[0], written)
     else:
         _check_room(robot, joints, transform)
+        written = transform
         out = _with_joint(scan, transform)
-    written = read_urdf(out)
-    same = [f for f in written if (f.parent, f.child) == (transform.parent, transform.child)]
-    if len(same) != 1 or np.abs(same[0].pose() - transform.T_parent_child).max() > 1e-9:
+    there = read_urdf(out)
+    same = [f for f in there if (f.parent, f.child) == (written.parent, written.child)]
+    if len(same) != 1 or np.abs(same[0].pose() - written.T_parent_child).max() > 1e-9:
         raise UsageError("the joint does not read back from the edited URDF; nothing was written")
     return out
 
 
-def _check_same_joint(mine: list[Element], robot: Element, transform: Transform) -> None:
-    """Refuse where the joint of the child is not one fixed joint from the parent."""
+def _from_link(link: str, robot: Element, transform: Transform) -> Transform:
+    """Give the pose of the child in the link that its joint starts at."""
+    if link == transform.parent:
+        return transform
+    _check_link(transform.parent, robot)
+    way = way_between(_found(robot.named("joint")), link, transform.parent)
+    if way is None:
+        raise UsageError(
+            f"no joints lead from {link!r}, where the joint to {transform.child!r} starts, to "
+            f"{transform.parent!r}: the robot does not say where {transform.parent!r} is on it"
+        )
+    if any(transform.child in (step.parent, step.child) for steps in way for step in steps):
+        raise _circle(transform)
+    return mounted(transform, Transform(se3.rigid(way.pose()), link, transform.parent))
+
+
+def _check_joint(mine: list[Element], robot: Element) -> None:
+    """Refuse where what leads to the child is not one fixed joint that is written out."""
     names = ", ".join(repr(joint.attributes.get("name", "?")) for joint in mine)
     if len(mine) > 1:
-        raise UsageError(f"{transform.child!r} is the child of {len(mine)} joints: {names}")
-    parent = _link(mine[0], "parent")
-    if parent != transform.parent:
-        raise UsageError(
-            f"{transform.child!r} already hangs on {parent!r} by joint {names}, not on "
-            f"{transform.parent!r}; a link has one parent. Export to that parent, or take the "
-            "joint out of the file first"
-        )
+        child = _link(mine[0], "child")
+        raise UsageError(f"{child!r} is the child of {len(mine)} joints: {names}")
     if mine[0] not in robot.children:
         raise UsageError(f"joint {names} stands inside a macro or condition; expand it first")
     _check_fixed(mine[0])
-    origins = mine[0].named("origin")
-    if origins and any("$" in value for value in origins[0].attributes.values()):
-        raise UsageError(f"the origin of joint {names} is an expression; expand the file first")
+
+
+def _check_link(name: str, robot: Element) -> None:
+    links = [link.attributes.get("name", "") for link in robot.named("link")]
+    if name not in links:
+        raise UsageError(
+            f"the robot has no link {name!r} for the parent; it has {len(links)}: "
+            f"{', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
+        )
+
+
+def _circle(transform: Transform) -> UsageError:
+    return UsageError(
+        f"{transform.parent!r} is below {transform.child!r} in the robot: a joint back would close "
+        "a circle; export with --invert for the joint the other way"
+    )
 
 
 def _check_room(robot: Element, joints: list[Element], transform: Transform) -> None:
@@ -175,22 +212,14 @@ def _check_room(robot: Element, joints: list[Element], transform: Transform) -> 
         )
     if "xmlns:xacro" in robot.attributes and "$" in transform.parent + transform.child:
         raise UsageError("xacro takes $ in a name for an expression; expand the file first")
-    links = [link.attributes.get("name", "") for link in robot.named("link")]
-    if transform.parent not in links:
-        raise UsageError(
-            f"the robot has no link {transform.parent!r} for the parent; it has "
-            f"{len(links)}: {', '.join(links[:20]) or 'none'}. Name one with --parent"
-        )
+    _check_link(transform.parent, robot)
     above = {_link(joint, "child"): _link(joint, "parent") for joint in joints}
     at, way = transform.parent, [transform.parent]
     while at in above and above[at] not in way:
         at = above[at]
         way.append(at)
     if transform.child in way:
-        raise UsageError(
-            f"{transform.parent!r} already hangs on {transform.child!r}: a joint back would close "
-            "a circle; export with --invert for the joint the other way"
-        )
+        raise _circle(transform)
     name = f"{transform.child}_joint"
     if any(joint.attributes.get("name") == name for joint in robot.named("joint")):
         raise UsageError(f"the robot has a joint {name!r} already, for another child")

@@ -8,7 +8,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from ..base.errors import ReadError
+from ..base.errors import ReadError, said
 
 _ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -69,6 +69,11 @@ class Scan:
         return text.encode(self.codec, "xmlcharrefreplace")
 
 
+def is_xml(data: bytes) -> bool:
+    """Tell XML, in any encoding, by how it begins."""
+    return data.lstrip().startswith((b"<", b"\xef\xbb\xbf<", b"\xff\xfe", b"\xfe\xff"))
+
+
 def scan_xml(data: bytes) -> Scan:
     """Find all elements of an XML file and where they stand.
 
@@ -108,9 +113,9 @@ def scan_xml(data: bytes) -> Scan:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        raise ReadError(f"no well-formed XML: {error}") from None
+        raise ReadError(f"no well-formed XML: {said(error)}") from None
     except (LookupError, ValueError) as error:
-        raise ReadError(f"cannot decode the XML: {error}") from None
+        raise ReadError(f"cannot decode the XML: {said(error)}") from None
     scan = Scan(data, _codec(data, declared[0] if declared else ""), document.children[0])
     places.append(len(data))
     for element in scan.root.walk():

@@ -19,7 +19,7 @@ import msgspec
 from msgspec import Meta
 
 from ..api import Array
-from ..base.errors import ReadError
+from ..base.errors import ReadError, said
 from ..result import BudgetEntry, ErrorAtRange, ResultDoc, encode
 from ..result.decoding import decode, decode_site
 from ..result.site import LidarDoc, SiteDoc
@@ -197,7 +197,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     try:
         found = {msgspec.convert(row["id"], str): msgspec.convert(row, of) for row in rows}
     except (KeyError, msgspec.ValidationError) as error:
-        raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
+        raise ReadError(f"{place}: damaged ({said(error)}){AGAIN}") from None
     if len(found) < len(rows) or any(partition_of(each) != partition for each in found):
         raise ReadError(f"{place}: damaged (a site is there twice, or in another's place){AGAIN}")
     return found

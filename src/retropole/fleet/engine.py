@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from ..base.errors import MissingExtraError, RetropoleError, UsageError, quoting
+from ..base.errors import MissingExtraError, RetropoleError, UsageError, quoting, said
 from .process import Reader
 from .work import Outcome, Task, environment, lost
 
@@ -159,7 +159,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         try:
             client = of(scheduler, timeout=ANSWER_WITHIN, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise UsageError(f"{scheduler}: no Dask scheduler answers ({error})") from None
+            raise UsageError(f"{scheduler}: no Dask scheduler answers ({said(error)})") from None
         with client:
             try:
                 client.wait_for_workers(1, timeout=ANSWER_WITHIN)
@@ -339,8 +339,8 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except KilledWorker:
         why = "its workers died, again and again"
     except (RetropoleError, OSError, MemoryError) as error:
-        why = f"its workers cannot work: {quoting(str(error))}"
+        why = f"its workers cannot work: {quoting(said(error))}"
     except Exception as error:
-        words = quoting(f"{type(error).__name__}: {error}")
+        words = quoting(f"{type(error).__name__}: {said(error)}")
         raise UsageError(f"a worker cannot do the work: {words}") from None
     return lost(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

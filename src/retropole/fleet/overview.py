@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from ..base.errors import ReadError, shortened
+from ..base.errors import ReadError, said, shortened
 from .dataset import (
     ANSWERS,
     RUNS,
@@ -163,7 +163,7 @@ def overview_of(out: str, history: str | None = None) -> Overview:
         starts = [run.started.astimezone(UTC) for run in runs]
         ends = [start + timedelta(0, run.seconds) for start, run in zip(starts, runs, strict=True)]
     except OverflowError as error:
-        raise ReadError(f"{out}/{RUNS}: there is no such time ({error})") from None
+        raise ReadError(f"{out}/{RUNS}: there is no such time ({said(error)})") from None
     changed, damaged = _changed(out, sites, history)
     return Overview(
         place=out,

@@ -18,7 +18,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError
+from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError, said
 from ..base.files import write_atomically
 
 LARGEST_LIST = 2**28
@@ -68,7 +68,7 @@ def filesystem(place: str) -> tuple[Any, str]:
     try:
         system, path = url_to_fs(place)
     except Exception as error:
-        raise UsageError(f"{place}: {error or type(error).__name__}") from None
+        raise UsageError(f"{place}: {said(error)}") from None
     # What goes wrong is said here, and once.
     logging.getLogger(type(system).__module__.partition(".")[0]).setLevel(logging.CRITICAL)
     return system, str(path)

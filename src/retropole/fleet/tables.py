@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from ..base.errors import MissingExtraError, ReadError, quoting
+from ..base.errors import MissingExtraError, ReadError, quoting, said
 from .storage import LARGEST_LIST, open_file, read_bytes
 
 
@@ -84,7 +84,7 @@ def opened(
             yield file
         # Values that Python cannot hold: times beyond its calendar, text that is no UTF-8.
         except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
-            raise ReadError(f"{place}: {fault.format(error)}{remedy}") from None
+            raise ReadError(f"{place}: {fault.format(said(error))}{remedy}") from None
 
 
 LISTS = (".csv", ".parquet")
@@ -155,7 +155,7 @@ def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[st
     try:
         text = read_bytes(place).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ReadError(f"{place}: is not UTF-8: {error}") from None
+        raise ReadError(f"{place}: is not UTF-8: {said(error)}") from None
     rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
     try:
         _check_columns(place, [name.strip() for name in rows.fieldnames or ()], columns, needed)
@@ -164,7 +164,7 @@ def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[st
                 raise ReadError(f"{place}: line {rows.line_num} has not as many cells as the first")
             yield {name.strip(): value.strip() for name, value in row.items()}
     except csv.Error as error:
-        raise ReadError(f"{place}: line {rows.line_num}: {error}") from None
+        raise ReadError(f"{place}: line {rows.line_num}: {said(error)}") from None
 
 
 def _parquet(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:

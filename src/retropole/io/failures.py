@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ..base.errors import MissingExtraError, ReadError, UsageError
+from ..base.errors import MissingExtraError, ReadError, UsageError, said
 
 
 class LineError(ReadError):
@@ -46,7 +46,7 @@ def readable(place: object) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ReadError(f"{place}: cannot be read ({error.strerror or error})") from None
+        raise ReadError(f"{place}: cannot be read ({error.strerror or said(error)})") from None
 
 
 @contextmanager
@@ -63,5 +63,4 @@ def reported(what: str, remedy: str = "") -> Iterator[None]:
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
             raise
-        words = str(error) or type(error).__name__
-        raise ReadError(f"is not a readable {what} ({words}){remedy}") from None
+        raise ReadError(f"is not a readable {what} ({said(error)}){remedy}") from None

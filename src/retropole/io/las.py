@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..base.datatypes import PointCloud
-from ..base.errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError, said
 from .fields import cloud_from_columns, has_meaning
 
 READ_BLOCK = 16 * 2**20
@@ -96,7 +96,7 @@ def read_las(path: Path) -> PointCloud:
     except BaseException as error:
         # For damaged files laspy and its decoders raise a dozen unrelated types; a panic of the
         # LAZ decoder is not even an Exception.
-        raise ReadError(f"is not a readable LAS file ({error})") from None
+        raise ReadError(f"is not a readable LAS file ({said(error)})") from None
     if not blocks:
         raise ReadError("holds no points, expected at least one")
     columns = {name: np.concatenate(column) for name, *column in zip(names, *blocks, strict=True)}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import Array, PointCloud
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, said
 from ..base.files import write_atomically
 from .arrays import read_table
 from .failures import LineError, naming
@@ -260,7 +260,7 @@ def _decompress(body: memoryview, sizes: list[int]) -> bytes:
     try:
         plain: bytes | None = lzf.decompress(bytes(body[LZF_SIZES:][:compressed]), size)
     except ValueError as error:
-        raise ReadError(f"its compressed data are damaged ({error})") from None
+        raise ReadError(f"its compressed data are damaged ({said(error)})") from None
     if plain is None or len(plain) != size:
         have = f"they decompress to {'more' if plain is None else f'only {len(plain)}'}"
         raise ReadError(f"its compressed data are damaged: {have}, not {size} bytes")

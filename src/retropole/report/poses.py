@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import RetropoleError
 from ..export import FORMATS, TREE_FORMATS, export_lines
+from ..export.documents import found_in_result
+from ..export.transform import NO_LIDARS
 from ..export.tree import tree_of
 from ..result.site import SiteDoc
 from ..result.verdict import verdict_line
@@ -19,7 +23,11 @@ from .subject import LIDARS, Subject, colour_class
 from .uncertainty import uncertainty
 
 FRAMES = ("lidar_target", "lidar_source")
-"""Frames of a pair in the lines to copy, until the reader types other names into the page."""
+"""Frames of a pair in the lines to copy: the page has those of the recordings in their place, or
+what the reader types."""
+
+OF_A_LIDAR = f"(?!(.*/)?({'|'.join(sorted(NO_LIDARS))})$).*"
+"""What may be typed there."""
 
 UNFOLDED = ("matrix", "ros2")
 """Formats that are shown at once; the page unfolds the others."""
@@ -132,8 +140,18 @@ def _copies(subject: Subject, k: int) -> Html:
     names = [lidar.name for lidar in subject.site.lidars]
     parent, fields = "site" if "site" not in names else "site_frame", EMPTY
     if subject.pair is not None:
-        named = zip(LIDARS, FRAMES, strict=True)
-        fields = join(fill("frame", lidar=lidar, frame=frame) for lidar, frame in named)
+        found = found_in_result(subject.pair)
+        fields = join(
+            fill(
+                "frame",
+                lidar=lidar,
+                frame=frame,
+                # The page takes no other signs.
+                recorded=name if re.fullmatch(r"[\w./-]+", name or "", re.ASCII) else frame,
+                pattern=OF_A_LIDAR,
+            )
+            for lidar, frame, name in zip(LIDARS, FRAMES, found[:2], strict=True)
+        )
         fields = fill("frames", body=fields)
     verdict = verdict_line(subject.site.status, subject.site.reasons)
     try:

@@ -76,7 +76,11 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read, what was left out of too many, and in `notes` what was lost."""
+    """What was read, what was left out of too many, and in `notes` what was lost.
+
+    `frame_id` is the frame of its points by the recording's own words; empty where it has none, or
+    several, or what can be no name.
+    """
 
     path: Text
     sha256: Text
@@ -86,6 +90,7 @@ class InputDoc(msgspec.Struct, frozen=True):
     threshold: Number | None
     thinned: Count = 0
     frames_left_out: Count = 0
+    frame_id: Text = ""
     notes: list[Text] = []
 
 

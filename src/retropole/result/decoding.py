@@ -17,7 +17,7 @@ from msgspec import Meta
 from ..base import se3
 from ..base.bounded import Covariance, Direction, Number, PartCovariance, Pose, Vector
 from ..base.datatypes import Array
-from ..base.errors import ReadError
+from ..base.errors import ReadError, said
 from ..base.uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, ResultDoc
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
@@ -168,7 +168,7 @@ def parsed(data: bytes, kind: type[Document], what: str) -> Document:
     try:
         return msgspec.json.decode(data, type=kind, dec_hook=_array)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ReadError(f"no {what}: {error}") from None
+        raise ReadError(f"no {what}: {said(error)}") from None
 
 
 def _array(kind: Any, value: Any) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...api import Array, BoolArray
-from ...base.errors import ReadError
+from ...base.errors import ReadError, said
 from .model import Observed
 from .store import EPOCH, MOST_STEP, STATUSES, CheckRow, is_usable, key_of, row_of
 
@@ -90,7 +90,7 @@ def _fault(table: Any, k: int) -> ReadError | None:
     # A time beyond the calendar.
     except (ValueError, OverflowError) as error:
         place = table[PLACE][k].as_py()
-        return ReadError(f"{place}: history, site {table['id'][k].as_py()!r}: {error}")
+        return ReadError(f"{place}: history, site {table['id'][k].as_py()!r}: {said(error)}")
     try:
         row_of(columns)
     except ReadError as error:

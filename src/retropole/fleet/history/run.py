@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from ...api import Array, quantities
-from ...base.errors import ReadError, UsageError
+from ...base.errors import ReadError, UsageError, said
 from .. import TIME_LIMIT
 from ..batch import Doing, outcomes_of, whole_groups
 from ..dataset import partition_of, partitions_in, read_rows
@@ -229,7 +229,7 @@ def check_fleet(
         merge(history, held, f"month={tried:%Y-%m}")
     # What can be read needs not be merged.
     except (OSError, ReadError) as error:
-        damaged.append(ReadError(f"files of the history could not be merged: {error}"))
+        damaged.append(ReadError(f"files of the history could not be merged: {said(error)}"))
     faults = dict.fromkeys(map(str, damaged + damaged_too))
     return FleetCheck(appended, tuple(changes), tuple(faults))
 
@@ -278,7 +278,7 @@ def replay(
         # What is said does not need it.
         except OSError as error:
             may_keep = False
-            damaged.append(ReadError(f"the state of the history could not be kept: {error}"))
+            damaged.append(ReadError(f"the state of the history could not be kept: {said(error)}"))
     return sorted(changes, key=lambda site: site.id), damaged
 
 

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ...base.errors import ReadError
+from ...base.errors import ReadError, said
 from ...result.decoding import check_covariance
 from ..storage import below, write_bytes
 from ..tables import arrow, parquet_of
@@ -149,7 +149,7 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
                 C = np.reshape(given, (6, 6))
                 check_covariance(f"{site}, {name}", C, is_part=name == "random")
     except msgspec.ValidationError as error:
-        raise ReadError(f"{site}: {error}") from None
+        raise ReadError(f"{site}: {said(error)}") from None
     if row.key != columns["key"]:
         raise ReadError(f"{site}, {row.time}: the row is not that of its key")
     return row

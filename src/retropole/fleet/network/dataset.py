@@ -17,7 +17,7 @@ from msgspec import Meta
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ...api import se3
-from ...base.errors import ReadError, UsageError, quoting
+from ...base.errors import ReadError, UsageError, quoting, said
 from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
@@ -120,7 +120,7 @@ def _surveyed(here: str, line: Mapping[str, Any]) -> Surveyed:
     try:
         point = msgspec.convert({**given, "node": str(given["node"])}, Surveyed, strict=False)
     except msgspec.ValidationError as error:
-        raise ReadError(f"{here}: {quoting(str(error).replace('`$.', '`'))}") from None
+        raise ReadError(f"{here}: {quoting(said(error).replace('`$.', '`'))}") from None
     if not all(math.isfinite(each) for each in msgspec.structs.astuple(point)[1:]):
         raise ReadError(f"{here}: a number is not finite")
     return point
@@ -257,7 +257,7 @@ def _pair(row: Row) -> RelativePose:
         T = se3.rigid(np.array(source.T).reshape(4, 4))
         C = np.array(source.covariance).reshape(6, 6)
     except (ReadError, ValueError) as error:
-        raise ReadError(f"{what}: {error}") from None
+        raise ReadError(f"{what}: {said(error)}") from None
     check_covariance(what, C)
     return RelativePose(T, C)
 

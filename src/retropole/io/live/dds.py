@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from ...base.errors import MissingExtraError, UsageError
+from ...base.errors import MissingExtraError, UsageError, said
 from ..recordings import CLOUDS, Frame
 from ..ros import NANOSECONDS, frame_of
 from .mailbox import QUIET
@@ -72,7 +72,7 @@ def participant(domain: int, interface: str | None = None) -> DomainParticipant:
             _domains.append(Domain(domain, config))
         return DomainParticipant(domain)
     except DDSException as error:
-        raise UsageError(f"cannot join domain {domain} of DDS: {error}") from None
+        raise UsageError(f"cannot join domain {domain} of DDS: {said(error)}") from None
 
 
 _domains: list[Any] = []

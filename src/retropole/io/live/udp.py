@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.errors import MissingExtraError, UsageError, shortened
+from ...base.errors import MissingExtraError, UsageError, said, shortened
 from ...base.quantities import counted
 from ..failures import naming, reported
 from ..fields import frame_from_columns
@@ -194,7 +194,7 @@ class PacketSource:
             with self._lock:
                 # What cannot be decoded keeps no other sensor away.
                 self._sender = self._decoder = None
-                self._wrong[f"{len(packet)} that cannot be decoded ({shortened(str(error))})"] += 1
+                self._wrong[f"{len(packet)} that cannot be decoded ({shortened(said(error))})"] += 1
             return
         if sweep is not None:
             with self._lock:

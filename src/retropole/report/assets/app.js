@@ -8,12 +8,14 @@
   const exportTexts = new Map(all("[data-export]").map((pre) => [pre, pre.textContent]));
   function nameFrames() {
     const names = new Map(all("[data-frame]").map((field) => [
-      field.dataset.frame, field.value.replace(/[^\w./-]/g, "_") || field.dataset.frame,
+      // A robot's base is no LiDAR: what is written for it would be the pose of another thing.
+      field.dataset.frame, field.validity.valid && field.value.replace(/[^\w./-]/g, "_") || field.dataset.frame,
     ]));
     const pattern = new RegExp([...names.keys()].join("|"), "g");
     for (const [pre, text] of exportTexts) pre.textContent = text.replace(pattern, (name) => names.get(name));
   }
   all("[data-frame]").forEach((field) => field.addEventListener("input", nameFrames));
+  nameFrames();
 
   setUpPage(() => repaint());
 
