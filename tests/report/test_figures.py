@@ -109,6 +109,7 @@ def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path)
     assert max(seen[1:]) < 50
 
 
+@pytest.mark.full
 def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     for name in ("a.png", "b.png"):

@@ -72,6 +72,7 @@ def test_swapping_the_clouds_inverts_the_answer(pair: SimulatedPair, answer: Cal
     assert_near(back.T_target_source, se3.inverse(answer.T_target_source), 0.05, 0.02)
 
 
+@pytest.mark.full
 def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
     both = one_pole.target.transformed(MOVED), one_pole.source.transformed(MOVED)
     moved = calibrate(*both)

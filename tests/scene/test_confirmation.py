@@ -75,6 +75,7 @@ def test_a_pose_that_lifts_the_grounds_off_each_other_is_found(scene: str) -> No
         assert found.better_at == pytest.approx(abs(lift), abs=0.7)
 
 
+@pytest.mark.full
 def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     pair = simulate_pair("street", np.random.default_rng(4))
     answer = answered(pair)
@@ -133,6 +134,7 @@ def test_swapping_the_clouds_changes_nothing_but_rounding() -> None:
     assert abs(there.conflicting - back.conflicting) <= 5
 
 
+@pytest.mark.full
 def test_placements_check_each_other_only_where_their_poles_stand_otherwise() -> None:
     pair, other = (simulate_pair("bare", np.random.default_rng(seed)) for seed in (0, 3))
     one, two = (answered(each) for each in (pair, other))

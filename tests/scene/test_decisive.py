@@ -57,6 +57,7 @@ def test_a_place_that_alone_holds_a_direction_is_found() -> None:
 
 
 @pytest.mark.parametrize("off", first_of([0.03, -0.06]))
+@pytest.mark.full
 def test_what_is_stated_covers_a_place_that_moved(off: float) -> None:
     """The answer follows the board; the truth is within what is stated all the same."""
     found = refined(off)

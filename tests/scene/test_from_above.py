@@ -28,7 +28,11 @@ def by_the_place(pair: SimulatedPair) -> Calibration:
     return calibrate(bare(pair.target), bare(pair.source), poles=0)
 
 
-@pytest.fixture(scope="module", params=[("street", 1), ("harbor", 2)], ids=lambda each: each[0])
+@pytest.fixture(
+    scope="module",
+    params=[("street", 1), pytest.param(("harbor", 2), marks=pytest.mark.full)],
+    ids=lambda each: each[0],
+)
 def pair(request: pytest.FixtureRequest) -> SimulatedPair:
     return simulated_with_one_pole(*request.param)
 

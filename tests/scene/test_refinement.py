@@ -201,6 +201,7 @@ def test_scene_and_poles_that_disagree_are_warned_of() -> None:
     assert check_agreement(None) == []
 
 
+@pytest.mark.full
 def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
     """In every direction, not along the line between them alone, and not much beyond."""
     pair = simulate_pair("street", np.random.default_rng(23))
@@ -218,6 +219,7 @@ def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
     assert across.max() < 10 * 1e-6
 
 
+@pytest.mark.full
 def test_swapped_clouds_give_the_inverse_pose() -> None:
     """Where the rings on the ground are far apart, and the poles are unlucky."""
     pair = simulate_pair(
@@ -310,6 +312,7 @@ DATA = SHARED / "pandaset"
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="no folder ../shared/data")
+@pytest.mark.full
 def test_real_clouds_come_to_one_pose_from_all_around() -> None:
     target, source = (
         read_cloud(DATA / f"pandaset002_00_{name}.pcd") for name in ("pandar64", "pandargt")

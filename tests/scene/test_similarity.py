@@ -123,6 +123,7 @@ def scaled_answer(pair: SimulatedPair, factor: float) -> Calibration:
     return calibrate(pair.target, times(pair.source, factor, factor, factor))
 
 
+@pytest.mark.full
 def test_an_answer_is_refused_beyond_one_per_cent_of_scale(pair: SimulatedPair) -> None:
     assert scaled_answer(pair, 1.005).status != "refused"
     (found,) = scaled_answer(pair, 1.02).reasons

