@@ -223,10 +223,11 @@ def _is_return(xyz: Array, origin: Array) -> BoolArray:
     """Find the points that are returns (N,): places, and neither zero nor at the origin."""
     # Axis by axis, which is several times faster than along the short side of (N, 3).
     places, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
-    for axis in range(3):
-        places &= np.abs(xyz[:, axis]) <= LARGEST
-        at_zero &= np.abs(xyz[:, axis]) < SMALLEST
-        at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
+    with np.errstate(invalid="ignore"):
+        for axis in range(3):
+            places &= np.abs(xyz[:, axis]) <= LARGEST
+            at_zero &= np.abs(xyz[:, axis]) < SMALLEST
+            at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
     return places & ~at_zero & ~at_origin
 
 
@@ -285,9 +286,10 @@ def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
 
 def floats(values: NDArray[Any]) -> Array:
     """Give values of a file as float64; what does not fit is not finite, without a warning."""
-    # Casting a signalling NaN or a long double out of range warns; such points are dropped.
+    # Casting a signalling NaN or a long double out of range warns; such points are dropped. The sum
+    # makes a signalling NaN a quiet one, so that nothing that follows warns either.
     with np.errstate(invalid="ignore", over="ignore"):
-        return values.astype(np.float64)
+        return np.add(values, 0.0, dtype=np.float64, casting="unsafe")
 
 
 def _intensity(values: NDArray[Any]) -> Array | None:
