@@ -47,6 +47,9 @@ COLOURS = ("red", "green", "blue")
 LEICA_COLUMNS = (*PLAIN_COLUMNS[:3], *COLOURS), (*PLAIN_COLUMNS, *COLOURS)
 """What six and seven columns of a ``.pts`` are."""
 
+MAX_COLUMNS = 10_000
+"""Values of a point; more are an error, and would take the time."""
+
 MAX_HEAD = 2**20
 """Bytes that comments and names of columns, and the first line of numbers, may take."""
 
@@ -212,6 +215,8 @@ def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointClou
         separator = None if separator == "," else separator
         notes.append("its commas are read as decimal marks")
     columns = len(head.names) or len(line.split(separator))
+    if columns > MAX_COLUMNS:
+        raise LineError(head.line, f"{columns:,} columns, expected {MAX_COLUMNS:,} at most")
     table = read_table(body, columns, line=head.line, separator=separator)
     if head.promised is not None and len(table) != head.promised:
         said = f"promises {head.promised} points, {len(table)} lines of numbers follow"
@@ -223,7 +228,10 @@ def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointClou
         _check_colours(table[:, -len(COLOURS) :])
     if len({name.lower() for name in names}) < len(names):
         raise ReadError(f"two columns have one name, the names are: {', '.join(names)}")
-    own = {name: _whole(column) for name, column in zip(names, table.T, strict=True)}
+    own = {
+        name: _whole(column) if has_meaning(name) else column
+        for name, column in zip(names, table.T, strict=True)
+    }
     return noted(cloud_from_columns(own), *notes)
 
 
