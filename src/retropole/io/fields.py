@@ -289,7 +289,8 @@ def floats(values: NDArray[Any]) -> Array:
     # Casting a signalling NaN or a long double out of range warns; such points are dropped. The sum
     # makes a signalling NaN a quiet one, so that nothing that follows warns either.
     with np.errstate(invalid="ignore", over="ignore"):
-        return np.add(values, 0.0, dtype=np.float64, casting="unsafe")
+        added: Array = np.add(values, 0.0, dtype=np.float64, casting="unsafe")
+    return added
 
 
 def _intensity(values: NDArray[Any]) -> Array | None:
