@@ -20,6 +20,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 
@@ -27,11 +28,15 @@ from retropole.base.datatypes import PER_POINT, PointCloud
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.cli import run
 from retropole.io import read_cloud
+from tests.io.exports import EXPORTS, write_livox_bag
 from tests.io.files import INTENSITY, WRITERS, XYZ
 from tests.memory import peak_memory
 
 LONGEST = 10.0
-"""Seconds that no file may take to be read, and no command with it."""
+"""CPU seconds that no file may take to be read, and no command with it."""
+
+HANGS = 20.0
+"""What takes so many times as long by the clock hangs: a busy machine is no counterexample."""
 
 RIGHT_DEG, RIGHT_M = 1.0, 0.1
 """A pose so near to the truth is right: ten times what such scans leave open."""
@@ -70,6 +75,8 @@ def recordings(folder: Path) -> dict[str, bytes]:
         path = folder / f"plain{suffix}"
         make(path)
         found[path.name] = path.read_bytes()
+    cloud = PointCloud(XYZ, intensity=INTENSITY, ring=np.array([0, 1, 2]))
+    found |= {name: make(cloud) for name, make in EXPORTS.items()}
     found |= {f"{name}.pcd": pcd(name) for name in ("ascii", "binary_compressed")}
     found |= {f"{order}.ply": ply(order) for order in ("little", "big")}
     if find_spec("velodyne_decoder") is not None:
@@ -149,7 +156,8 @@ def bags(folder: Path) -> dict[str, bytes]:
 
     from tests.bags import points_of, write_bag
 
-    points = points_of(PointCloud(XYZ, intensity=INTENSITY, ring=np.array([0, 1, 2])))
+    cloud = PointCloud(XYZ, intensity=INTENSITY, ring=np.array([0, 1, 2]))
+    points = points_of(cloud)
     packing = CompressionMode.MESSAGE, CompressionFormat.ZSTD
     found = {}
     for name, kind, compression in (
@@ -165,6 +173,12 @@ def bags(folder: Path) -> dict[str, bytes]:
         path = write_bag(own, kind, {"/a": [points] * 2, "/b": []}, compression=compression)
         if path.is_file() and path.suffix == f".{kind}":
             found[f"{name}.{kind}"] = path.read_bytes()
+    for kind in ("bag", "db3", "mcap"):
+        own = folder / f"livox {kind}"
+        own.mkdir()
+        path = write_livox_bag(own, [cloud] * 2, "livox_ros_driver2", kind)
+        path = path if path.is_file() else next(path.glob(f"*.{kind}"))
+        found[f"livox.{kind}"] = path.read_bytes()
     return found
 
 
@@ -341,8 +355,9 @@ def hold_calibration(found: dict[str, bytes], folder: Path, dice: random.Random)
 def hold(seed: int, found: dict[str, bytes], scanned: dict[str, bytes], folder: Path) -> str:
     """Damage a file of any format, and read it; some are given to a command."""
     dice = random.Random(seed)
-    name = dice.choice(sorted(found))
-    path = folder / f"damaged{Path(name).suffix}"
+    suffix = dice.choice(sorted({Path(name).suffix for name in found}))
+    name = dice.choice(sorted(name for name in found if name.endswith(suffix)))
+    path = folder / f"damaged{suffix}"
     path.write_bytes(damaged(found[name], dice))
     for left in folder.glob(f"{path.name}-*"):
         left.unlink()
@@ -356,12 +371,18 @@ def hold(seed: int, found: dict[str, bytes], scanned: dict[str, bytes], folder: 
 
 @contextmanager
 def ended_after(seconds: float) -> Iterator[None]:
-    """End the process where something hangs, in C code as well: no exception would do that."""
-    faulthandler.dump_traceback_later(seconds, exit=True)
+    """End the process where something hangs, in C code as well: no exception would do that.
+
+    What ends, but takes more CPU seconds than are given, is a failure.
+    """
+    faulthandler.dump_traceback_later(HANGS * seconds, exit=True)
+    start = process_time()
     try:
         yield
     finally:
         faulthandler.cancel_dump_traceback_later()
+        took = process_time() - start
+        assert took <= seconds, f"took {took:.1f} s of CPU time"
 
 
 def main(first: int, last: int, folder: Path) -> int:

@@ -7,15 +7,14 @@ from retropole.base.datatypes import Array
 from retropole.result import PolesDoc, ReasonDoc, ResultDoc, RunConfig, StagesDoc, encode
 
 
-def write_result(
-    folder: Path,
+def result_of(
     status: Status,
     reasons: list[ReasonDoc],
     pose: Array | None = None,
     covariance: Array | None = None,
-) -> Path:
-    """Write ``result.json`` and say where it is."""
-    document = ResultDoc(
+) -> ResultDoc:
+    """Make a document of what is given, and of nothing else."""
+    return ResultDoc(
         status=status,
         reasons=reasons,
         T_target_source=pose,
@@ -31,6 +30,16 @@ def write_result(
         created="",
         seconds={},
     )
+
+
+def write_result(
+    folder: Path,
+    status: Status,
+    reasons: list[ReasonDoc],
+    pose: Array | None = None,
+    covariance: Array | None = None,
+) -> Path:
+    """Write ``result.json`` and say where it is."""
     path = folder / "result.json"
-    path.write_bytes(encode(document))
+    path.write_bytes(encode(result_of(status, reasons, pose, covariance)))
     return path

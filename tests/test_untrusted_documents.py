@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Callable
+from contextlib import suppress
 from copy import deepcopy
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError, Refusal
 from retropole.cli import run
-from retropole.export import FORMATS, read_transform
-from retropole.report import render_report
+from retropole.export import FORMATS, TREE_FORMATS, read_transform
+from retropole.report import render_report, render_site
 from retropole.result import encode
-from retropole.result.decoding import decode
+from retropole.result.certification import FieldTestDoc, field_test_document
+from retropole.result.decoding import decode, decode_site, parsed
 from retropole.result.folder import REPORT_FILE
-from tests.report.made_up import Run, made_up
+from retropole.result.pole_plan import PolePlanDoc
+from tests.report.made_up import made_up
+from tests.report.site.made_up import document_of, made_up_site
+from tests.report.test_field_test import made_up as field_test
+from tests.report.test_pole_plan import made_picture, made_plan
 
 NASTY: tuple[Any, ...] = (
     *(None, True, False, "", [], {}, [[]], 0, -1, 3, 10**30, 0.5, -0.0, 1e-320, 1e13, 1e308),
@@ -86,55 +95,130 @@ def mutated(document: Any, dice: random.Random) -> bytes:
     return damaged(json.dumps(document).encode(), dice)
 
 
-@pytest.fixture(scope="module")
-def whole() -> Run:
-    """A run and its result."""
-    return made_up("ok", 400)
+class Kind(NamedTuple):
+    """A kind of documents that are read again: one as it is written today, and its reader."""
+
+    whole: bytes
+    read: Callable[[bytes], Any]
 
 
-def hold_result(data: bytes, whole: Run, folder: Path, dice: random.Random) -> bool:
-    """Hand a document to all that take it; whether it was taken for a result."""
-    path = folder / "result.json"
-    path.write_bytes(data)
-    out = folder / "out.txt"
-    code = run(["export", str(path), "--to", dice.choice(list(FORMATS)), "--out", str(out)])
-    assert code in (0, 2, 3)
-    try:
-        document = decode(data)
-    except ReadError:
-        return False
-    page = render_report(document, whole.placements)
-    assert "nan" not in page.split("<script")[0].lower().split(">")
+RUN = cache(partial(made_up, "ok", 400))
+
+
+def result_whole() -> Kind:
+    return Kind(encode(RUN().result), decode)
+
+
+def site_whole() -> Kind:
+    site = made_up_site("ok", lidars=3, placements=2, count=20, surveyed=True)
+    return Kind(encode(document_of(site)), decode_site)
+
+
+def plan_whole() -> Kind:
+    plan = made_plan(made_picture())
+    return Kind(encode(plan), partial(parsed, kind=PolePlanDoc, what="plan"))
+
+
+def certificate_whole() -> Kind:
+    test = field_test_document({("a", "b"): field_test()}, lidars="ab", radius=0.02, inputs=[])
+    return Kind(encode(test), partial(parsed, kind=FieldTestDoc, what="certificate"))
+
+
+WHOLE = {
+    "result": result_whole,
+    "site": site_whole,
+    "plan": plan_whole,
+    "certificate": certificate_whole,
+}
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+def test_what_is_damaged_is_read_without_an_error_before(kind: str) -> None:
+    """Documents of an older schema would all fail at its name, and test nothing."""
+    whole, read = WHOLE[kind]()
+    again = msgspec.json.decode(encode(read(whole)))
+    assert again == msgspec.json.decode(whole)
+
+
+def hold_result(path: Path, dice: random.Random) -> None:
+    """Hand a document to all that take it; an error where it is none."""
+    out = path.with_name("out.txt")
+    assert run(["export", str(path), "--to", dice.choice(list(FORMATS)), "--out", str(out)]) in DONE
+    assert_no_nan(render_report(decode(path.read_bytes()), RUN().placements))
     try:
         transform = read_transform(path)
     except (Refusal, ReadError):
-        return True
+        return
     assert np.isfinite(transform.T_parent_child).all()
     if transform.covariance is not None:
         assert np.linalg.eigvalsh(transform.covariance)[0] > -1e-5 * transform.covariance.max()
-    return True
 
 
-def test_an_edited_result_is_an_error_or_a_result(whole: Run, tmp_path: Path) -> None:
-    hold_many(whole, tmp_path, range(150))
+def hold_site(path: Path, dice: random.Random) -> None:
+    """Hand a document of a site to all that take it; an error where it is none."""
+    out, to = path.with_name("out.txt"), dice.choice(list(TREE_FORMATS))
+    assert run(["export", str(path), "--to", to, "--out", str(out)]) in DONE
+    document = decode_site(path.read_bytes())
+    for lidar in document.lidars:
+        assert lidar.T_site_lidar is None or np.isfinite(lidar.T_site_lidar).all()
+    assert_no_nan(render_site(document))
+
+
+DONE = (0, 2, 3)
+"""Exit codes of what ended as it should."""
+
+
+class Held(NamedTuple):
+    """What a file is called, who takes it, and the least share of edited ones that are taken."""
+
+    name: str
+    hold: Callable[[Path, random.Random], None]
+    taken: float
+
+
+HOLD = {
+    "result": Held("result.json", hold_result, 0.05),
+    # Most numbers of a site are of its joint covariance, and each of them is needed.
+    "site": Held("site-result.json", hold_site, 0.01),
+}
+
+
+def assert_no_nan(page: str) -> None:
+    assert "nan" not in page.split("<script")[0].lower().split(">")
+
+
+@pytest.mark.parametrize(("kind", "count"), [("result", 150), ("site", 30)])
+def test_an_edited_document_is_an_error_or_one(kind: str, count: int, tmp_path: Path) -> None:
+    hold_many(kind, tmp_path, range(count))
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("kind", HOLD)
+def test_more_edited_documents(kind: str, tmp_path: Path) -> None:
+    hold_many(kind, tmp_path, range(1000, 1300))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", HOLD)
 @pytest.mark.parametrize("part", range(20))
-def test_many_edited_results(part: int, whole: Run, tmp_path: Path) -> None:
-    hold_many(whole, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))
+def test_many_edited_documents(part: int, kind: str, tmp_path: Path) -> None:
+    hold_many(kind, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))
 
 
-def hold_many(whole: Run, folder: Path, seeds: range) -> None:
-    document = json.loads(encode(whole.result))
-    taken = 0
+def hold_many(kind: str, folder: Path, seeds: range) -> None:
+    """Damage a document in many ways, and hand each to all that take one of its kind."""
+    document = json.loads(WHOLE[kind]().whole)
+    held, taken = HOLD[kind], 0
+    path = folder / held.name
     for seed in seeds:
         dice = random.Random(seed)
-        data = mutated(document, dice)
+        path.write_bytes(mutated(document, dice))
         try:
-            taken += hold_result(data, whole, folder, dice)
+            with suppress(ReadError):
+                held.hold(path, dice)
+                taken += 1
         except Exception as error:
             raise AssertionError(f"seed {seed}: {type(error).__name__}") from error
     # Neither refuses everything nor takes everything.
-    assert 0.05 < taken / len(seeds) < 0.6
+    assert held.taken < taken / len(seeds) < 0.6
     assert not (folder / REPORT_FILE).exists()

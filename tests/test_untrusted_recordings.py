@@ -25,6 +25,11 @@ def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
+def test_more_damaged_recordings(tmp_path: Path) -> None:
+    hold_many(tmp_path, 1000, 4000, 1200)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("part", range(10))
 def test_many_damaged_recordings(part: int, tmp_path: Path) -> None:
     hold_many(tmp_path, 10_000 * (part + 1), 10_000 * (part + 2), 3600)

@@ -69,6 +69,18 @@ def test_auto_threshold_scales_with_the_intensity(scale: float, seed: int) -> No
     assert auto_threshold(scale * intensity).value == pytest.approx(scale * plain)
 
 
+@pytest.mark.parametrize("darkest", [-2048.0, -5000.0, -1.0])
+@pytest.mark.parametrize("odd", [0, 20])
+def test_auto_threshold_counts_from_the_bottom_of_the_scale(darkest: float, odd: int) -> None:
+    """Leica's scale runs from -2048; there, parts of zero would be above all returns."""
+    rng = np.random.default_rng(3)
+    intensity = np.concatenate([np.zeros(200), rng.uniform(0, 60, 5000), rng.uniform(60, 61, 9)])
+    plain = auto_threshold(intensity).value
+    moved = np.concatenate([intensity + darkest, np.full(odd, -99_999.0)])
+    assert auto_threshold(moved).value - darkest == pytest.approx(plain, rel=0.02)
+    assert plain < intensity.max()
+
+
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "Mid-360"])
 def test_auto_threshold_parts_tape_from_the_rest(name: str) -> None:
     pair = simulate_pair(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from retropole.base.datatypes import Array
 from retropole.fleet.dataset import (
     InputEntry,
     LidarEntry,
@@ -17,7 +18,8 @@ from retropole.fleet.dataset import (
     partition_of,
     write_partition,
 )
-from retropole.result import BudgetEntry, ErrorAtRange
+from retropole.result import BudgetEntry, ErrorAtRange, ReasonDoc, encode
+from tests.results import result_of
 
 HOW: tuple[tuple[Status, str, str, float], ...] = (
     ("ok", "", "", 0.85),
@@ -70,11 +72,18 @@ def made_up_row(name: str, rng: np.random.Generator, *, placed: bool = True) -> 
         frame="target" if answered else None,
         lidars=[lidar] if answered else [],
         sigma_30m_m=sigma if answered else None,
-        document="{}" if answered else None,
+        document=_document(code, message, T) if answered else None,
         key="0" * 64,
         version="1.2.3",
         libraries="numpy 2, scipy 1",
     )
+
+
+def _document(code: str, message: str, T: Array) -> str:
+    """Write the document of a pair that was answered as it is written today."""
+    reasons = [ReasonDoc(code, message, {})] if code else []
+    covariance = np.diag(np.full(6, 1e-6))
+    return encode(result_of("warn" if code else "ok", reasons, T, covariance)).decode()
 
 
 def made_up_run(name: str, rng: np.random.Generator) -> Run:

@@ -28,6 +28,7 @@ from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.dataset import (
     ANSWERS,
     RUNS,
+    document_of,
     partition_of,
     partitions_in,
     read_rows,
@@ -249,7 +250,10 @@ def hold_dataset(folder: Path, dice: random.Random, whole: Whole) -> None:
     runs = read_runs(str(folder), FIRST).values()
     assert all(0 <= run.seconds < math.inf for run in runs)
     rows = read_rows(str(folder), FIRST)
+    assert any(row.document for row in rows.values()) or hurt == ANSWERS
     for name, row in rows.items():
+        if row.document is not None:
+            document_of(row.document, row.kind)
         assert (row.id, partition_of(name)) == (name, FIRST)
         assert 0 <= (row.sigma_30m_m or 0.0) < math.inf
         assert abs(row.latitude_rad or 0.0) <= math.pi / 2
@@ -324,6 +328,16 @@ def hold_many(kind: str, seeds: range, folder: Path, whole: Whole) -> None:
             raise AssertionError(f"{kind}, seed {seed}: {type(error).__name__}: {error}") from error
     # Neither refuses everything nor takes everything.
     assert 0.05 < came["taken"] / len(seeds) < 0.8, came
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_damaged_is_taken_before(
+    kind: str, tmp_path: Path, whole: Whole, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = "tests.fleet.test_damaged"
+    monkeypatch.setattr(f"{own}.damaged_text", lambda text, dice: text.encode())
+    monkeypatch.setattr(f"{own}.damaged_table", lambda data, dice: data)
+    assert hold(kind, 0, tmp_path, whole) == "taken"
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from retropole.fleet.overview import Overview, overview_of
+from retropole.result.decoding import decode
 from tests.fleet.made_up import write_city
 from tests.paths import ROOT
 
@@ -62,4 +63,4 @@ def test_one_answer_is_taken_out(
     found = overview.worst(1)[0].id
     monkeypatch.chdir(tmp_path)
     exec(code.replace(name, found).replace("'fleet/", f"'{city}/"), {})
-    assert (tmp_path / "result.json").read_text() == "{}"
+    assert decode((tmp_path / "result.json").read_bytes()).status in ("ok", "warn")

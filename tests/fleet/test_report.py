@@ -183,6 +183,7 @@ def watched(tmp_path: Path) -> Path:
     """A dataset of sites that were all calibrated, one with a warning, and one of many LiDARs."""
     names = ("still", "lamp", "quay/4", "again")
     rows = [made_up_row(name, np.random.default_rng(1)) for name in names]
+    rows = [msgspec.structs.replace(row, document="{}") for row in rows]
     assert rows[0].status == "ok"
     rows[1] = msgspec.structs.replace(rows[1], status="warn", codes=["not_confirmed"])
     rows[2] = msgspec.structs.replace(rows[2], kind="site")
@@ -193,7 +194,8 @@ def watched(tmp_path: Path) -> Path:
     return tmp_path / "fleet"
 
 
-HISTORY = {"still": "{}", "lamp": "{}", "quay/4/a/b/c": "{}", "again": "{ }", "gone": "{}"}
+OWN = dict.fromkeys(("still", "lamp", "quay/4/a/b/c", "gone"), "{}")
+HISTORY = {**OWN, "again": "{ }"}
 
 
 def test_what_changed_since_its_calibration_comes_before_all(watched: Path) -> None:

@@ -235,7 +235,7 @@ def metadata(mode: str, name: str, storage: str = "sqlite3") -> str:
 
 def npz(path: Path, names: list[str], count: int, dtype: str = "f4") -> None:
     """Make an NPZ of columns of ones, without holding them."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name in names:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array_header_1_0(
@@ -307,10 +307,33 @@ def tree(folder: Path, size: int) -> Path:
 
 def arrays(name: str, names: list[str], part: int, dtype: str) -> Callable[[Path, int], Path]:
     def maker(folder: Path, size: int) -> Path:
-        npz(folder / name, names, size // part, dtype)
+        # No bound lies between this and more, and packing takes its time.
+        npz(folder / name, names, min(size, 2**30) // part, dtype)
         return folder / name
 
     return maker
+
+
+def many_names(size: int) -> bytes:
+    """Name as many columns as a header has room for."""
+    names = [f"c{k}" for k in range(140_000)]
+    return f"{','.join(names)}\n{','.join('1' for _ in names)}\n".encode()
+
+
+def hexadecimal(size: int) -> bytes:
+    """Write numbers that take more room as decimal ones, and a line at the end that is none."""
+    return b"x,y,z,code\n" + b"1,2,3,0xffffffffffffffff\n" * (size >> 14) + b"1,2,3,0xg\n"
+
+
+def unicode_text(size: int) -> bytes:
+    """Write characters that are longer in UTF-8 than in UTF-16, and no numbers."""
+    return b"\xff\xfe" + "\u4e00".encode("utf-16-le") * (size >> 8)
+
+
+def widths_and_points(size: int) -> bytes:
+    """Promise points without width and height."""
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 0\nHEIGHT 0\nPOINTS 4000000000\n"
+    return f"{head}DATA binary\n".encode() + bytes(10_000)
 
 
 TIMES = [f"{a}{b}" for a in "tT" for b in ("", "ime", "IME", "Ime", "iME", "iMe")]
@@ -332,12 +355,16 @@ MAKERS: dict[str, Callable[[Path, int], Path]] = {
     "bytes.npz": arrays("bytes.npz", ["x", "y", "z", "intensity"], 16, "|i1"),
     "many.npz": arrays("many.npz", ["x", "y", "z", *TIMES], 64, "<f4"),
     "claims.npy": claims,
+    "many names.csv": written("many names.csv", many_names),
+    "hexadecimal.csv": written("hexadecimal.csv", hexadecimal),
+    "unicode.txt": written("unicode.txt", unicode_text),
+    "counted.pts": written("counted.pts", lambda size: b"999999999999999\n" + b"1 2 3\n" * 9),
+    "no width.pcd": written("no width.pcd", widths_and_points),
 }
 NAMES = tuple(MAKERS)
 
 
-def make(folder: Path, size: int, skipped: tuple[str, ...] = ()) -> Iterator[tuple[str, Path]]:
+def make(folder: Path, size: int) -> Iterator[tuple[str, Path]]:
     """Write every bomb to a folder; those that unpack do so to about `size` bytes."""
     for name, maker in MAKERS.items():
-        if name not in skipped:
-            yield name, maker(folder, size)
+        yield name, maker(folder, size)

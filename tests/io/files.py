@@ -66,7 +66,13 @@ def make_xyz(path: Path) -> None:
     path.write_text(numbers(TABLE))
 
 
+def make_pts(path: Path) -> None:
+    colours = np.tile([0, 7, 255], (len(TABLE), 1))
+    path.write_text(f"{len(TABLE)}\n" + numbers(np.column_stack([TABLE, colours])))
+
+
 WRITERS: dict[str, Callable[[Path], None]] = {
     **{".pcd": make_pcd, ".ply": make_ply, ".las": make_las, ".laz": make_las, ".bin": make_bin},
     **{".npy": make_npy, ".npz": make_npz, ".csv": make_csv, ".xyz": make_xyz, ".txt": make_xyz},
+    **{".asc": make_xyz, ".pts": make_pts},
 }

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import cloud_from_array, read_cloud
+from tests.io.exports import EXPORTS
 from tests.io.files import INTENSITY, TABLE, XYZ, numbers
 
 
@@ -41,8 +43,17 @@ class TestText:
             ("x,y,z\n\n1,2,3\n1,2\n", "line 4"),
             ("x y z\n# no\n1 2 3\n1 2 3 4\n", "line 4"),
             ("1,2,,3\n4,5,,6\n", "line 1"),  # an empty cell must not move the others
-            ("1,5;2,5;3,5\n", "line 1"),  # decimal commas are not more columns
-            ("1,5 2,5 3,5\n", "line 1"),
+            ("1,5;2.5;3,5\n", "line 1"),  # commas beside points may separate thousands
+            ("1,5 2.5 3,5\n", "line 1"),
+            ("1,2,3 4,5,6\n", "line 1"),
+            ("60\n1 2 3\n", "line 1: promises 60 points, 1 lines"),
+            ("x y z\n1\n1 2 3\n4 5 6\n", "line 2: promises 1 points, 2 lines"),
+            ("60\n", "no lines of numbers"),
+            ("1\n2\n3\n", r"line 1: promises 1 points, 2 lines|\(2, 1\)"),
+            ("0x1g 2 3\n", "line 1"),
+            ("X (deg),Y (deg),Z (m)\n1,2,3\n", r"X \(deg\), Y \(deg\).*one unit of m, cm"),
+            ("X (m),Y (m),Z (mm)\n1,2,3\n", "one unit of m, cm"),
+            ("x,y,z\n0TFDFCE00502501,1,2,3\n0TFDFCE00502501,1,2,3\n1,2,3\n", "line 3"),
             ("1 2 3 255 0 0\n", r"\(N, 3\)"),  # colours are no intensity
             ("1 2\n", r"\(1, 2\)"),
             ("x,y,z\n", "no lines of numbers"),
@@ -57,6 +68,50 @@ class TestText:
         (tmp_path / "a.xyz").write_text(text)
         with pytest.raises(ReadError, match=message):
             read_cloud(tmp_path / "a.xyz")
+
+
+CLOUD = PointCloud(
+    np.round(np.random.default_rng(1).uniform(-40, 40, (30, 3)), 3),
+    intensity=np.arange(30.0) * 8,
+    ring=np.arange(30) % 16,
+)
+
+
+class TestExports:
+    """What viewers of makers, and programs of surveyors, write."""
+
+    @pytest.mark.parametrize("name", EXPORTS)
+    def test_the_points_are_those_of_the_viewer(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / name).write_bytes(EXPORTS[name](CLOUD))
+        in_mm = "in mm" in name
+        cloud = read_cloud(tmp_path / name, unit="mm" if in_mm else "m")
+        np.testing.assert_allclose(cloud.xyz, CLOUD.xyz, atol=1e-9)
+        assert cloud.intensity is not None
+        scale = (16, -2048) if name == "leica.pts" else (1, 0)
+        np.testing.assert_array_equal(cloud.intensity, np.arange(30.0) * 8 * scale[0] + scale[1])
+        if name.split(".")[0] in ("veloview", "veloview 3", "pandarview", "ouster"):
+            np.testing.assert_array_equal(cloud.ring, CLOUD.ring)
+        # Ticks of a length that is not stated are no seconds.
+        assert (cloud.time, cloud.dropped) == (None, 0)
+        said = {"ouster in mm.csv": "--unit mm", "livox viewer 2.csv": "line 2 has 10 values"}
+        said |= dict.fromkeys(("spreadsheet.csv", "commas and blanks.txt"), "decimal marks")
+        assert [said.get(name, "") in note for note in cloud.notes] == [True] * (name in said)
+
+    def test_times_in_seconds_are_told_by_their_unit(self, tmp_path: Path) -> None:
+        for unit, is_taken in (("s", True), ("", True), ("us", False), ("ms", False)):
+            name = f"time ({unit})" if unit else "time"
+            (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,0.5\n1,2,4,1.5\n")
+            assert (read_cloud(tmp_path / "a.csv").time is not None) == is_taken
+
+    def test_columns_of_a_pts_that_are_no_colours_are_no_guess(self, tmp_path: Path) -> None:
+        for row in ("1 2 3 200 100 50 0.5", "1 2 3 4 5 256", "1 2 3 4 5 6 -7"):
+            (tmp_path / "a.pts").write_text(f"{row}\n")
+            with pytest.raises(ReadError, match="no colours from 0 to 255"):
+                read_cloud(tmp_path / "a.pts")
+
+    def test_an_intensity_that_is_missing_is_the_lowest(self, tmp_path: Path) -> None:
+        (tmp_path / "a.pts").write_text("2\n1 2 3 -1500\n1 2 4 nan\n")
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.pts").intensity, [-1500, -1500])
 
 
 class TestArrays:

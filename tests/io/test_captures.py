@@ -118,7 +118,7 @@ def test_a_loss_is_said_on_the_console_and_in_the_result(tmp_path: Path) -> None
     path = tmp_path / "a.pcap"
     path.write_bytes(cut(velodyne()))
     shown = retropole_here("info", path)
-    assert "lost       the capture is damaged or cut: 600 of" in shown.stdout
+    assert "note       the capture is damaged or cut: 600 of" in shown.stdout
     done = retropole_here("calibrate", path, path, "--out", tmp_path / "o", "--threshold-target", 9)
     assert f"retropole: {path}: the capture is damaged or cut" in done.stderr
 
@@ -134,6 +134,17 @@ def test_what_is_no_capture_at_all_is_refused_soon(tmp_path: Path) -> None:
     path.write_bytes(head + (packet * 4 + b"\xff" * 7) * (MAX_GAPS + 2))
     with pytest.raises(ReadError, match=rf"is damaged at {MAX_GAPS + 1} places"):
         read_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".cap"])
+def test_the_suffix_changes_neither_advice_nor_reading(tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("velodyne_decoder")
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(100))
+    with pytest.raises(ReadError, match=r"is a pcapng, .*'editcap -F pcap' converts it"):
+        read_cloud(path)
+    path.write_bytes(velodyne())
+    assert len(read_cloud(path)) > 0
 
 
 def test_both_byte_orders_are_walked(tmp_path: Path) -> None:

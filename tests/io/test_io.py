@@ -1,15 +1,21 @@
 """What any reader must do: say what is wrong, drop what is not a return, join frames in order."""
 
+from collections.abc import Iterator
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError
 from retropole.io import READERS, read_cloud, read_recording, sha256_of, write_pcd
+from retropole.io.recognition import guess_sensors
+from retropole.io.rings import rings_fault, with_trusted_rings
 from tests.io.files import INTENSITY, WRITERS, XYZ, make_pcd, make_ply
 
 
@@ -112,6 +118,68 @@ def test_sha256_is_of_the_bytes_in_natural_order(tmp_path: Path) -> None:
     assert sha256_of(tmp_path) == sha256_of(tmp_path / "whole.dat") == abc
     with pytest.raises(ReadError, match="no such"):
         sha256_of(tmp_path / "absent")
+
+
+SICK_BITS = {"<f4": (0x7F800001, 0xFF800001, 0x7F7FFFFF), "<f8": (0x7FF0000000000001, 2**64 - 1)}
+"""Signalling NaN, with either sign, and the largest number; casting them warns."""
+
+SICK = (float("nan"), -float("inf"), -1e38, 2.0**63, 1e-40)
+FIELDS = (*"xyz", "intensity", "ring", "time")
+
+
+def sick_columns(kind: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Give records of 80 points, a value of which is one that no sensor measures."""
+    bits = np.array(SICK_BITS[kind], kind.replace("f", "u")).view(kind)
+    values = np.concatenate([bits, np.array(SICK).astype(kind)])
+    for k, name in enumerate(FIELDS):
+        for value in values:
+            table = np.random.default_rng(0).uniform(1, 9, (80, len(FIELDS))).round(1)
+            table[:, :3] -= 5.05
+            table[:, 4] = np.arange(80) % 16
+            points = table.astype(kind)
+            points[3, k] = value
+            yield name, points
+
+
+def write_sick(folder: Path, points: NDArray[Any]) -> Iterator[Path]:
+    """Write points in every format that holds floats as they are, and as text."""
+    kind = points.dtype.str
+    names = " ".join(FIELDS)
+    np.save(folder / "a.npy", points.view([(name, kind) for name in FIELDS])[:, 0])
+    np.savez(folder / "a.npz", **dict(zip(FIELDS, points.T, strict=True)))
+    head = f"VERSION 0.7\nFIELDS {names}\nSIZE {' '.join([kind[2]] * 6)}\nTYPE F F F F F F\n"
+    head += f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA "
+    (folder / "a.pcd").write_bytes(f"{head}binary\n".encode() + points.tobytes())
+    head = head.replace("SIZE 4 4 4 4 4 4", "SIZE 4 4 4 4 2 4").replace(
+        "F F F F F F", "F F F I U F"
+    )
+    rows = "".join(" ".join(map(repr, row)) + "\n" for row in points.tolist())
+    (folder / "b.pcd").write_text(f"{head}ascii\n{rows}")
+    (folder / "a.csv").write_text(f"{names}\n{rows}")
+    own = {"4": "float", "8": "double"}[kind[2]]
+    head = f"ply\nformat {{}} 1.0\nelement vertex {len(points)}\n"
+    head += "".join(f"property {own} {name}\n" for name in FIELDS) + "end_header\n"
+    (folder / "a.ply").write_bytes(head.format("binary_little_endian").encode() + points.tobytes())
+    (folder / "b.ply").write_text(head.format("ascii") + rows)
+    (folder / "a.bin").write_bytes(points[:, :4].tobytes())
+    (folder / "b.bin").write_bytes(points[:, :5].tobytes())
+    yield from (folder / f"{name}" for name in ("a.npy", "a.npz", "a.pcd", "b.pcd", "a.csv"))
+    yield from (folder / f"{name}" for name in ("a.ply", "b.ply", "a.bin", "b.bin"))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", SICK_BITS)
+def test_no_number_of_a_file_is_cast_unchecked(tmp_path: Path, kind: str) -> None:
+    """A cast of what does not fit warns, and gives any number."""
+    for name, points in sick_columns(kind):
+        for path in write_sick(tmp_path, points):
+            # Of a .bin, the values decide what it is.
+            with suppress(ReadError) if path.suffix == ".bin" else nullcontext():
+                cloud = read_cloud(path)
+                assert_valid(cloud)
+                assert len(cloud) + cloud.dropped == 80, (name, points[3])
+                rings_fault(cloud)
+                guess_sensors(with_trusted_rings(cloud))
 
 
 @pytest.mark.parametrize("suffix", WRITERS)

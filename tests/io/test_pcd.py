@@ -168,6 +168,41 @@ def test_viewpoint_is_the_origin_and_no_return(tmp_path: Path) -> None:
     assert cloud.dropped == 1
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("shape", [(0, 0), (0, 1), (60, 0)])
+def test_points_are_read_where_width_and_height_are_not_said(
+    tmp_path: Path, encoding: str, shape: tuple[int, int]
+) -> None:
+    width, height = (f"{n}".encode() for n in shape)
+    data = simple(encoding).replace(b"WIDTH 60", b"WIDTH " + width)
+    (tmp_path / "a.pcd").write_bytes(data.replace(b"HEIGHT 1", b"HEIGHT " + height))
+    cloud = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(cloud.xyz, np.tile(XYZ, (20, 1)))
+    said = "WIDTH {} and HEIGHT {} are passed over: POINTS is 60".format(*shape)
+    assert cloud.notes == (said,)
+    huge = data.replace(b"HEIGHT 1", b"HEIGHT 0").replace(b"POINTS 60", b"POINTS 1000000000000")
+    (tmp_path / "a.pcd").write_bytes(huge)
+    with pytest.raises(ReadError, match="promises"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(("name", "notes"), [("_", 0), ("rgb", 1)])
+def test_a_field_of_no_values_is_passed_over(
+    tmp_path: Path, encoding: str, name: str, notes: int
+) -> None:
+    fields = [("x", "F", 4, 1), (name, "U", 1, 0), ("y", "F", 4, 1), ("z", "F", 4, 1)]
+    xyz = np.tile(XYZ, (20, 1))
+    data = pcd(fields, [xyz[:, 0], np.zeros((60, 0)), xyz[:, 1], xyz[:, 2]], encoding)
+    (tmp_path / "a.pcd").write_bytes(data)
+    cloud = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(cloud.xyz, xyz)
+    assert cloud.notes == ("of COUNT 0, so without values: rgb",) * notes
+    (tmp_path / "a.pcd").write_bytes(data.replace(b"COUNT 1 0 1 1", b"COUNT 0 0 0 0"))
+    with pytest.raises(ReadError, match="COUNT is 0 for every field"):
+        read_cloud(tmp_path / "a.pcd")
+
+
 def test_text_that_its_type_cannot_hold_does_not_wrap(tmp_path: Path) -> None:
     data = pcd(
         [(a, "F", 4, 1) for a in "xyz"] + [("i", "U", 2, 1)], [*XYZ.T, np.full(3, 300)], "ascii"

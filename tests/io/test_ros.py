@@ -1,8 +1,10 @@
 """Bags that rosbags wrote, and those of others, give the points that were put in."""
 
 import sqlite3
+import struct
 import sys
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +22,12 @@ from rosbags.typesys import Stores, get_typestore
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
-from retropole.io.ros import columns_of
+from retropole.io.live.replay import ReplaySource
+from retropole.io.ros import columns_of, frame_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
 from tests.io.clouds import assert_same, random_cloud
+from tests.io.exports import START as LIVOX_START
+from tests.io.exports import livox_message, livox_store, write_livox_bag
 from tests.io.files import required
 from tests.paths import SHARED
 
@@ -426,3 +431,66 @@ def test_more_points_than_bytes_for_them_are_refused() -> None:
         columns_of(made)
     object.__setattr__(made, "width", count - 1)
     assert len(columns_of(made)["x"]) == count - 1
+
+
+class TestLivox:
+    """``CustomMsg``, which Livox' drivers send unless they are told to send PointCloud2."""
+
+    @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+    @pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+    def test_the_points_are_those_of_the_driver(
+        self, tmp_path: Path, package: str, kind: str
+    ) -> None:
+        clouds = [random_cloud(seed, 40 + seed) for seed in range(3)]
+        path = write_livox_bag(tmp_path, [*clouds, random_cloud(9, 0)], package, kind)
+        frames = list(read_frames(path))
+        for frame, cloud in zip(frames, clouds, strict=False):
+            assert_same(frame.cloud, cloud)
+            assert frame.frame_id == "livox_frame"
+            assert frame.stamp == pytest.approx(LIVOX_START / 1e9 + 0.1 * frame.number)
+            times = required(frame.stamp) + 1e-6 * np.arange(len(cloud))
+            assert np.abs(required(frame.cloud.time) - times).max() < 5e-7
+            assert frame.cloud.notes == ()
+        assert (len(frames), len(frames[3].cloud)) == (4, 0)
+        whole = read_cloud(path, topic="/livox/lidar")
+        np.testing.assert_array_equal(whole.xyz, np.concatenate([each.xyz for each in clouds]))
+        assert whole.recorded == pytest.approx((LIVOX_START / 1e9, LIVOX_START / 1e9 + 0.2))
+        with closing(ReplaySource(path)) as source:
+            played = source.newest(5)
+        assert_same(required(played).cloud, clouds[0])
+
+    def test_an_older_package_and_a_topic_that_is_none(self, tmp_path: Path) -> None:
+        cloud = random_cloud()
+        path = write_livox_bag(tmp_path, [cloud], "livox_interfaces", "mcap")
+        assert_same(read_cloud(path), cloud)
+        with pytest.raises(ReadError, match=r"no topic /absent; .* /livox/lidar \(1 message\)"):
+            read_cloud(path, topic="/absent")
+
+    @pytest.mark.parametrize("encoding", ["ros1", "cdr"])
+    def test_a_number_of_points_that_lies_takes_no_memory(self, encoding: str) -> None:
+        is_plain = encoding == "ros1"
+        store = livox_store("livox_ros_driver2", ros1=is_plain)
+        write = store.serialize_ros1 if is_plain else store.serialize_cdr
+        name = "livox_ros_driver2/msg/CustomMsg"
+        made = livox_message(random_cloud(), store, "livox_ros_driver2", 5)
+        data = bytearray(write(made, name))
+        promised = data.index(struct.pack("<QI", 5, 50)) + 8
+
+        def decoded(changed: bytes) -> PointCloud:
+            return frame_of("", "/a", 3, 0, changed, encoding, name).cloud
+
+        # The number in the header is of no use; that of the array is what counts.
+        data[promised : promised + 4] = struct.pack("<I", 2**32 - 1)
+        (note,) = decoded(bytes(data)).notes
+        assert note.startswith("point_num is not the number of points")
+        for at, value in ((promised + 8, 2**32 - 1), (promised + 8, 49), (promised + 8, 51)):
+            changed = bytearray(data)
+            changed[at : at + 4] = struct.pack("<I", value)
+            tracemalloc.start()
+            with pytest.raises(ReadError, match=f"message 3 of /a: promises {value:,} points"):
+                decoded(bytes(changed))
+            assert tracemalloc.get_traced_memory()[1] < 10**6
+            tracemalloc.stop()
+        for end in range(0, len(data) - 4, 37):
+            with pytest.raises(ReadError, match=r"message 3 of /a: (is not a readable|promises)"):
+                decoded(bytes(data[:end]))

@@ -273,6 +273,10 @@ BRIGHTEST = 6
 """The brightest return is taken as the sixth: a single glint says nothing of the scale."""
 
 
+BOTTOM = 0.01
+"""Share of the returns that may be below the bottom of the scale."""
+
+
 def auto_threshold(intensity: Array) -> Threshold:
     """Find the threshold from the cloud itself, on whatever scale it has.
 
@@ -283,12 +287,15 @@ def auto_threshold(intensity: Array) -> Threshold:
     Parameters
     ----------
     intensity
-        (N,) on a scale of 0–1, 8 bit, 16 bit or any other from zero up.
+        (N,) on a scale of 0–1, 8 bit, 16 bit or any other, as Leica's from -2048 up: parts of the
+        brightest count from zero, or from the bottom of the scale where that is lower.
     """
     tail = _end_of_diffuse(intensity)
     rank = min(BRIGHTEST, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
-    low, high = (part * top for part in OF_BRIGHTEST)
+    # A few returns may have -1, or less, in the place of an intensity.
+    bottom = min(0.0, float(np.quantile(intensity, BOTTOM)))
+    low, high = (bottom + part * (top - bottom) for part in OF_BRIGHTEST)
     if tail > high:
         return Threshold(high, f"auto: {OF_BRIGHTEST[1]:.0%} of the brightest; little stands out")
     if tail < low:

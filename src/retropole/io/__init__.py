@@ -13,7 +13,7 @@ from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
 from .arrays import ARRAY_SOURCE as ARRAY_SOURCE
 from .arrays import cloud_from_array as cloud_from_array
-from .arrays import read_npy, read_npz, read_text
+from .arrays import read_npy, read_npz, read_pts, read_text
 from .bag_files import BAGS as BAGS
 from .bag_files import is_rosbag2
 from .binary_records import read_bin
@@ -23,8 +23,8 @@ from .downsampling import read_within
 from .failures import naming, readable
 from .fields import only_returns as only_returns
 from .las import read_las
+from .packets import CAPTURES, open_packets
 from .packets import PACKETS as PACKETS
-from .packets import open_packets
 from .pcd import read_pcd
 from .pcd import write_pcd as write_pcd
 from .ply import read_ply
@@ -49,6 +49,8 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".csv": read_text,
     ".xyz": read_text,
     ".txt": read_text,
+    ".asc": read_text,
+    ".pts": read_pts,
 }
 """From the suffix of a file of one frame, in lower case, to its reader."""
 
@@ -80,7 +82,7 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
         return open_bag(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
-    if path.suffix.lower() in PACKETS and path.is_file():
+    if path.suffix.lower() in CAPTURES and path.is_file():
         return open_packets(path)
     return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
 
@@ -193,7 +195,7 @@ def read_recording(
     """
     unit = unit_named(unit)
     recording = open_recording(path, topic=topic)
-    if unit != "m" and recording.path.suffix.lower() in PACKETS:
+    if unit != "m" and recording.path.suffix.lower() in CAPTURES:
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
     most = sys.maxsize if max_points is None else max_points
@@ -233,7 +235,7 @@ def frames_of(folder: Path) -> list[Path]:
     files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *PACKETS)]
+        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES)]
         raise ReadError(
             f"{folder}: has several recordings, give one of them: {', '.join(sorted(recordings))}"
             if recordings

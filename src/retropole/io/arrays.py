@@ -9,7 +9,7 @@ import re
 import zipfile
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
 from .failures import LineError, reported
-from .fields import PLAIN_COLUMNS, REAL_KINDS, cloud_from_columns, has_meaning, read_whole
+from .fields import (
+    PLAIN_COLUMNS,
+    REAL_KINDS,
+    cloud_from_columns,
+    has_coordinates,
+    has_meaning,
+    noted,
+    read_whole,
+)
 from .unpacking import Spend, allowance
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
@@ -25,6 +33,22 @@ TABLE_KEYS = ("xyz", "points", "arr_0")
 
 SEPARATORS = ";\t,"
 """What separates the values of a text: the first of these that occurs, else blanks."""
+
+DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?")
+"""A number as it is written where the comma is the decimal mark."""
+
+HEXADECIMAL = re.compile(rb"(?<![\w.+-])0[xX][0-9a-fA-F]{1,16}(?![\w.])")
+"""A whole number as Livox Viewer writes its error codes."""
+
+MAX_EXACT = 2**53
+"""Up to this, a float64 holds every whole number."""
+
+COLOURS = ("red", "green", "blue")
+LEICA_COLUMNS = (*PLAIN_COLUMNS[:3], *COLOURS), (*PLAIN_COLUMNS, *COLOURS)
+"""What six and seven columns of a ``.pts`` are."""
+
+MAX_COLUMNS = 10_000
+"""Values of a point; more are an error, and would take the time."""
 
 MAX_HEAD = 2**20
 """Bytes that comments and names of columns, and the first line of numbers, may take."""
@@ -161,28 +185,102 @@ def read_text(path: Path) -> PointCloud:
 
     Values are separated by semicolons, tabs, commas or blanks: the first of these that is in the
     first line of numbers. Lines that start with ``#`` or ``//`` are comments; the last one before
-    the numbers that names x, y and z names the columns.
+    the numbers that names x, y and z names the columns. A line of one whole number before the
+    points is their number. Decimal commas are read where nothing else can be meant by them.
     """
-    body = read_whole(path).removeprefix(codecs.BOM_UTF8)
-    body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    names, first, position = _names(body)
-    raw = body[position:].partition(b"\n")[0]
+    return _read_lines(path)
+
+
+def read_pts(path: Path) -> PointCloud:
+    """Read a text as `read_text` does, also with colours, without names, as Leica's programs do.
+
+    Six columns are x y z and red, green, blue; of seven, the fourth is the intensity.
+    """
+    return _read_lines(path, LEICA_COLUMNS)
+
+
+def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointCloud:
+    """Read a text; `wide` are the names that columns without names may have, if there are more."""
+    body = _as_utf8(read_whole(path)).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head = _head(body)
+    body = body[head.position :]
+    raw = body.partition(b"\n")[0]
     if len(raw) > MAX_HEAD:
-        raise LineError(first, f"{len(raw):,} bytes, expected x y z and more")
-    line = raw.decode("ascii", errors="replace")
-    separator = _separator(line)
-    columns = len(names) or len(line.split("#")[0].split(separator))
-    table = read_table(body[position:], columns, line=first, separator=separator)
+        raise LineError(head.line, f"{len(raw):,} bytes, expected x y z and more")
+    line = raw.decode("ascii", errors="replace").split("#")[0]
+    separator, notes = _separator(line), list(head.notes)
+    # Where there are points as well, commas may separate thousands.
+    if b"," in body and b"." not in body and _has_decimal_commas(line, separator):
+        body = body.replace(b",", b".")
+        separator = None if separator == "," else separator
+        notes.append("its commas are read as decimal marks")
+    columns = len(head.names) or len(line.split(separator))
+    if columns > MAX_COLUMNS:
+        raise LineError(head.line, f"{columns:,} columns, expected {MAX_COLUMNS:,} at most")
+    table = read_table(body, columns, line=head.line, separator=separator)
+    if head.promised is not None and len(table) != head.promised:
+        said = f"promises {head.promised} points, {len(table)} lines of numbers follow"
+        raise LineError(head.counted_at, said)
+    names = head.names or next((list(own) for own in wide if len(own) == columns), [])
     if not names:
-        return _from_table(table)
+        return noted(_from_table(table), *notes)
+    if not head.names:
+        _check_colours(table[:, -len(COLOURS) :])
     if len({name.lower() for name in names}) < len(names):
         raise ReadError(f"two columns have one name, the names are: {', '.join(names)}")
-    return cloud_from_columns(dict(zip(names, table.T, strict=True)))
+    own = {
+        name: _whole(column) if has_meaning(name) else column
+        for name, column in zip(names, table.T, strict=True)
+    }
+    return noted(cloud_from_columns(own), *notes)
 
 
-def _names(body: bytes) -> tuple[list[str], int, int]:
-    """Find the names of the columns, if any, and line and position of the first numbers."""
+def _as_utf8(data: bytes) -> bytes:
+    """Give a text without its byte order mark, which also tells UTF-16."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16", errors="replace").encode("utf-8", errors="replace")
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
+def _has_decimal_commas(line: str, separator: str | None) -> bool:
+    """Whether commas can only be decimal marks, by the first line of numbers."""
+    words = line.split()
+    between_blanks = len(words) >= 3 and all(map(DECIMAL_COMMA.fullmatch, words))
+    return separator in (";", "\t") or between_blanks
+
+
+def _check_colours(values: Array) -> None:
+    """Refuse a file whose last columns are no colours, so that others may be no intensity."""
+    if not (np.all(values == np.rint(values)) and np.all((values >= 0) & (values <= 255))):
+        raise ReadError(
+            "its last three columns are no colours from 0 to 255, expected x y z intensity red "
+            "green blue; a first line may name the columns"
+        )
+
+
+def _whole(column: Array) -> NDArray[Any]:
+    """Give whole numbers as such: a text has no types, and of times they are ticks."""
+    with np.errstate(invalid="ignore"):
+        is_whole = np.all(np.abs(column) <= MAX_EXACT) and np.all(column == np.rint(column))
+    return column.astype(np.int64) if is_whole else column
+
+
+class _Head(NamedTuple):
+    """What is before the first line of numbers, and its number and position."""
+
+    names: list[str]
+    promised: int | None
+    counted_at: int
+    line: int
+    position: int
+    notes: tuple[str, ...]
+
+
+def _head(body: bytes) -> _Head:
+    """Find the names of the columns and the number of points, if any, and the first numbers."""
     names, commented, position = list[str](), True, 0
+    promised: int | None = None
+    counted_at, notes = 0, tuple[str, ...]()
     for number, raw in enumerate(body[:MAX_HEAD].splitlines(keepends=True), 1):
         if raw.isspace():
             position += len(raw)
@@ -190,16 +288,22 @@ def _names(body: bytes) -> tuple[list[str], int, int]:
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
         words = [word.strip(" \"'") for word in plain.split(_separator(plain))]
+        is_comment = plain != line
+        if not is_comment and promised is None and re.fullmatch("[0-9]{1,15}", plain):
+            # CloudCompare and Leica's programs write how many points follow.
+            promised, counted_at = int(plain), number
+        elif not is_comment and names and not notes and _is_of_device(words, len(names)):
+            notes = (f"line {number} has {len(words)} values and is left out: {line[:60]!r}",)
         # Words that only start like a number are not names: 1,5 is an error and not a title.
-        if plain == line and any(
+        elif not is_comment and any(
             is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in words
         ):
-            return names, number, position
-        if plain == line and plain:
+            return _Head(names, promised, counted_at, number, position, notes)
+        elif not is_comment:
             if not commented:
                 raise LineError(number, f"{line[:60]!r}, expected numbers")
             names, commented = words, False
-        elif commented and {"x", "y", "z"} <= {word.lower() for word in words}:
+        elif commented and has_coordinates(words):
             # Of the comments, only one that names the coordinates names the columns.
             names = words
         position += len(raw)
@@ -207,6 +311,12 @@ def _names(body: bytes) -> tuple[list[str], int, int]:
         f"holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
         "expected x y z and more in columns"
     )
+
+
+def _is_of_device(words: list[str], columns: int) -> bool:
+    """Whether a line is of the sensor and not of a point: Livox Viewer 2 begins with such a one."""
+    is_serial = re.fullmatch("[0-9A-Z]{10,30}", words[0]) is not None and not is_number(words[0])
+    return is_serial and len(words) != columns
 
 
 def _separator(line: str) -> str | None:
@@ -229,7 +339,7 @@ def read_table(body: bytes, columns: int, *, line: int, separator: str | None = 
 
     Returns
     -------
-    (N, columns) array.
+    (N, columns) array; hexadecimal numbers (0x1F) are whole numbers.
 
     Raises
     ------
@@ -239,6 +349,8 @@ def read_table(body: bytes, columns: int, *, line: int, separator: str | None = 
     # Only these end a line for NumPy and for editors; str.splitlines knows many others.
     if b"\r" in body:
         body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"0x" in body or b"0X" in body:
+        body = HEXADECIMAL.sub(lambda found: b"%d" % int(found[0], 16), body)
     if not any(part.split(b"#", 1)[0].strip() for part in io.BytesIO(body)):
         return np.empty((0, columns))
     # Line by line: the whole as a string takes several times the memory of the file.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
-from .fields import LARGEST, PLAIN_COLUMNS, cloud_from_columns, read_whole
+from .fields import LARGEST, PLAIN_COLUMNS, cloud_from_columns, floats, read_whole
 
 FOUR, FIVE = PLAIN_COLUMNS, (*PLAIN_COLUMNS, "ring")
 """Columns of KITTI's velodyne files, and of nuScenes' ``.pcd.bin`` files."""
@@ -92,7 +92,7 @@ def _alternate(rows: NDArray[Any]) -> bool:
     """Whether every second row is something else than a point."""
     if len(rows) < FEWEST_ROWS or len(rows) * FLOAT * 4 % LONG_RECORD:
         return False
-    ground = rows[:, :2].astype(np.float64)
+    ground = floats(rows[:, :2])
     ground = np.where(np.isfinite(ground), ground, 0.0)
     spreads = [
         np.ptp(np.quantile(part, [0.05, 0.95], axis=0), axis=0)

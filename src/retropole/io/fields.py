@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,17 +14,32 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import ReadError, UsageError
 from .failures import naming
+from .units import METRES
 
-INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
+PARAVIEW = ("points", "points_m_xyz")
+IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]{0,20})[\])]$")
+"""A unit at the end of a name: ``X (m)``, ``time [s]``."""
+
+COORDINATES = {
+    axis: (axis, f"{axis}1", *(f"{name}{mark}{k}" for mark in ":_" for name in PARAVIEW))
+    for k, axis in enumerate("xyz")
+}
+"""Names of x, y and z. Programs that are made of ParaView call them ``Points:0`` or
+``Points_m_XYZ:0``, Ouster's those of the first return ``X1 (m)``."""
+
+INTENSITY = ("intensity", "intensities", "i", "signal", "reflectivity", "reflectance", "remission")
 RING = (
     *("ring", "channel", "laser_id", "line", "beam", "laser_number", "laser", "laserid"),
-    *("ring_id", "ring_number", "beam_id", "channel_id"),
+    *("ring_id", "ring_number", "beam_id", "channel_id", "row"),
 )
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
 """Names of the fields in lower case; where a file has several, the first is taken."""
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 """What the columns of a table without names are; a fifth could be a colour or a normal."""
+
+IN_SECONDS = ("", "s", "sec", "seconds")
+"""Units in the name of a time that are seconds, or say nothing."""
 
 LAST_SECOND = 1e11
 """Greater than any time in seconds (year 5138), smaller than any Unix time in milliseconds."""
@@ -57,27 +73,48 @@ def read_whole(path: Path, expected: str = "points") -> bytes:
     return data
 
 
+def noted(cloud: PointCloud, *notes: str) -> PointCloud:
+    """Add what was lost or assumed to what a cloud has; empty notes are none."""
+    return replace(cloud, notes=(*cloud.notes, *filter(None, notes)))
+
+
 def left_out(promised: int, more: int) -> str:
     """Say that a file holds more points than its header promises, which are not read."""
     return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
 
 
 def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
-    """Find the first column with one of the names, in any case; the exact spelling goes first.
+    """Find the first column with one of the names, in any case; the exact spelling goes first."""
+    plain: dict[str, str] = {}
+    for spelled in (str, str.lower, _bare):
+        for name in columns:
+            plain.setdefault(spelled(name), name)
+    return next((plain[name] for name in names if name in plain), None)
+
+
+def _bare(name: str) -> str:
+    """Give a name in lower case, without its unit.
 
     CloudCompare puts ``scalar_`` in front of names that it does not know.
     """
-    plain = {name: name for name in columns}
-    for name in columns:
-        plain.setdefault(name.lower(), name)
-    for name in columns:
-        plain.setdefault(name.lower().removeprefix("scalar_"), name)
-    return next((plain[name] for name in names if name in plain), None)
+    return IN_BRACKETS.sub("", name.lower().removeprefix("scalar_")).rstrip()
+
+
+def _unit(name: str) -> str:
+    """Give the unit in brackets after a name; empty where there is none."""
+    found = IN_BRACKETS.search(name.lower())
+    return found[1].strip() if found else ""
+
+
+def has_coordinates(names: Iterable[str]) -> bool:
+    """Whether x, y and z are among names, in any spelling."""
+    bare = {_bare(name) for name in names}
+    return all(bare.intersection(own) for own in COORDINATES.values())
 
 
 def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
     """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
-    return name.lower().removeprefix("scalar_") in {*INTENSITY, *RING, *TIME, *besides}
+    return _bare(name) in {*INTENSITY, *RING, *TIME, *besides}
 
 
 class NoReturnsError(ReadError):
@@ -94,8 +131,9 @@ def cloud_from_columns(
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
     Of several values of a field (a dual return's intensities), the first is taken. An intensity
-    that is not finite counts as 0: a return without a measured strength cannot be tape. Where none
-    is finite, the file has no intensity. Colours (rgb) are not an intensity.
+    that is not finite counts as 0, or as the lowest where there are lower ones: a return without a
+    measured strength cannot be tape. Where none is finite, the file has no intensity. Colours (rgb)
+    are not an intensity.
 
     Parameters
     ----------
@@ -111,7 +149,7 @@ def cloud_from_columns(
     ReadError
         Without x, y or z, without points, or with none that is finite and away from the origin.
     """
-    found = {name: _find(columns, (name,)) for name in ("x", "y", "z")}
+    found = {name: _find(columns, names) for name, names in COORDINATES.items()}
     missing = [name for name, own in found.items() if own is None]
     if missing:
         have = ", ".join(columns) or "none"
@@ -123,7 +161,7 @@ def cloud_from_columns(
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
     for axis, part in enumerate(parts):
-        xyz[:, axis] = _floats(part)
+        xyz[:, axis] = floats(part)
     kept = _is_return(xyz, start)
     if not kept.any():
         none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
@@ -131,7 +169,7 @@ def cloud_from_columns(
 
     def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:
         own = _find(columns, names)
-        if own is None:
+        if own is None or (names is TIME and _unit(own) not in IN_SECONDS):
             return None
         values = _numbers(own, columns[own])
         if len(values) != len(xyz):
@@ -139,7 +177,9 @@ def cloud_from_columns(
             raise ReadError(f"{has}, expected one per point")
         return convert(values if kept.all() else values[kept])
 
+    unit = _unit_of_coordinates([own for own in found.values() if own is not None])
     return PointCloud(
+        notes=(unit,) if unit else (),
         xyz=xyz if kept.all() else xyz[kept],
         intensity=optional(INTENSITY, _intensity),
         ring=optional(RING, _ring),
@@ -149,6 +189,16 @@ def cloud_from_columns(
         source=source,
         fields={name: _kind(column) for name, column in columns.items()},
     )
+
+
+def _unit_of_coordinates(names: list[str]) -> str:
+    """Say which unit other than metres the names of x, y and z have; nothing is converted."""
+    units = {_unit(name) or "m" for name in names}
+    if len(units) > 1 or not units <= METRES.keys():
+        called = f"the coordinates are called {', '.join(names)}"
+        raise ReadError(f"{called}, expected one unit of {', '.join(METRES)}")
+    (unit,) = units
+    return "" if unit == "m" else f"its columns give x, y and z in {unit} (--unit {unit})"
 
 
 def frame_from_columns(where: str, columns: Columns, origin: Array | None = None) -> PointCloud:
@@ -173,10 +223,11 @@ def _is_return(xyz: Array, origin: Array) -> BoolArray:
     """Find the points that are returns (N,): places, and neither zero nor at the origin."""
     # Axis by axis, which is several times faster than along the short side of (N, 3).
     places, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
-    for axis in range(3):
-        places &= np.abs(xyz[:, axis]) <= LARGEST
-        at_zero &= np.abs(xyz[:, axis]) < SMALLEST
-        at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
+    with np.errstate(invalid="ignore"):
+        for axis in range(3):
+            places &= np.abs(xyz[:, axis]) <= LARGEST
+            at_zero &= np.abs(xyz[:, axis]) < SMALLEST
+            at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
     return places & ~at_zero & ~at_origin
 
 
@@ -233,23 +284,29 @@ def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
     return column if column.ndim == 1 else column[:, 0]
 
 
-def _floats(values: NDArray[Any]) -> Array:
-    # Casting a signalling NaN or a long double out of range warns; such points are dropped.
+def floats(values: NDArray[Any]) -> Array:
+    """Give values of a file as float64; what does not fit is not finite, without a warning."""
+    # Casting a signalling NaN or a long double out of range warns; such points are dropped. The sum
+    # makes a signalling NaN a quiet one, so that nothing that follows warns either.
     with np.errstate(invalid="ignore", over="ignore"):
-        return values.astype(np.float64)
+        added: Array = np.add(values, 0.0, dtype=np.float64, casting="unsafe")
+    return added
 
 
 def _intensity(values: NDArray[Any]) -> Array | None:
-    intensity = _floats(values)
+    intensity = floats(values)
     measured = np.abs(intensity) <= LARGEST
-    return np.where(measured, intensity, 0.0) if measured.any() else None
+    if not measured.any():
+        return None
+    lowest = min(0.0, float(intensity[measured].min()))
+    return np.where(measured, intensity, lowest)
 
 
 def _ring(values: NDArray[Any]) -> IntArray | None:
     """Take ring numbers, which a table stores as floats; None where they are not whole numbers."""
     if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
-    numbers = _floats(values)
+    numbers = floats(values)
     with np.errstate(invalid="ignore"):
         indices = np.all(np.abs(numbers) <= MAX_RING) and np.all(numbers == np.round(numbers))
     return numbers.astype(np.int64) if indices else None
@@ -259,7 +316,7 @@ def _time(values: NDArray[Any]) -> Array | None:
     """Take floats that can be seconds; of ticks, no file says how long one is."""
     if values.dtype.kind != "f":
         return None
-    seconds = _floats(values)
+    seconds = floats(values)
     with np.errstate(invalid="ignore"):
         plausible = np.all(np.abs(seconds) < LAST_SECOND)
     return seconds if plausible else None

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -21,11 +20,14 @@ from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError
 from .captures import mended, packets, sizes_in_words, walk
 from .failures import naming, reported
-from .fields import Columns, frame_from_columns
+from .fields import Columns, frame_from_columns, noted
 from .recordings import Frame, Recording
 
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""
+
+CAPTURES = (*PACKETS, ".pcapng", ".cap")
+"""Suffixes that captures have, also those that may be of a format that is not read."""
 
 VELODYNE_SIZE, VELODYNE_START = 1206, b"\xff\xee"
 """Bytes of a Velodyne packet of returns, and its first bytes."""
@@ -65,7 +67,7 @@ def open_packets(path: Path) -> Recording:
             if number in numbers:
                 where = f"{path}: sweep {number}"
                 cloud = frame_from_columns(where, columns(), origin)
-                yield Frame(number, replace(cloud, notes=(note,) if note else ()), stamp)
+                yield Frame(number, noted(cloud, note), stamp)
             if number == numbers[-1]:
                 return
 

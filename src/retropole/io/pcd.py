@@ -7,7 +7,7 @@ allocated; the data are one NumPy record array. Only the decompression is a libr
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from .fields import (
     Columns,
     cloud_from_columns,
     left_out,
+    noted,
     read_whole,
     records_of,
 )
@@ -61,6 +62,7 @@ class Header:
     encoding: str
     start: int
     lines: int
+    notes: tuple[str, ...]
 
     @property
     def record(self) -> np.dtype[np.void]:
@@ -97,7 +99,7 @@ def read_pcd(path: Path) -> PointCloud:
     else:
         columns, more = _read_compressed(body, header), 0
     cloud = cloud_from_columns(columns, header.origin)
-    return replace(cloud, notes=(left_out(header.points, more),)) if more else cloud
+    return noted(cloud, *header.notes, left_out(header.points, more) if more else "")
 
 
 Entries = dict[str, tuple[int, list[str]]]
@@ -123,7 +125,7 @@ def _parse_header(data: bytes) -> Header:
             raise LineError(number, f"{key} again, after line {entries[key][0]}")
         entries[key] = (number, words[1:])
     names = _entry(entries, "FIELDS")[1]
-    sizes, counts = _whole(entries, "SIZE", 1), _whole(entries, "COUNT", 1, [1] * len(names))
+    sizes, counts = _whole(entries, "SIZE", 1), _whole(entries, "COUNT", 0, [1] * len(names))
     line, types = _entry(entries, "TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
         numbers = f"{len(names)}, {len(sizes)}, {len(types)} and {len(counts)} fields"
@@ -133,10 +135,14 @@ def _parse_header(data: bytes) -> Header:
         if size not in PCD_SIZES.get(letter, ()):
             kind = f"field {name} has type {letter} of {size} bytes"
             raise LineError(line, f"{kind}, expected F of 4 or 8, I or U of 1, 2, 4 or 8")
-    kinds = tuple(f"<{letter.lower()}{size}" for letter, size in zip(types, sizes, strict=True))
+    kinds = [f"<{letter.lower()}{size}" for letter, size in zip(types, sizes, strict=True)]
     (width, *_), (height, *_) = _whole(entries, "WIDTH", 0), _whole(entries, "HEIGHT", 0, [1])
     points = _whole(entries, "POINTS", 0, [width * height])[0]
-    if width * height != points:
+    notes = []
+    if width * height == 0 < points:
+        # Some writers know the number of points only; PCL reads it so, up to 1.12.
+        notes.append(f"WIDTH {width} and HEIGHT {height} are passed over: POINTS is {points}")
+    elif width * height != points:
         product = f"WIDTH {width} times HEIGHT {height} is not POINTS {points}"
         raise ReadError(f"{product}: the header contradicts itself")
     if sum(counts) > MAX_VALUES:
@@ -146,8 +152,22 @@ def _parse_header(data: bytes) -> Header:
         said = f"DATA {' '.join(words)}"
         raise LineError(line, f"{said}, expected ascii, binary or binary_compressed")
     origin = _viewpoint(*entries.get("VIEWPOINT", (0, ["0"] * 7)))
+    # Some writers put a field of no values where there is no padding to be said.
+    empty = [name for name, count in zip(names, counts, strict=True) if not count and name != "_"]
+    if empty:
+        notes.append(f"of COUNT 0, so without values: {', '.join(empty)}")
+    if not any(counts):
+        raise ReadError("COUNT is 0 for every field, expected x, y and z at least")
     return Header(
-        tuple(names), kinds, tuple(counts), points, origin, words[0], start=position, lines=number
+        tuple(name for name, count in zip(names, counts, strict=True) if count),
+        tuple(kind for kind, count in zip(kinds, counts, strict=True) if count),
+        tuple(filter(None, counts)),
+        points,
+        origin,
+        words[0],
+        start=position,
+        lines=number,
+        notes=tuple(notes),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
 from .arrays import read_table
 from .failures import LineError
-from .fields import MAX_PROMISED, cloud_from_columns, left_out, read_whole
+from .fields import MAX_PROMISED, cloud_from_columns, left_out, noted, read_whole
 
 PLY_TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
@@ -85,9 +85,7 @@ def read_ply(path: Path) -> PointCloud:
             columns, end = _read_element(data, start, element, ORDERS[encoding])
         more = (len(data) - end) * vertex.count // (end - start)
     cloud = cloud_from_columns(columns)
-    if more and vertex is elements[-1]:
-        return replace(cloud, notes=(left_out(vertex.count, more),))
-    return cloud
+    return noted(cloud, left_out(vertex.count, more) if more and vertex is elements[-1] else "")
 
 
 def _read_element(

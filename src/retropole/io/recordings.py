@@ -30,6 +30,13 @@ CLOUDS = "sensor_msgs/msg/PointCloud2"
 """Type of the messages with point clouds, as ROS 2 writes it."""
 
 
+def is_of_livox(kind: str) -> bool:
+    """Whether a type of messages is the ``CustomMsg`` of Livox' drivers, of which there are three:
+    ``livox_ros_driver``, ``livox_ros_driver2`` and, for ROS 2 only, ``livox_interfaces``.
+    """
+    return kind.startswith("livox_") and kind.endswith("/msg/CustomMsg")
+
+
 class FrameHeader(NamedTuple):
     """What is known of a frame apart from its points.
 
@@ -82,7 +89,7 @@ class Topic:
     @property
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
-        return self.kind == CLOUDS
+        return self.kind == CLOUDS or is_of_livox(self.kind)
 
 
 MAX_MESSAGES = 2**22

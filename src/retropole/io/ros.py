@@ -1,11 +1,12 @@
 """Point clouds in ROS bags: topics, frames, and the layout of a message (the extra ``ros``).
 
-``sensor_msgs/PointCloud2`` has had one layout in ROS 1 and another in every ROS 2 so far, so the
-definitions in a bag, if any, are not used. No ROS is needed.
+``sensor_msgs/PointCloud2`` and Livox' ``CustomMsg`` have had one layout in ROS 1 and another in
+every ROS 2 so far, so the definitions in a bag, if any, are not used. No ROS is needed.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -19,8 +20,8 @@ from ..base.errors import ReadError
 from ..base.quantities import counted
 from .bag_files import opened
 from .failures import naming, reported
-from .fields import Columns, frame_from_columns
-from .recordings import CLOUDS, Frame, Recording, Topic
+from .fields import Columns, frame_from_columns, noted
+from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number of a type in a PointField to its name in NumPy."""
@@ -28,6 +29,10 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 SMALLEST_POINT, MAX_SMALL_POINTS = 12, 2**22
 """Bytes of a point as drivers write it, and how many may be smaller: in memory a point takes 24
 bytes and more, so that one of a byte would take many times its file."""
+
+LIVOX_POINT = [("offset_time", "u4"), *((axis, "f4") for axis in "xyz")]
+LIVOX_POINT += [(name, "u1") for name in ("reflectivity", "tag", "line")]
+"""Values of a point in Livox' ``CustomMsg``; its time is in ns from that of the message."""
 
 MAX_LISTED = 10
 """Topics that a message names."""
@@ -62,7 +67,8 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
     filled = [topic for topic in clouds if topic.count]
     named = next((topic for topic in topics if topic.name == name), None)
     if not clouds:
-        fault = f"has no topic of {CLOUDS}; its topics are: {_listed(topics, kinds=True)}"
+        fault = f"has no topic of {CLOUDS} or of Livox' CustomMsg; its topics are: "
+        fault += _listed(topics, kinds=True)
     elif name is not None and named is None:
         fault = f"has no topic {name}; those of clouds are: {_listed(clouds)}"
     elif named is not None and not named.of_clouds:
@@ -94,14 +100,22 @@ def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
         number = -1
         for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name, topic.kind)):
             if number in numbers:
-                yield frame_of(f"{path}: ", topic.name, number, stamp, data, encoding)
+                yield frame_of(f"{path}: ", topic.name, number, stamp, data, encoding, topic.kind)
             if number == numbers[-1]:
                 return
         promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
         raise ReadError(f"{promised}, holds {number + 1}")
 
 
-def frame_of(source: str, topic: str, number: int, stamp: int, data: bytes, encoding: str) -> Frame:
+def frame_of(
+    source: str,
+    topic: str,
+    number: int,
+    stamp: int,
+    data: bytes,
+    encoding: str,
+    kind: str = CLOUDS,
+) -> Frame:
     """Decode a message with a point cloud.
 
     Parameters
@@ -112,12 +126,20 @@ def frame_of(source: str, topic: str, number: int, stamp: int, data: bytes, enco
         Where and as which it came, and when, ns.
     data, encoding
         Its bytes, and ``ros1`` or ``cdr``.
+    kind
+        Its type.
 
     Raises
     ------
     ReadError
         Where it is no such message; names the topic and the number.
     """
+    if is_of_livox(kind):
+        where = f"message {number} of {topic}"
+        with naming(where), reported(kind):
+            frame_id, columns, note = _livox_points(data, encoding)
+        cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
+        return Frame(number, noted(cloud, note), stamp / NANOSECONDS, frame_id)
     with naming(f"message {number} of {topic}"), reported(CLOUDS):
         # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
@@ -131,6 +153,35 @@ def frame_of_message(source: str, topic: str, number: int, stamp: int, message: 
         columns = columns_of(message)
     cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
     return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
+
+
+def _livox_points(data: bytes, encoding: str) -> tuple[str, Columns, str]:
+    """Decode a ``CustomMsg``: its frame_id, its columns with times in seconds, and what is odd.
+
+    A header, ``uint64 timebase``, ``uint32 point_num``, ``uint8 lidar_id``, ``uint8[3] rsvd`` and
+    the points. In CDR, each value begins at a multiple of its size.
+    """
+    is_plain = encoding == "ros1"
+    order = "<" if is_plain or data[1] % 2 else ">"
+    body, at = (data, 12) if is_plain else (data[4:], 8)
+    (length,) = struct.unpack_from(f"{order}I", body, at)
+    frame_id = body[at + 4 : at + 4 + length].rstrip(b"\0").decode(errors="replace")
+    at += 4 + length
+    at += 0 if is_plain else -at % 8
+    timebase, promised, count = struct.unpack_from(f"{order}QI4xI", body, at)
+    at += 20
+    kinds = [(name, f"{order}{kind}") for name, kind in LIVOX_POINT]
+    point = np.dtype(kinds if is_plain else [*kinds, ("_", "u1")])
+    size = count * point.itemsize
+    # The last point may lack its padding, and a message may be padded itself.
+    if not (len(body) == at + size if is_plain else -1 <= len(body) - at - size <= 3):
+        promises = f"promises {count:,} points, {size:,} bytes of them"
+        raise ReadError(f"{promises}; {len(body) - at:,} bytes follow")
+    points = np.frombuffer(body[at : at + size].ljust(size, b"\0"), point, count)
+    columns = {name: points[name] for name, _ in LIVOX_POINT}
+    columns["time"] = timebase / NANOSECONDS + columns.pop("offset_time") / NANOSECONDS
+    odd = "point_num is not the number of points in a message; those that are there are read"
+    return frame_id, columns, odd if promised != count else ""
 
 
 @cache

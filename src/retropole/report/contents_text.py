@@ -40,7 +40,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"fields     {fields}",
         f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
         f"{cloud.points / cloud.frames_read:,.0f} a frame",
-        *(f"lost       {note}" for note in cloud.notes),
+        *(f"note       {note}" for note in cloud.notes),
         f"rings      {'none' if cloud.rings is None else cloud.rings}"
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
         *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),

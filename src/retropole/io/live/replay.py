@@ -16,7 +16,7 @@ from ...base.errors import UsageError
 from .. import open_recording
 from ..bag_files import opened
 from ..packets import PACKETS
-from ..recordings import CLOUDS, Frame, Recording
+from ..recordings import Frame, Recording
 from ..ros import NANOSECONDS, frame_of
 from .mailbox import QUIET
 
@@ -137,8 +137,9 @@ def _entries(recording: Recording) -> Generator[Entry, None, None]:
 
 def _of_bag(path: Path, topic: str) -> Generator[Entry, None, None]:
     with opened(path) as bag:
-        for number, (stamp, data, encoding) in enumerate(bag.messages(topic, CLOUDS)):
-            read = partial(frame_of, f"{path}: ", topic, number, stamp, data, encoding)
+        kind = next(own.kind for own in bag.topics if own.name == topic and own.of_clouds)
+        for number, (stamp, data, encoding) in enumerate(bag.messages(topic, kind)):
+            read = partial(frame_of, f"{path}: ", topic, number, stamp, data, encoding, kind)
             yield stamp / NANOSECONDS, read
 
 
