@@ -106,7 +106,7 @@ def failure_of(error: Exception, command: str) -> Failure:
             words = quoting(f"{place}: {error.strerror}" if place else str(error))
             check = "check that it exists and may be read or written, and that there is room"
             if isinstance(error, BlockingIOError) and error.filename:
-                check = "wait until that run is over, or write to another folder"
+                check = "wait until that run is over, or name another folder with --out"
             return Failure("system", words, (check,))
     raise error
 

@@ -10,8 +10,10 @@ import click
 import numpy as np
 
 from ..result import RunConfig
+from ..result.folder import PLAN_FILE, PLAN_PAGE
 from .common import command_line, listening, show, show_written
-from .options import CLOUD, METRES, OUT, TOPICS, Number, run_options
+from .options import CLOUD, METRES, TOPICS, Number, run_options
+from .out import out_folder
 
 if TYPE_CHECKING:
     from ..api import Array
@@ -70,7 +72,7 @@ ANGLE = Number(min=-360, max=360)
 )
 @run_options("sensor_target", "sensor_source", *TOPICS, "frames", "max_points", "unit")
 @run_options("unit_source")
-@click.option("--out", type=OUT, default=Path("retropole-plan"), help="Folder for the plan.")
+@out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def plan(

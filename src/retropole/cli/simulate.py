@@ -9,12 +9,13 @@ import click
 
 from ..base.datatypes import MAX_POLES
 from .common import progress_on_terminal, show_written
-from .options import OUT, run_options
+from .options import run_options
+from .out import out_folder
 
 
 @click.command("site")
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
-@click.option("--out", type=OUT, default=Path("retropole-site"))
+@out_folder("", default=Path("retropole-site"))
 @click.option("--seed", type=click.IntRange(min=0), default=0)
 @click.option("--lidars", type=click.IntRange(2, 12), default=4)
 @click.option(
@@ -90,11 +91,9 @@ class _OrSite(click.Group):
         ["corridor", "street", "harbor", "bare", "square", "camber", "kerb", "paper"]
     ),
 )
-@click.option(
-    "--out",
-    type=OUT,
+@out_folder(
+    "Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
     default=Path("retropole-simulated"),
-    help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError
-from ..base.files import write_atomically
+from ..base.files import check_is_file, write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""
@@ -240,6 +240,9 @@ def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     ReadError
         Where it cannot be read, or is longer than one would be.
     """
+    with _asked(place, "cannot be read") as (system, path):
+        if not is_url(place):
+            check_is_file(Path(path))
     with _asked(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
         if file.seek(0, os.SEEK_END) > most:
             raise ReadError(f"{place}: more than {most} bytes")

@@ -5,7 +5,7 @@ A maker's driver is one class with what `Source` names, and one line in `source_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -69,7 +69,13 @@ class Source(Protocol):
         ...
 
 
-def source_of(text: str, *, domain: int | None = None, interface: str | None = None) -> Source:
+def source_of(
+    text: str,
+    *,
+    domain: int | None = None,
+    interface: str | None = None,
+    senders: Collection[str] = (),
+) -> Source:
     """Open a source by what it is called.
 
     Parameters
@@ -78,6 +84,8 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
         One of `SOURCE_KINDS`.
     domain, interface
         Of ROS 2, as `dds.DdsSource` takes them.
+    senders
+        Of packets, as `udp.PacketSource` takes them.
 
     Raises
     ------
@@ -102,14 +110,14 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
         from .udp import ALL_INTERFACES, VelodyneSource
 
         host, _, port = where.rpartition(":")
-        return VelodyneSource(_port(text, port), host or ALL_INTERFACES)
+        return VelodyneSource(_port(text, port), host or ALL_INTERFACES, senders)
     if kind == "ouster":
         from .udp import OusterSource
 
         port, _, metadata = where.partition(":")
         if not metadata:
             raise UsageError(f"{text!r}: name the metadata too, ouster:PORT:FILE.json")
-        return OusterSource(_port(text, port), Path(metadata))
+        return OusterSource(_port(text, port), Path(metadata), senders=senders)
     if kind == "folder":
         from .files import FolderSource
 
@@ -128,21 +136,28 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
 
 
 def open_sources(
-    texts: Sequence[str], *, domain: int | None = None, interface: str | None = None
+    texts: Sequence[str],
+    *,
+    domain: int | None = None,
+    interface: str | None = None,
+    senders: Collection[str] = (),
 ) -> list[Source]:
     """Open the sources of target and source, as `source_of` takes them; both or none.
 
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        As `source_of`; and where both are the same.
+        As `source_of`; where both are the same; and where senders are named, and none sends
+        packets.
     """
+    if senders and not any(text.startswith(("velodyne:", "ouster:")) for text in texts):
+        raise UsageError("--from names who sends packets: give velodyne:PORT or ouster:PORT:FILE")
     if len(set(texts)) < len(texts):
         raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
     opened: list[Source] = []
     try:
         for text in texts:
-            opened.append(source_of(text, domain=domain, interface=interface))
+            opened.append(source_of(text, domain=domain, interface=interface, senders=senders))
     except RetropoleError:
         for source in opened:
             source.close()

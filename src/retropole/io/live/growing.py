@@ -15,11 +15,12 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
 
 from ...base.errors import ReadError
+from ...base.files import check_is_file
 from ..bag_files import MAX_TOPICS, open_database, topics_in
 from ..bag_mcap import entries_of
 from ..recordings import CLOUDS
 from ..ros import MAX_LISTED
-from ..unpacking import MAX_UNPACKED, allowance
+from ..unpacking import MAX_UNPACKED, allowance, opened_within
 
 if TYPE_CHECKING:
     from mcap.summary import Summary
@@ -29,9 +30,6 @@ MCAP_START = b"\x89MCAP0\r\n"
 
 RECORD_HEADER = 9
 """Bytes before the content of a record: its kind, and its length."""
-
-LARGEST_RECORD = 2**32
-"""Bytes; what says that it is larger is no record but damage."""
 
 HAS_LOG = b"\x02\x02"
 """Bytes 18 and 19 of a database of SQLite with a log ahead of it (WAL)."""
@@ -140,7 +138,7 @@ class GrowingMcap:
 
     def read_on(self, into: Recorded, until: float) -> bool:
         """Read the records that are whole by now."""
-        with self._path.open("rb") as file:
+        with opened_within(self._path) as file:
             size = file.seek(0, SEEK_END)
             if size < self._at:
                 self._begin()  # somebody records anew under the same name
@@ -155,7 +153,7 @@ class GrowingMcap:
             while self._at + RECORD_HEADER <= size:
                 file.seek(self._at)
                 code, length = struct.unpack("<BQ", file.read(RECORD_HEADER))
-                if code == 0 or length > LARGEST_RECORD:
+                if code == 0:
                     raise ReadError(f"is damaged at byte {self._at}, which begins no record")
                 if self._at + RECORD_HEADER + length > size:
                     break
@@ -182,6 +180,7 @@ class GrowingMcap:
             self.has_ended = True
         if code not in readers:
             return
+        # Alone, so that nothing in it leads beyond it.
         record = readers[code](ReadDataStream(BytesIO(file.read(length))))
         spend = allowance(length, MAX_UNPACKED)
         for topic, kind, entry, encoding in entries_of(record, self._index, spend):
@@ -203,6 +202,7 @@ class GrowingDatabase:
 
     def read_on(self, into: Recorded, until: float) -> bool:
         """Read the rows that follow the last one."""
+        check_is_file(self._path)
         # With a log ahead of it (WAL), what was recorded last is there alone.
         log = self._path.with_name(f"{self._path.name}-wal")
         size = self._path.stat().st_size + (log.stat().st_size if log.exists() else 0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.cli.older import DEFAULT_OUT
+from retropole.cli.out import DEFAULT_OUT
 from tests.cli.commands import retropole_here
 
 OLDER = {"result.json": b"the one before", "report.html": b"its page"}
