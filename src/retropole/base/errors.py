@@ -58,6 +58,29 @@ class ReadError(RetropoleError):
     """A file that cannot be read: names the file, the place and what was expected."""
 
 
+class NewerError(ReadError):
+    """A file that a newer version wrote: nothing is wrong with it, and it is to be kept.
+
+    Parameters
+    ----------
+    words
+        The file and its schema.
+    """
+
+    def __init__(self, words: str) -> None:
+        super().__init__(f"{words} is of a newer version of retropole; update this one")
+
+
+def is_newer(schema: str, known: str) -> bool:
+    """Whether a schema, ``retropole/result/2``, is a later one of the same kind."""
+    kind, _, number = schema.rpartition("/")
+    own, _, ours = known.rpartition("/")
+    digits = number if number.isascii() and number.isdigit() else "0"
+    # Compared as text, since whoever wrote it may have written thousands of digits.
+    later = (len(digits.lstrip("0")), digits.lstrip("0")) > (len(ours), ours)
+    return kind == own and later
+
+
 class UsageError(RetropoleError):
     """An argument or option that makes no sense; the message uses the caller's words."""
 

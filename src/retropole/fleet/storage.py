@@ -265,7 +265,8 @@ def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
 def write_bytes(place: str, data: bytes) -> None:
     """Write a file whole or not at all, and make its folder where there is none.
 
-    An object store puts an object whole; on the local system the file is renamed into its place.
+    An object store puts an object whole; on the local system the file is renamed into its place,
+    and a pipe or a device is written to.
 
     Raises
     ------
@@ -278,6 +279,21 @@ def write_bytes(place: str, data: bytes) -> None:
     with _changed(place) as (system, path):
         _make_folder(system, place, path)
         system.pipe_file(path, data)
+
+
+def replace_bytes(place: str, data: bytes) -> None:
+    """Write a file as `write_bytes` does, but never into a pipe or a device, where it were lost.
+
+    Raises
+    ------
+    OSError
+        As `write_bytes`.
+    ReadError
+        Where there is something else than a file.
+    """
+    if not is_url(place) and Path(absolute(place)).exists():
+        check_is_file(Path(absolute(place)))
+    write_bytes(place, data)
 
 
 def write_new(url: str, data: bytes) -> None:

@@ -20,7 +20,7 @@ from ..bag_files import MAX_TOPICS, open_database, topics_in
 from ..bag_mcap import entries_of
 from ..recordings import CLOUDS
 from ..ros import MAX_LISTED
-from ..unpacking import MAX_UNPACKED, allowance, opened_within
+from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
 
 if TYPE_CHECKING:
     from mcap.summary import Summary
@@ -30,6 +30,12 @@ MCAP_START = b"\x89MCAP0\r\n"
 
 RECORD_HEADER = 9
 """Bytes before the content of a record: its kind, and its length."""
+
+READ = 3, 4, 5, 6
+"""Kinds of records that are read: schemas, channels, messages and chunks."""
+
+LARGEST_SKIPPED = 2**32
+"""Bytes of others, as of attachments; what says that it is larger is damage."""
 
 HAS_LOG = b"\x02\x02"
 """Bytes 18 and 19 of a database of SQLite with a log ahead of it (WAL)."""
@@ -153,8 +159,11 @@ class GrowingMcap:
             while self._at + RECORD_HEADER <= size:
                 file.seek(self._at)
                 code, length = struct.unpack("<BQ", file.read(RECORD_HEADER))
-                if code == 0:
-                    raise ReadError(f"is damaged at byte {self._at}, which begins no record")
+                if code == 0 or length > (LARGEST_RECORD if code in READ else LARGEST_SKIPPED):
+                    raise ReadError(
+                        f"is damaged at byte {self._at}: a record of kind {code} and {length:,} "
+                        "bytes is none"
+                    )
                 if self._at + RECORD_HEADER + length > size:
                     break
                 # Before it is read: of a damaged one, its end is known.
@@ -178,7 +187,7 @@ class GrowingMcap:
         }
         if code == Opcode.FOOTER:
             self.has_ended = True
-        if code not in readers:
+        if code not in READ:
             return
         # Alone, so that nothing in it leads beyond it.
         record = readers[code](ReadDataStream(BytesIO(file.read(length))))

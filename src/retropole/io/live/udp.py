@@ -44,9 +44,9 @@ PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
 same one begins a new sweep."""
 
-WINDOW, FEWEST = 0.5, 50
+WINDOW, FEWEST = 0.1, 10
 """Packets of the senders are counted over so many seconds. Who sends fewer is no sensor, which send
-160 and more at 10 Hz: the busiest of all is taken instead."""
+30 and more: the busiest of all is taken instead."""
 
 MOST_SENDERS = 100
 """Senders whose packets are counted apart; more have no sensor among them that would be found."""
@@ -241,16 +241,16 @@ class PacketSource:
         """Whether a sender is the one that is taken; choose another where that is no sensor."""
         if self._senders and sender[0] not in self._senders:
             return False
-        if len(self._counts) < MOST_SENDERS or sender in self._counts:
-            self._counts[sender] += 1
-        taken = self._sender
+        taken, counted_for = self._sender, now - self._counted_from
         if taken is None or now - self._last_packet >= PAUSE:
             taken = sender
-        elif now - self._counted_from >= WINDOW:
-            ((busiest, _),) = self._counts.most_common(1)
-            taken = taken if self._counts[taken] >= FEWEST else busiest
+        elif WINDOW <= counted_for < 2 * WINDOW and self._counts[taken] < FEWEST:
+            ((taken, _),) = self._counts.most_common(1) or [(taken, 0)]
+        if counted_for >= WINDOW:
             self._counts.clear()
             self._counted_from = now
+        if len(self._counts) < MOST_SENDERS or sender in self._counts:
+            self._counts[sender] += 1
         if taken != self._sender:
             self._sender, self._decoder = taken, None
         return sender == taken
