@@ -259,3 +259,5 @@ def test_names_come_from_topics() -> None:
     assert names_of(["velodyne:2368", "velodyne:2369"], other) == other
     assert names_of(["folder:in/front", "replay:in/rear.bag"], other) == ("front", "rear")
     assert names_of(["ros2:/points", "ros2:/points"], other) == other
+    assert names_of(["folder:.", "folder:.."], other) == other
+    assert names_of(["folder:/", "folder:./a"], other) == ("/", "a")

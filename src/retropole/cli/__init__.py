@@ -16,7 +16,6 @@ import click
 from ..base.errors import Refusal, RetropoleError
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, never_fail_to_encode, say
 from .errors import asks_for_json, failure_of, tell
-from .out import set_older_aside
 
 COMMANDS = (
     "calibrate",
@@ -79,6 +78,8 @@ def run(words: Sequence[str] | None = None) -> int:
     except (click.ClickException, RetropoleError, OSError, MemoryError) as error:
         name, command = _command_of(args)
         if isinstance(error, click.ClickException):
+            from .out import set_older_aside
+
             set_older_aside(command, args)
         refused = isinstance(error, Refusal)
         return tell(failure_of(error, name), refused=refused, as_json=asks_for_json(args))

@@ -26,7 +26,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import run_options
+from .options import Whole, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Stopped(Event):
 @run_options("need_m", "at_m")
 @click.option(
     "--sweeps",
-    type=click.IntRange(3, 100),
+    type=Whole(3, 100),
     default=15,
     help="Of each LiDAR that are kept of a placement.",
 )
@@ -105,7 +105,7 @@ class Stopped(Event):
     type=click.Path(path_type=Path),
     help="A result, or its folder: say whether the LiDARs stand where they stood.",
 )
-@click.option("--domain", type=click.IntRange(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
+@click.option("--domain", type=Whole(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
 @click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
 @click.option(
     "--from",
@@ -115,9 +115,7 @@ class Stopped(Event):
     help="IP address of a LiDAR that sends packets: those of others are left out. Repeat it for "
     "the other LiDAR.  [default: of each port, the address that sends most]",
 )
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Of the page; 0: a free one."
-)
+@click.option("--port", type=Whole(0, 65535), default=0, help="Of the page; 0: a free one.")
 @click.option("--listen", is_flag=True, help="Serve the page to phones in the local network.")
 @click.option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--publish", is_flag=True, help="Publish the answer on /tf_static, if it is ok.")

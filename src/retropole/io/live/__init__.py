@@ -12,6 +12,9 @@ from typing import Protocol
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
+MOST_DIGITS = 20
+"""Of a port: more are none, and Python reads no more than some thousand."""
+
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
     "rclpy:/TOPIC": "a topic of ROS 2, by the ROS installation of this computer",
@@ -175,7 +178,9 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
     otherwise
         Their names where that does not tell them apart.
     """
-    parts = [Path(text.rpartition(":")[2]).with_suffix("").parts for text in texts]
+    paths = [Path(text.rpartition(":")[2]) for text in texts]
+    # The folder where we are has no name.
+    parts = [(path.with_suffix("") if path.name else path).parts for path in paths]
     for own in zip(*parts, strict=False):
         if len(set(own)) == len(texts) and not any(each.isdigit() for each in own):
             return own
@@ -183,6 +188,6 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
 
 
 def _port(text: str, port: str) -> int:
-    if not (port.isascii() and port.isdigit()):
-        raise UsageError(f"{text!r}: {port!r} is no port, a whole number")
+    if not (port.isascii() and port.isdigit() and len(port) < MOST_DIGITS):
+        raise UsageError(f"{text!r}: {port!r} is no port, a number from 1 to 65535")
     return int(port)
