@@ -182,6 +182,7 @@ def watch(
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
     from ..api.watching import Source, Watch, Wish, names_of, open_sources
+    from ..report.layout import legible
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
@@ -218,7 +219,8 @@ def watch(
         with stopped.breaking():
             while not (made.is_over or stopped.is_set()):
                 begun = time.monotonic()
-                said = made.step()
+                # Topics, frames and faults are what others wrote.
+                said = legible(made.step())
                 latest[0] = encode(said)
                 view(said)
                 if made.result is not shown:
