@@ -284,6 +284,16 @@ def claims(folder: Path, size: int) -> Path:
     return folder / "claims.npy"
 
 
+def hole(folder: Path, size: int) -> Path:
+    """Make an MCAP with a chunk that is a hole: on disk it has some KB."""
+    head, end = MAGIC + struct.pack("<BQ", 6, size), mcap("zstd", 2**22, indexed=False)[-37:]
+    with (folder / "hole.mcap").open("wb") as file:
+        file.write(head)
+        file.seek(size, 1)
+        file.write(end)
+    return folder / "hole.mcap"
+
+
 def written(name: str, content: Callable[[int], bytes]) -> Callable[[Path, int], Path]:
     def maker(folder: Path, size: int) -> Path:
         (folder / name).write_bytes(content(size))
@@ -332,6 +342,7 @@ MAKERS: dict[str, Callable[[Path, int], Path]] = {
     "bytes.npz": arrays("bytes.npz", ["x", "y", "z", "intensity"], 16, "|i1"),
     "many.npz": arrays("many.npz", ["x", "y", "z", *TIMES], 64, "<f4"),
     "claims.npy": claims,
+    "hole.mcap": hole,
 }
 NAMES = tuple(MAKERS)
 

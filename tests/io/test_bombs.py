@@ -24,6 +24,7 @@ REASONS = {
     "computed columns": "messages is not a table of plain columns",
     "aliases": "or an alias",
     "large.npz": "unpack to more than",
+    "hole.mcap": "up to 68,157,440 are read",
 }
 
 READ = """
