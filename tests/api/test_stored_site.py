@@ -118,7 +118,7 @@ def test_a_pipe_is_not_opened(own: Path) -> None:
     (own / "s" / FILES[0]).unlink()
     os.mkfifo(own / "s" / FILES[0])
     (note,) = scans_of(rp.load_site_result(own / "out").document, own / "out").notes
-    assert "is neither a file nor a folder" in note
+    assert "is a named pipe, expected a file" in note
 
 
 def test_clouds_that_were_never_files_are_told_once(tmp_path: Path) -> None:

@@ -87,6 +87,19 @@ def watch_of(
     return Watch(sources, wish, out, clock), sources, clock
 
 
+@pytest.fixture(scope="module")
+def answer(sweeps: list[list[PointCloud]]) -> CalibrationResult:
+    """The answer of one sweep each."""
+    target, source = (own[0] for own in sweeps)
+    return watching.calibrate_with(target, source, RunConfig())
+
+
+@pytest.fixture
+def answered(monkeypatch: pytest.MonkeyPatch, answer: CalibrationResult) -> None:
+    """Give it without working it out, where it is not what a test is about."""
+    monkeypatch.setattr("retropole.api.watching.calibrate_with", lambda *given: answer)
+
+
 def go_on(
     watch: Watch, clock: Clock, until: Callable[[WatchDoc], bool], seconds: float = 60.0
 ) -> list[WatchDoc]:
@@ -243,6 +256,100 @@ def test_recordings_of_a_watch_before_are_kept(
     assert (tmp_path / "placement1.mcap").read_bytes() == b"before"
 
 
+def test_where_there_is_no_room_sweeps_stay_and_are_written_when_there_is(
+    sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
+) -> None:
+    # A folder that is no folder has no room; what lies in the way is taken away.
+    out = tmp_path / "out"
+    out.write_bytes(b"")
+    watch, sources, clock = watch_of(sweeps, WISH, out)
+    said = go_on(watch, clock, lambda doc: doc.code == "not_written")
+    assert not said[-1].is_good
+    assert f"{out}" in said[-1].next
+    assert "Make room: 15 sweeps are kept in memory" in said[-1].next
+    # Whatever is seen meanwhile.
+    for source in sources:
+        source.pause = lambda count: True
+    said = go_on(watch, clock, lambda doc: doc.seconds > said[-1].seconds + 4)
+    assert {doc.code for doc in said} == {"not_written"}
+    assert len([words for words in said[-1].words if "Make room" in words]) == 1
+    out.unlink()
+    go_on(watch, clock, lambda doc: doc.phase == "done", 120)
+    assert [path.name for path in out.glob("*.mcap")] == ["placement1.mcap"]
+    assert watch.result is not None
+    assert watch.result.status == "ok"
+
+
+def test_a_result_that_cannot_be_written_is_written_later(
+    sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
+) -> None:
+    watch, _, clock = watch_of(sweeps, WISH, tmp_path)
+    (tmp_path / "result.json").mkdir()
+    said = go_on(watch, clock, lambda doc: doc.code == "not_written")
+    assert "the result is kept in memory" in said[-1].next
+    (tmp_path / "result.json").rmdir()
+    clock.now += 6.0
+    go_on(watch, clock, lambda doc: doc.phase == "done")
+    assert (tmp_path / "result.json").is_file()
+
+
+def test_what_can_never_be_written_is_an_error_that_says_what_is_lost(
+    sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
+) -> None:
+    (tmp_path / "out").write_bytes(b"")
+    watch, sources, clock = watch_of(sweeps, WISH, tmp_path / "out")
+    go_on(watch, clock, lambda doc: doc.code == "not_written")
+    with pytest.raises(OSError, match="15 sweeps of each LiDAR are lost"):
+        watch.finish()
+    assert all(each.closed for each in sources)
+
+
+def test_another_recording_in_the_place_of_what_was_captured_is_left_out(
+    sweeps: list[list[PointCloud]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: CalibrationResult,
+) -> None:
+    module = "retropole.api.watching"
+
+    def swapped(target: object, source: object, config: RunConfig) -> CalibrationResult:
+        if isinstance(target, list):
+            # It is there before anything is read, and is a sound one.
+            target[0].write_bytes(target[0].read_bytes() + b" ")
+        return answer
+
+    monkeypatch.setattr(f"{module}.calibrate_with", swapped)
+    watch, _, clock = watch_of(sweeps, WISH, tmp_path)
+    said = go_on(watch, clock, lambda doc: any("left out" in words for words in doc.words))
+    assert "placement1.mcap is left out: it is no longer what was recorded" in said[-1].words[-1]
+    assert watch.result is None
+    used = list[Path]()
+
+    def noted(target: object, source: object, config: RunConfig) -> CalibrationResult:
+        used.extend(target if isinstance(target, list) else ())
+        return answer
+
+    monkeypatch.setattr(f"{module}.calibrate_with", noted)
+    go_on(watch, clock, lambda doc: doc.phase == "done")
+    assert watch.result is answer
+    assert [each.name for each in used] == ["placement2.mcap"]
+
+
+def test_sweeps_of_another_origin_join_no_placement_that_is_kept(
+    sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
+) -> None:
+    wish = Wish(RunConfig(need_m=0.0001, at_m=30.0), ("front", "rear"), sweeps=5)
+    watch, (front, _), clock = watch_of(sweeps, wish, tmp_path)
+    go_on(watch, clock, lambda doc: doc.placements == 1 and doc.phase != "calibrating")
+    front.frame_id = "other" * 300
+    said = go_on(watch, clock, lambda doc: doc.code == "unreadable")
+    assert "'otherother" in said[-1].next
+    assert "those that are kept from frame 'front_frame'" in said[-1].next
+    assert all(len(words) < 400 for words in said[-1].words)
+    front.frame_id = "front_frame"
+    go_on(watch, clock, lambda doc: doc.code != "unreadable")
+
+
 def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no source"):
         open_sources(["front.pcd", "folder:x"])
@@ -266,6 +373,8 @@ def test_names_come_from_topics() -> None:
     assert names_of(["velodyne:2368", "velodyne:2369"], other) == other
     assert names_of(["folder:in/front", "replay:in/rear.bag"], other) == ("front", "rear")
     assert names_of(["ros2:/points", "ros2:/points"], other) == other
+    assert names_of(["folder:.", "folder:.."], other) == other
+    assert names_of(["folder:/", "folder:./a"], other) == ("/", "a")
 
 
 # --- the frames of what is published -------------------------------------------------------------

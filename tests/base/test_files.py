@@ -8,14 +8,19 @@ from pathlib import Path
 
 import pytest
 
+from retropole.base import files
 from retropole.base.errors import ReadError
 from retropole.base.files import (
     LARGEST_DOCUMENT,
+    RUNNING,
     UNFINISHED,
+    check_is_file,
     path_in_text,
     path_of_text,
     read_document,
+    run_alone,
     set_aside,
+    this_run,
     unfinished,
     write_atomically,
     write_together,
@@ -189,3 +194,61 @@ def test_a_link_is_set_aside_and_what_it_points_to_stays(tmp_path: Path) -> None
     set_aside([tmp_path / "result.json"])
     assert (tmp_path / "older-result.json").is_symlink()
     assert (tmp_path / "kept" / "a.json").read_bytes() == b"one"
+
+
+def test_a_folder_is_of_one_run_and_what_it_left_is_gone_with_it(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+    for _ in range(2):
+        with run_alone(folder, "retropole plan"):
+            note = (folder / RUNNING).read_text()
+            assert note.startswith(f"retropole plan, process {os.getpid()} on ")
+            with pytest.raises(BlockingIOError, match="another run") as caught, run_alone(folder):
+                raise AssertionError
+            assert (caught.value.filename, note in str(caught.value)) == (str(folder), True)
+            # What it writes itself is not in the way.
+            write_atomically(folder / "nested" / "a", b"a")
+        assert names(folder) == {"nested"}
+    with pytest.raises(KeyError), run_alone(tmp_path / "empty"):
+        raise KeyError
+    assert not (tmp_path / "empty").exists()
+    assert not unfinished
+
+
+def test_what_a_killed_run_left_keeps_nobody_away(tmp_path: Path) -> None:
+    (tmp_path / RUNNING).write_text("process 1 on elsewhere, since 2026-11-25 09:29 UTC and more")
+    with run_alone(tmp_path):
+        assert (tmp_path / RUNNING).read_text() == this_run()
+    assert names(tmp_path) == set()
+
+
+@posix
+def test_a_run_that_ends_while_another_begins_leaves_it_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = files._opened
+
+    def late(note: Path) -> int:
+        descriptor = opened(note)
+        if len(seen) < 3:
+            # The first has ended meanwhile: with its note, then with its folder.
+            seen.append(note)
+            note.unlink()
+            if len(seen) > 1:
+                note.parent.rmdir()
+        return descriptor
+
+    seen: list[Path] = []
+    monkeypatch.setattr(files, "_opened", late)
+    with run_alone(tmp_path / "out"):
+        assert len(seen) == 3
+        with pytest.raises(BlockingIOError), run_alone(tmp_path / "out"):
+            raise AssertionError
+
+
+@posix
+def test_what_is_no_file_is_said_and_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "null").symlink_to(os.devnull)
+    for name, kind in (("pipe", "a named pipe"), ("null", "a device"), (".", "a folder")):
+        with pytest.raises(ReadError, match=f"is {kind}, expected a file"):
+            check_is_file(tmp_path / name)

@@ -3,15 +3,26 @@
 import io
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
 import numpy as np
 
 from retropole.base.datatypes import Array
-from retropole.cli import run
+from retropole.cli import cli, run
 from retropole.result.decoding import decode
+
+
+def all_commands(of: click.Command = cli, name: str = "") -> Iterator[tuple[str, click.Command]]:
+    """Give every command that does something, those of groups too, by what is typed."""
+    inner = of.commands if isinstance(of, click.Group) else {}
+    for each in list(inner):
+        yield from all_commands(inner[each], f"{name} {each}".strip())
+    if not inner or (isinstance(of, click.Group) and of.invoke_without_command):
+        yield name, of
 
 
 def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 import urllib.request
+from importlib import import_module
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
 
+from retropole.api.watching import Watch
 from retropole.base import se3
 from retropole.io import write_pcd
+from retropole.result.watching import WatchDoc
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.simulation.pairs import record_again
 from tests.cli.commands import retropole, retropole_here, transform_of
 
 pytest.importorskip("mcap")
 pytest.importorskip("websockets")
+
+watch = import_module("retropole.cli.watch")
 
 DISTINCT = 15
 """Sweeps that differ; the same again tells nothing more."""
@@ -121,3 +129,40 @@ def test_slips_are_usage_errors(tmp_path: Path) -> None:
         assert ended.returncode == 2, words
         assert said in ended.stderr
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_one_signal_breaks_off_what_never_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, code: int
+) -> None:
+    """A pipe that nobody writes to, as a source may open one, however well it looks before."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+
+    def blocked(self: Watch) -> None:
+        Timer(0.1, os.kill, (os.getpid(), number)).start()
+        (tmp_path / "pipe").read_bytes()
+
+    monkeypatch.setattr(watch, "GRACE", 0.1)
+    monkeypatch.setattr(Watch, "step", blocked)
+    sources = f"folder:{tmp_path / 'a'}", f"folder:{tmp_path / 'b'}"
+    begun = time.monotonic()
+    ended = retropole_here("watch", *sources, "--no-page", "--out", tmp_path / "out")
+    assert ended.returncode == code
+    assert time.monotonic() - begun < 30
+    assert signal.getsignal(signal.SIGALRM) == signal.SIG_DFL
+
+
+def test_a_watch_that_nobody_looks_at_says_what_cannot_be_written(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with watch._view(quiet=True) as view:
+        for code in ("good", "not_written", "not_written", "good"):
+            view(
+                WatchDoc(
+                    phase="placing", is_good=False, code=code, next=f"{code}!", seconds=1, lidars=[]
+                )
+            )
+    assert capfd.readouterr().err == "not_written!\n"

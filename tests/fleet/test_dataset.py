@@ -1,5 +1,6 @@
 """Rows as Parquet, and back."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet as pq
 
-from retropole.base.errors import ReadError
+from retropole.base.errors import NewerError, ReadError
 from retropole.fleet.dataset import (
     InputEntry,
     Known,
@@ -121,6 +122,29 @@ def test_a_page_whose_bytes_changed_is_named(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):
         known_in(str(tmp_path))
+
+
+def test_a_partition_of_a_newer_version_is_kept(tmp_path: Path) -> None:
+    write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [])
+    path = tmp_path / "answers/part-00.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({"schema": "retropole/fleet/2"}), path)
+    with pytest.raises(
+        NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is of a newer"
+    ):
+        known_in(str(tmp_path))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_pipe_in_the_place_of_a_partition_is_neither_read_nor_written(tmp_path: Path) -> None:
+    write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [])
+    path = tmp_path / "answers/part-00.parquet"
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(ReadError, match="is a named pipe, expected a file"):
+        known_in(str(tmp_path))
+    with pytest.raises(ReadError, match="is a named pipe, expected a file"):
+        write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [])
 
 
 @pytest.mark.parametrize("damage", ["cut", "not", "foreign"])

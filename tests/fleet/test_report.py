@@ -285,7 +285,9 @@ def test_what_others_wrote_stays_text() -> None:
     hostile = replace(
         of_sites(*sites), place=f"/{HOSTILE}", made_by={HOSTILE: 2}, hosts={HOSTILE: 1}
     )
-    page = Page(render_fleet(hostile, lambda site: HOSTILE))
+    html = render_fleet(hostile, lambda site: HOSTILE)
+    assert "\u2028" not in html
+    page = Page(html)
     assert page.open == []
     assert [tag for tag, _ in page.tags].count("script") == 2
     # What steers a terminal or a line is escaped as text besides.

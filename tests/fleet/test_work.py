@@ -119,4 +119,4 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, sites: dict[str, FleetSite]) -
     site = msgspec.structs.replace(sites["small/1"], target=str(tmp_path / "a.pcd"))
     row = row_of(task_of(site))
     assert (row.status, row.codes) == ("error", ["unreadable"])
-    assert "neither a file nor a folder" in row.messages[0]
+    assert "is a named pipe, expected a file" in row.messages[0]

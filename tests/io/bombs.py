@@ -284,6 +284,16 @@ def claims(folder: Path, size: int) -> Path:
     return folder / "claims.npy"
 
 
+def hole(folder: Path, size: int) -> Path:
+    """Make an MCAP with a chunk that is a hole: on disk it has some KB."""
+    head, end = MAGIC + struct.pack("<BQ", 6, size), mcap("zstd", 2**22, indexed=False)[-37:]
+    with (folder / "hole.mcap").open("wb") as file:
+        file.write(head)
+        file.seek(size, 1)
+        file.write(end)
+    return folder / "hole.mcap"
+
+
 def written(name: str, content: Callable[[int], bytes]) -> Callable[[Path, int], Path]:
     def maker(folder: Path, size: int) -> Path:
         (folder / name).write_bytes(content(size))
@@ -360,6 +370,7 @@ MAKERS: dict[str, Callable[[Path, int], Path]] = {
     "unicode.txt": written("unicode.txt", unicode_text),
     "counted.pts": written("counted.pts", lambda size: b"999999999999999\n" + b"1 2 3\n" * 9),
     "no width.pcd": written("no width.pcd", widths_and_points),
+    "hole.mcap": hole,
 }
 NAMES = tuple(MAKERS)
 

@@ -29,6 +29,7 @@ REASONS = {
     "hexadecimal.csv": "0xg', expected 4 numbers",
     "counted.pts": "line 1: promises 999999999999999 points, 9 lines",
     "no width.pcd": "the header promises 4000000000 points",
+    "hole.mcap": "up to 68,157,440 are read",
 }
 
 READ = """

@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
+from retropole.export.transform import LONGEST_NAME as LONGEST_EXPORTED
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
 from retropole.io.live.replay import ReplaySource
 from retropole.io.ros import columns_of, frame_of
@@ -30,6 +31,8 @@ from tests.io.exports import START as LIVOX_START
 from tests.io.exports import livox_message, livox_store, write_livox_bag
 from tests.io.files import required
 from tests.paths import SHARED
+
+STORE = get_typestore(Stores.LATEST)
 
 FORMATS = SHARED / "formats"
 
@@ -431,6 +434,20 @@ def test_more_points_than_bytes_for_them_are_refused() -> None:
         columns_of(made)
     object.__setattr__(made, "width", count - 1)
     assert len(columns_of(made)["x"]) == count - 1
+
+
+def test_what_others_wrote_is_not_kept_without_end() -> None:
+    cloud = random_cloud(1)
+    made: Any = message(points_of(cloud), STORE)
+    made.header.frame_id = "f" * 5_000_000
+    frame = frame_of("", "/points", 0, 0, bytes(STORE.serialize_cdr(made, CLOUDS)), "cdr")
+    # No export takes it for a whole one.
+    assert LONGEST_EXPORTED < len(frame.frame_id) <= 1000
+    with pytest.raises(ReadError, match="69,206,016 bytes, up to"):
+        frame_of("", "/points", 0, 0, bytes(66 * 2**20), "cdr")
+    with pytest.raises(ReadError) as caught:
+        frame_of("", "t" * 5_000_000, 0, 0, b"", "cdr")
+    assert len(str(caught.value)) <= 300
 
 
 class TestLivox:

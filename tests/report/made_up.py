@@ -22,6 +22,7 @@ from retropole.base.datatypes import (
     RejectedCluster,
     Scan,
 )
+from retropole.base.errors import visible
 from retropole.base.uncertainty import (
     BudgetEntry,
     RadiusEstimate,
@@ -43,6 +44,9 @@ from retropole.result import (
 
 HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
 """Text that would run, were it not escaped."""
+
+AS_SHOWN = visible(HOSTILE)
+"""How a page shows it."""
 
 T_TRUE = se3.from_rt(
     Rotation.from_euler("xyz", [3.0, -2.0, 38.0], degrees=True).as_matrix(),

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-import pytest
+import json
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+from unicodedata import category
 
+import pytest
+from msgspec.structs import replace
+
+from retropole.base.errors import escaped
+from retropole.report import render_report, render_site
 from retropole.report.certainty import number
+from retropole.report.field_test import render_field_test
+from retropole.report.layout import legible
 from retropole.report.page import NO_BREAK, inline, plus_minus, share_styles, table
-from tests.report.made_up import HOSTILE, Page
+from tests.report.hostile import everywhere, hostile_pair, hostile_site
+from tests.report.made_up import AS_SHOWN, HOSTILE, Page
+from tests.report.pages import STATUSES
+from tests.report.test_field_test import document as field_test
+from tests.report.test_field_test import made_up as measured
+from tests.report.test_pole_plan import made_page
 
 
 def test_numbers_that_are_none_are_dashes() -> None:
@@ -20,7 +36,7 @@ def test_table_escapes_every_cell() -> None:
     html = table(HOSTILE, (HOSTILE, HOSTILE), [(HOSTILE, HOSTILE)], (1,))
     page = Page(html)
     assert page.open == []
-    assert page.text.count(HOSTILE) == 5
+    assert page.text.count(AS_SHOWN) == 5
     assert "script" not in [tag for tag, _ in page.tags]
 
 
@@ -58,3 +74,73 @@ def test_markdown_is_escaped(frame: str) -> None:
     page = Page(inline(frame % HOSTILE))
     assert page.open == []
     assert {tag for tag, _ in page.tags} <= {"code", "em"}
+
+
+STEERING = "\u202e\u2066\u200f\u061c\u200b\u2060\ufeff\u00ad\u2028\u2029\x1b\x07\x85\x7f\U000e0041"
+"""Marks of direction, what has no width, line ends of other kinds, control characters, a tag."""
+
+
+def sign_by_sign() -> Callable[[], str]:
+    """Give texts with one of these each, or with all of them."""
+    count = 0
+
+    def text() -> str:
+        nonlocal count
+        count += 1
+        one = STEERING[count % len(STEERING)]
+        return f"a{one}b {STEERING} {count}"
+
+    return text
+
+
+def pages() -> Iterator[tuple[str, str]]:
+    """Give every kind of page, of which each text is one that somebody chose."""
+    for status in STATUSES:
+        yield (
+            f"pair {status}",
+            render_report(*hostile_pair(status, sign_by_sign()), notes=[STEERING], site=STEERING),
+        )
+        yield (
+            f"site {status}",
+            render_site(*hostile_site(status, sign_by_sign()), notes=[STEERING], site=STEERING),
+        )
+    test = field_test(measured(off=0.05))
+    hostile = everywhere(test, sign_by_sign())
+    pairs = [replace(each, status="fail") for each in hostile.pairs]
+    yield "field test", render_field_test(replace(hostile, status="fail", pairs=pairs))
+    yield "plan", made_page(name=f"a{STEERING}b", status="warn")
+
+
+def texts_in(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            yield from (key, *texts_in(each))
+    elif isinstance(value, list):
+        for each in value:
+            yield from texts_in(each)
+
+
+def steering_in(text: str) -> set[str]:
+    found = {sign for sign in text if category(sign) in ("Cc", "Cf", "Zl", "Zp", "Cs")}
+    return found - {"\n"}
+
+
+def test_no_text_of_a_document_steers_a_page() -> None:
+    count = 0
+    for kind, html in pages():
+        # The code of the pages is not what others wrote.
+        page = re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL)
+        assert steering_in(page) == set(), kind
+        assert escaped("\u202e") in page, kind
+        for data in re.findall(r'<script [^>]*type="application/json"[^>]*>(.*?)</script>', page):
+            texts = list(texts_in(json.loads(data)))
+            assert set().union(*map(steering_in, texts)) == set(), kind
+            count += len(texts)
+    assert count > 100
+
+
+def test_what_is_on_a_terminal_and_what_a_watch_shows_has_none() -> None:
+    shown = legible({"words": [STEERING], STEERING: {"name": f"a{STEERING}"}})
+    assert set().union(*map(steering_in, texts_in(shown))) == set()

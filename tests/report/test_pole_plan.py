@@ -35,7 +35,7 @@ from retropole.result.pole_plan import (
     StationDoc,
     TapeDoc,
 )
-from tests.report.made_up import HOSTILE, Page
+from tests.report.made_up import AS_SHOWN, HOSTILE, Page
 from tests.tiers import first_of
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
@@ -210,8 +210,8 @@ def test_names_are_escaped() -> None:
     page = Page(html.partition("<body>")[2].partition("<script")[0])
     assert page.open == []
     assert "script" not in [tag for tag, _ in page.tags]
-    assert HOSTILE in page.text
-    assert HOSTILE in data_of(html)["lidars"]
+    assert AS_SHOWN in page.text
+    assert AS_SHOWN in data_of(html)["lidars"]
 
 
 def test_it_reads_without_code() -> None:

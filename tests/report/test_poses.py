@@ -19,7 +19,7 @@ from retropole.report.poses import FRAMES, UNFOLDED, poses, transform
 from retropole.report.subject import Subject, of_pair
 from retropole.report.uncertainty import certainty
 from retropole.result import BudgetEntry, ResultDoc
-from tests.report.made_up import BUDGET, HOSTILE, RANDOM, T_TRUE, Page, made_up
+from tests.report.made_up import AS_SHOWN, BUDGET, HOSTILE, RANDOM, T_TRUE, Page, made_up
 from tests.report.pages import of_each_kind, page_of, subject_of
 
 RESULT = made_up(count=500).result
@@ -144,7 +144,7 @@ def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
 def test_words_of_a_budget_stay_words() -> None:
     hostile: list[BudgetEntry] = [replace(entry, name=HOSTILE) for entry in BUDGET]
     # Each in the table, and the largest in a sentence.
-    assert of_result(budget=hostile).text.count(HOSTILE) == len(hostile) + 1
+    assert of_result(budget=hostile).text.count(AS_SHOWN) == len(hostile) + 1
 
 
 def test_a_result_that_does_not_state_its_parts_shows_the_whole() -> None:

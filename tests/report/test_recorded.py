@@ -25,7 +25,7 @@ from retropole.report.subject import (
 )
 from retropole.result import PlacementDoc, ResultDoc, RunConfig
 from retropole.result.site import SiteDoc
-from tests.report.made_up import HOSTILE, Page, made_up
+from tests.report.made_up import AS_SHOWN, HOSTILE, Page, made_up
 from tests.report.site.made_up import NAMES, document_of, made_up_site
 
 RESULT, PLACEMENTS = made_up(count=500)
@@ -135,7 +135,7 @@ def test_inputs_are_listed_with_their_hash_and_stay_text(subject: Subject) -> No
     inputs = [replace(site.inputs[0], path=HOSTILE, notes=[HOSTILE])]
     page = Page(run(replaced(subject, site=replace(site, inputs=inputs))))
     assert page.open == []
-    assert page.text.count(HOSTILE) == 2
+    assert page.text.count(AS_SHOWN) == 2
 
 
 def test_parts_have_names_that_no_two_share() -> None:

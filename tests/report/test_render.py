@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
+from retropole.base.errors import visible
 from retropole.report import render_report, render_site, write_report
 from retropole.report.view import MAX_PAIR_POINTS
 from retropole.result import PlacementDoc, PolesDoc, ResultDoc, RunConfig, StagesDoc, encode
@@ -111,7 +112,7 @@ def test_text_of_a_run_stays_text(kind: str, status: Status) -> None:
     assert [tag for tag, _ in page.tags].count("script") == 5
     assert page.open == []
     assert page.text.count("window.injected=1") >= 30
-    assert given[-1] in page.text
+    assert visible(given[-1]) in page.text
 
 
 def incomplete(result: ResultDoc) -> dict[str, ResultDoc]:

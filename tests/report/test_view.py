@@ -17,7 +17,7 @@ from retropole.report.view import MAX_CONTRADICTING, PageView, embed_json, page_
 from retropole.result import ResultDoc
 from retropole.scene.consistency import contradicting_points, standing_in
 from retropole.simulation import simulate_pair
-from tests.report.made_up import HOSTILE, T_TRUE, made_up
+from tests.report.made_up import AS_SHOWN, HOSTILE, T_TRUE, made_up
 from tests.report.site.made_up import document_of, made_up_site
 from tests.report.test_points import unpacked
 
@@ -39,7 +39,7 @@ def test_embedded_json_says_the_same_and_no_markup() -> None:
     value = {"a": [HOSTILE, 1.5, None, {"b": (float("nan"), float("-inf"), 2)}]}
     text = embed_json(value)
     assert not set("<>&") & set(text)
-    assert json.loads(text) == {"a": [HOSTILE, 1.5, None, {"b": [None, None, 2]}]}
+    assert json.loads(text) == {"a": [AS_SHOWN, 1.5, None, {"b": [None, None, 2]}]}
 
 
 def test_ellipsoid_is_the_covariance_of_the_translation() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole.base.errors import ReadError
+from retropole.base.errors import NewerError, ReadError, is_newer
 from retropole.result import encode
-from retropole.result.decoding import decode
+from retropole.result.decoding import decode, decode_site
 from tests.report.made_up import made_up
 
 WHOLE = json.loads(encode(made_up("ok", 100).result))
@@ -25,6 +25,22 @@ def changed(way: str, value: Any) -> bytes:
         place = place[key]
     place[last] = value
     return json.dumps(document).encode()
+
+
+def test_a_document_of_a_newer_version_says_to_update() -> None:
+    for known in ("retropole/result/1", "retropole/site-result/1"):
+        kind = known.rpartition("/")[0]
+        assert all(is_newer(f"{kind}/{n}", known) for n in ("2", "10", "9" * 5000, "02"))
+        assert not any(is_newer(f"{kind}/{n}", known) for n in ("1", "0", "01", "x", "", "-2", "²"))
+        assert not is_newer(f"x{kind}/2", known)
+    for read, schema in ((decode, "retropole/result"), (decode_site, "retropole/site-result")):
+        for text in ({"schema": f"{schema}/2"}, {"schema": f"{schema}/3", "new": [1]}):
+            with pytest.raises(NewerError, match=r"update this one") as caught:
+                read(json.dumps(text).encode())
+            assert f"{schema}/" in str(caught.value)
+        with pytest.raises(ReadError, match="no result document") as said:
+            read(json.dumps({"schema": f"{schema}/0"}).encode())
+        assert not isinstance(said.value, NewerError)
 
 
 def test_a_whole_document_is_read() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import PER_POINT, PointCloud, Scan
-from ..base.errors import ReadError, Refusal, UsageError, quoting
+from ..base.errors import Refusal, UsageError, quoting
 from ..base.files import path_in_text
 from ..base.quantities import counted
 from ..base.sensors import Sensor, sensor_or_auto
@@ -261,18 +261,8 @@ def _frame_of(given: Input) -> str:
     return name if name == quoting(name) else ""
 
 
-def recording_hash(path: Path) -> str:
-    """SHA-256 of a recording, as the result document has it; it is not read as one.
-
-    Raises
-    ------
-    ReadError
-        Where it cannot be read, or is neither a file nor a folder: to open a pipe waits for whoever
-        writes to it.
-    """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise ReadError(f"{path}: is neither a file nor a folder")
-    return sha256_of(path)
+recording_hash = sha256_of
+"""SHA-256 of a recording, as the result document has it; it is not read as one."""
 
 
 def refuse_repeated(

@@ -89,7 +89,7 @@ def _in_words(message: str, config: RunConfig) -> str:
     if field == "radius_m" and (words := radius_in_metres(float(config.radius_m))):
         return f"{given}: {words}"
     if isinstance(kind, inspect.IntType):
-        return f"{given}, expected a number from {kind.ge} up"
+        return f"{given}, expected a number from {kind.ge} to {kind.le}"
     if kind.ge is None:
         return f"{given}, expected a number above {kind.gt:g}, {kind.le:g}{unit} at most"
     return f"{given}, expected a number from {kind.ge:g} to {kind.le:g}{unit}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Placement
+from ..base.errors import printable, visible
 from ..base.files import write_together
 from ..base.quantities import error
 from ..base.uncertainty import RadiusEstimate, Uncertainty
@@ -60,13 +61,15 @@ class Result(Generic[AnyDoc]):
     def __repr__(self) -> str:
         """Say the verdict, what was found and the reasons, a line each."""
         lines = [f"{type(self).__name__}: {self.status}"]
-        return "\n".join(lines + [f"  {name:<16} {value}" for name, value in self._rows()])
+        return "\n".join(
+            lines + [f"  {name:<16} {printable(value)}" for name, value in self._rows()]
+        )
 
     def _repr_html_(self) -> str:
         """Show what `repr` says in a notebook, as a table."""
         rows = "".join(
-            f'<tr><th style="text-align:left">{escape(name)}</th>'
-            f'<td style="text-align:left">{escape(value)}</td></tr>'
+            f'<tr><th style="text-align:left">{escape(visible(name))}</th>'
+            f'<td style="text-align:left">{escape(visible(value))}</td></tr>'
             for name, value in [("verdict", self.status), *self._rows()]
         )
         return f"<table>{rows}</table>"

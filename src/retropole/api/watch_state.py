@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, quoting
 from ..base.sensors import Sensor
 from ..io import Frame
 from ..io.live import Source
@@ -72,17 +72,36 @@ class Wish:
             )
 
 
+class Origin(NamedTuple):
+    """Where sweeps come from: the name of their frame, and who sends their packets."""
+
+    frame_id: str
+    sender: str
+
+    @property
+    def words(self) -> str:
+        """Both as text."""
+        frame = f"frame {self.frame_id!r}" if self.frame_id else ""
+        return " ".join(filter(None, (self.sender, frame))) or "a frame without a name"
+
+
 @dataclass
 class Watched:
     """What is known of a LiDAR while it is watched: its sweeps are searched as of this sensor, from
-    this intensity up."""
+    this intensity up. Once a placement is kept, sweeps of another origin are not of this LiDAR."""
 
     source: Source
     view: View
     sensor: Sensor | None
     threshold: float | None
-    frame_id: str | None = None
+    origin: Origin | None = None
+    kept: Origin | None = None
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+
+    @property
+    def frame_id(self) -> str:
+        """Of the newest sweep; empty where none came, or it has none."""
+        return self.origin.frame_id if self.origin else ""
 
 
 class Taken(NamedTuple):
@@ -115,16 +134,21 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
         lidar.view = replace(view, fault=str(error))
         return Taken(said=() if view.fault == str(error) else (str(error),))
     if frame is None:
-        lidar.view = replace(view, silent=lidar.source.waits_for)
+        lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
         return Taken()
     now = clock()
     said, is_other = list[str](), False
-    if lidar.frame_id != frame.frame_id:
+    origin = Origin(frame.frame_id, frame.sender)
+    if lidar.origin != origin:
         said += frame.cloud.notes
-        is_other = lidar.frame_id is not None
+        is_other = lidar.origin is not None
         if is_other:
-            said.append(f"its frame is {frame.frame_id!r} now")
-        lidar.frame_id = frame.frame_id
+            said.append(f"its sweeps come from {origin.words} now")
+        lidar.origin = origin
+    if lidar.kept not in (None, origin):
+        fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
+        lidar.view = replace(view, fault=fault)
+        return Taken(None, tuple(said), is_other)
     lidar.came.append((now, frame.number))
     if busy and view.looked is not None and now - view.looked.at < WORKING:
         return Taken(None, tuple(said), is_other)

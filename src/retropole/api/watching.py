@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace as with_options
 
-from ..base.errors import RetropoleError, UsageError
+from ..base.errors import ReadError, RetropoleError, UsageError, quoting
 from ..base.files import write_together
 from ..base.quantities import counted
 from ..base.sensors import sensor_or_auto
@@ -25,12 +27,14 @@ from ..export.publishing import Published, publish
 from ..export.publishing import check_publishing as check_publishing
 from ..export.recording import TOPICS, Track, write_recording
 from ..export.transform import Transform, choose
-from ..io.live import Source
+from ..io import sha256_of
+from ..io.live import Source as Source
 from ..io.live import names_of as names_of
 from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
 from ..report.field_test import render_field_test
 from ..result import RunConfig, encode, pole_documents
+from ..result.folder import CERTIFICATE
 from ..result.watching import Phase, WatchDoc
 from ..watching.advice import Advice, View, advise
 from ..watching.capture import Capture, begun, is_elsewhere
@@ -47,13 +51,15 @@ from .watch_state import Wish as Wish
 RECORDING = "placement{}.mcap"
 """What the recording of a placement is called, from 1."""
 
-CERTIFICATE = "certificate.json", "certificate.html"
-"""What the field test of both LiDARs is called, where the poles that were recorded allow one."""
-
 WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
 
 LOGGED = 40
 """Lines that are kept of what happened."""
+
+AGAIN = 5.0
+"""What could not be written is tried again after so long, s."""
+
+T = TypeVar("T")
 
 
 class Watch:
@@ -103,8 +109,12 @@ class Watch:
         self._words: deque[str] = deque(maxlen=LOGGED)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
+        # What is full, and could not be written yet.
+        self._unwritten: Capture | None = None
+        self._no_room: tuple[Advice, float] | None = None
         self._recorded = 0
-        self._used: list[Path] = []
+        # Recordings, and the SHA-256 of what was captured.
+        self._used: dict[Path, str] = {}
         self._trial: Future[CalibrationResult] | None = None
         self._work: Future[CalibrationResult | CheckResult] | None = None
         self._expected: Outcome | None = None
@@ -128,12 +138,17 @@ class Watch:
         """
         for lidar in self._lidars:
             lidar.source.close()
-        if self._capture is not None and self._capture.count:
-            self._record(self._capture)
-            self._capture = None
+        left, self._unwritten, self._capture = self._unwritten or self._capture, None, None
+        if left is not None and left.count:
+            try:
+                self._record(left)
+            except OSError as error:
+                lost = f"{error.strerror}; {counted(left.count, 'sweep')} of each LiDAR are lost"
+                raise OSError(error.errno, lost, error.filename) from None
         if self.is_over and self._used and self._outcome is not None:
+            used, config = list(self._used), self._of_recordings()
             with suppress(RetropoleError):
-                test = certification.certify(self._used, self._used, self._of_recordings())
+                test = _of_captured(self._used, lambda: certification.certify(used, used, config))
                 if test.status != "refused":
                     document, page = (self._out / name for name in CERTIFICATE)
                     files = {document: encode(test), page: render_field_test(test).encode()}
@@ -223,8 +238,10 @@ class Watch:
             return Advice(
                 self.checked.status, checked_words(self.checked), self.checked.status == "same"
             )
+        if self._unwritten is not None:
+            return self._keep(self._unwritten, now)
         if self._work is not None:
-            return WORKING_OUT
+            return WORKING_OUT if self._no_room is None else self._no_room[0]
         if self._outcome is not None and self._outcome.is_enough:
             return advice_after(self._outcome, placements)
         advice = self._seen(now)
@@ -250,8 +267,7 @@ class Watch:
             first, second = (own[0].cloud for own in capture.frames)
             self._trial = in_background(lambda: calibrate_with(first, second, self._wish.config))
         if ended or capture.is_full(self._wish.sweeps, now):
-            self._keep(capture)
-            return WORKING_OUT
+            return self._keep(capture, now)
         left = capture.seconds - (now - capture.start)
         return keep_still(capture.count, self._wish.sweeps, left)
 
@@ -277,38 +293,67 @@ class Watch:
         target, source = TOPICS.values()
         return with_options(self._wish.config, target_topic=target, source_topic=source)
 
-    def _keep(self, capture: Capture) -> None:
-        """Write a placement, and calibrate by all of them, or check by this one."""
-        path = self._record(capture)
-        self._used.append(path)
-        self._kept, self._capture = capture, None
-        stored, used, config = self._wish.stored, list(self._used), self._of_recordings()
-        if stored is None:
-            self._work = in_background(lambda: calibrate_with(used, used, config))
-            return
-        target, source = config.target_topic, config.source_topic
-        self._work = in_background(
-            lambda: check_recordings(stored, path, path, target_topic=target, source_topic=source)
-        )
+    def _keep(self, capture: Capture, now: float) -> Advice:
+        """Write a placement, and calibrate by all of them, or check by this one.
 
-    def _record(self, capture: Capture) -> Path:
-        """Write a placement to the folder, beside those of a watch before."""
-        self._recorded += 1
-        path = self._out / RECORDING.format(self._recorded)
-        while path.exists():
-            self._recorded += 1
-            path = self._out / RECORDING.format(self._recorded)
+        Where it cannot be written it stays in memory, and is tried again.
+        """
+        if self._unwritten is None:
+            for lidar in self._lidars:
+                lidar.kept = lidar.origin
+        self._unwritten, self._capture = capture, None
+        if self._is_to_wait(now):
+            assert self._no_room is not None
+            return self._no_room[0]
+        try:
+            path, own = self._record(capture)
+        except OSError as error:
+            return self._wait_for_room(error, f"{counted(capture.count, 'sweep')} are", now)
+        self._used[path] = own
+        self._kept, self._unwritten, self._no_room = capture, None, None
+        stored, used, config = self._wish.stored, list(self._used), self._of_recordings()
+        target, source = config.target_topic, config.source_topic
+
+        def work() -> CalibrationResult | CheckResult:
+            if stored is None:
+                return calibrate_with(used, used, config)
+            return check_recordings(stored, path, path, target_topic=target, source_topic=source)
+
+        captured = dict(self._used)
+        self._work = in_background(lambda: _of_captured(captured, work))
+        return WORKING_OUT
+
+    def _is_to_wait(self, now: float) -> bool:
+        """Whether it is too early to write again what could not be written."""
+        return self._no_room is not None and now < self._no_room[1]
+
+    def _wait_for_room(self, error: OSError, what: str, now: float) -> Advice:
+        """Say what cannot be written, and what to do; it is tried again later."""
+        why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
+        words = f"{why}. Make room: {what} kept in memory, and written as soon as that can be."
+        if self._no_room is None:
+            self._note(words)
+        self._no_room = Advice("not_written", words), now + AGAIN
+        return self._no_room[0]
+
+    def _record(self, capture: Capture) -> tuple[Path, str]:
+        """Write a placement to the folder, beside those of a watch before, and give its SHA-256."""
+        number = self._recorded + 1
+        while (path := self._out / RECORDING.format(number)).exists():
+            number += 1
         tracks = {
             topic: Track(lidar.frame_id or lidar.view.name, frames)
             for topic, lidar, frames in zip(
                 TOPICS.values(), self._lidars, capture.frames, strict=True
             )
         }
-        write_together({path: write_recording(tracks)})
+        recording = write_recording(tracks)
+        write_together({path: recording})
+        self._recorded = number
         self.written.append(path)
         kept = counted(capture.count, "sweep")
         self._note(f"placement {self._recorded} is kept: {kept} of each LiDAR")
-        return path
+        return path, hashlib.sha256(recording).hexdigest()
 
     def _collect(self) -> None:
         """Take the answers that are there."""
@@ -316,21 +361,27 @@ class Watch:
         if self._trial is not None and self._trial.done() and self._expected is None:
             with suppress(RetropoleError):
                 self._expected = outcome_of(self._trial.result().document, need)
-        if self._work is None or not self._work.done():
+        now = self._clock()
+        if self._work is None or not self._work.done() or self._is_to_wait(now):
             return
-        work, self._work = self._work, None
         try:
-            found = work.result()
+            found = self._work.result()
         except RetropoleError as error:
-            self._note(f"placement {self._recorded} is left out: {error}")
-            self._used.pop()
+            self._work = None
+            self._leave_out(error)
             return
         if isinstance(found, CheckResult):
-            self.checked, self.is_over = found, True
+            self._work, self.checked, self.is_over = None, found, True
             return
+        try:
+            written = found.save(self._out)
+        except OSError as error:
+            self._wait_for_room(error, "the result is", now)
+            return
+        self._work = self._no_room = None
         self.result = found
         self._outcome = self._expected = outcome_of(found.document, need)
-        self.written += [each for each in found.save(self._out) if each not in self.written]
+        self.written += [each for each in written if each not in self.written]
         said = "; ".join(reason.message for reason in found.reasons)
         self._note(f"calibrated: {found.status}{': ' + said if said else ''}")
         self.is_over = self._outcome.is_enough
@@ -338,13 +389,26 @@ class Watch:
         if more and self._kept is not None:
             self._note(f"the masts sway: {math.ceil(more)} s more are recorded")
             self._capture = replace(self._kept, seconds=self._kept.seconds + more)
-            self._used.pop()
+            self._used.popitem()
         elif self._outcome.is_spoilt and len(self._used) > 1:
             self._note(f"placement {self._recorded} is left out")
-            self._used.pop()
+            self._used.popitem()
+
+    def _leave_out(self, error: RetropoleError) -> None:
+        """Leave the newest placement out; where recordings are others than captured, these."""
+        others = [path for path, own in self._used.items() if not _is_still(path, own)]
+        for path in others:
+            self._note(f"{path.name} is left out: it is no longer what was recorded")
+            del self._used[path]
+        if not others:
+            self._note(f"placement {self._recorded} is left out: {error}")
+            self._used.popitem()
+        if not self._used:
+            for lidar in self._lidars:
+                lidar.kept = None
 
     def _note(self, words: str) -> None:
-        self._words.append(f"{datetime.now():%H:%M:%S} {words}")
+        self._words.append(f"{datetime.now():%H:%M:%S} {quoting(words)}")
 
     def _said(self, advice: Advice, now: float) -> WatchDoc:
         """Write what is seen and said as a document."""
@@ -380,3 +444,31 @@ class Watch:
             return "capturing"
         none_yet = any(each.view.looked is None for each in self._lidars)
         return "waiting" if none_yet else "placing"
+
+
+def _of_captured(captured: Mapping[Path, str], work: Callable[[], T]) -> T:
+    """Do what reads recordings, and make sure that these are what was captured.
+
+    Raises
+    ------
+    ReadError
+        Where one is not.
+    """
+
+    def check() -> None:
+        for path, own in captured.items():
+            if not _is_still(path, own):
+                raise ReadError(f"{path}: is no longer what was recorded")
+
+    check()
+    found = work()
+    check()
+    return found
+
+
+def _is_still(path: Path, own: str) -> bool:
+    """Whether a recording has this SHA-256."""
+    try:
+        return sha256_of(path) == own
+    except ReadError:
+        return False

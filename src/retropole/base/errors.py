@@ -5,13 +5,18 @@ The command line catches the errors in one place.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from unicodedata import category
 
 from .reasons import Code, Prefix, is_note, prefixed
 
 LONGEST_MESSAGE = 300
 """Characters of a message that quotes what others wrote: a file, its name, an option."""
+
+UNUSUAL = re.compile(r"[^\n -~]")
+"""A sign that is looked at: most are ASCII."""
 
 ESCAPED_BYTES = range(0xDC80, 0xDD00)
 """What Python makes of the bytes of a file name that are not UTF-8 (PEP 383), from 0x80 on."""
@@ -25,6 +30,20 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() else escaped(sign) for sign in text)
+
+
+def visible(text: str) -> str:
+    """Write what `printable` does as escapes, but leave every kind of space and line end.
+
+    Of a page the text is, which breaks lines as it needs, and has spaces that part no value and
+    unit.
+    """
+
+    def sign(found: re.Match[str]) -> str:
+        is_harmless = found[0].isprintable() or category(found[0]) == "Zs"
+        return found[0] if is_harmless else escaped(found[0])
+
+    return UNUSUAL.sub(sign, text)
 
 
 def escaped(sign: str) -> str:
@@ -61,6 +80,29 @@ class RetropoleError(Exception):
 
 class ReadError(RetropoleError):
     """A file that cannot be read: names the file, the place and what was expected."""
+
+
+class NewerError(ReadError):
+    """A file that a newer version wrote: nothing is wrong with it, and it is to be kept.
+
+    Parameters
+    ----------
+    words
+        The file and its schema.
+    """
+
+    def __init__(self, words: str) -> None:
+        super().__init__(f"{words} is of a newer version of retropole; update this one")
+
+
+def is_newer(schema: str, known: str) -> bool:
+    """Whether a schema, ``retropole/result/2``, is a later one of the same kind."""
+    kind, _, number = schema.rpartition("/")
+    own, _, ours = known.rpartition("/")
+    digits = number if number.isascii() and number.isdigit() else "0"
+    # Compared as text, since whoever wrote it may have written thousands of digits.
+    later = (len(digits.lstrip("0")), digits.lstrip("0")) > (len(ours), ours)
+    return kind == own and later
 
 
 class UsageError(RetropoleError):

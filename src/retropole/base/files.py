@@ -9,6 +9,7 @@ import re
 import signal
 import socket
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -24,13 +25,47 @@ UNFINISHED = ".retropole-unfinished"
 """How the name of a file ends that is being written."""
 
 RUNNING = ".running"
-"""Name of the note of the last run that had a folder for itself."""
+"""Name of the note of the run that has a folder for itself; it is removed with the run."""
+
+LOCKED_BYTE = 2**30
+"""The byte of a note that is locked where the system locks bytes: far behind those to be read."""
+
+LONGEST_NOTE = 2**12
+"""Bytes of a note; one has about 100."""
+
+KINDS = {
+    stat.S_ISDIR: "a folder",
+    stat.S_ISFIFO: "a named pipe",
+    stat.S_ISSOCK: "a socket",
+    stat.S_ISCHR: "a device",
+    stat.S_ISBLK: "a device",
+}
+"""What a path may be that is no file."""
 
 unfinished: set[str] = set()
-"""Files that are being written: whoever ends the process at once removes them first."""
+"""Files that are removed with the run: whoever ends the process at once removes them first."""
+
+older: dict[Path, Path] = {}
+"""Where the files of a run before are that were set aside, by their own names."""
 
 leaving: list[Callable[[], None]] = []
 """What else comes first: of where other machines look, none sees that a process has ended."""
+
+
+def check_is_file(path: Path) -> None:
+    """Refuse what is no file: to open a pipe waits for whoever writes to it, a device never ends.
+
+    Raises
+    ------
+    ReadError
+        Where it is something else.
+    OSError
+        Where there is nothing, or it may not be looked at.
+    """
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        kind = next((words for is_it, words in KINDS.items() if is_it(mode)), "something else")
+        raise ReadError(f"{path}: is {kind}, expected a file")
 
 
 def read_document(path: Path) -> bytes:
@@ -70,12 +105,23 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 
     The data go to temporary files beside the targets, which are then renamed. The others than the
     first are removed before: whatever ends the process, those that are there are of one run.
+    Where a file of a run before was set aside it is replaced, with its links and permissions.
 
     Raises
     ------
     OSError
         As `write_atomically`.
     """
+    back = [path for path in files if _put_back(path)]
+    try:
+        _write_together(files)
+    except BaseException:
+        with suppress(OSError):
+            _set_aside_until_written(back)
+        raise
+
+
+def _write_together(files: Mapping[Path, bytes]) -> None:
     places = {Path(os.path.realpath(path)): data for path, data in files.items()}
     regular = {place: data for place, data in places.items() if _is_file(place)}
     for folder in dict.fromkeys(place.parent for place in regular):
@@ -112,6 +158,47 @@ def set_aside(paths: Iterable[Path]) -> list[Path]:
 
 
 @contextmanager
+def without_older(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Set files of a run before aside, for as long as this one has not written them.
+
+    Gives a list; at the end it has those that were not replaced, under their new names.
+
+    Raises
+    ------
+    OSError
+        As `set_aside`.
+    """
+    names = list(paths)
+    left: list[Path] = []
+    _set_aside_until_written(names)
+    try:
+        yield left
+    finally:
+        for path in names:
+            if older.pop(_key(path), None) is not None:
+                left.append(path.with_name(f"older-{path.name}"))
+
+
+def _set_aside_until_written(paths: Iterable[Path]) -> None:
+    for path in paths:
+        for moved in set_aside([path]):
+            older[_key(path)] = _key(moved)
+
+
+def _put_back(path: Path) -> bool:
+    """Give a file that was set aside its own name again; tell whether there was one."""
+    aside = older.pop(_key(path), None)
+    if aside is None or not aside.is_file():
+        return False
+    aside.replace(path)
+    return True
+
+
+def _key(path: Path) -> Path:
+    return Path(os.path.abspath(path))
+
+
+@contextmanager
 def _named(place: Path) -> Iterator[None]:
     """Have an error of the system name the file that it is about."""
     try:
@@ -131,27 +218,83 @@ def _is_file(place: Path) -> bool:
 
 
 @contextmanager
-def run_alone(folder: Path) -> Iterator[None]:
+def run_alone(folder: Path, command: str = "") -> Iterator[None]:
     """Keep other runs from a folder, which is made where there is none, from now on.
+
+    The system lets go when the process ends, however that is. A note in the folder says who has it;
+    it is removed with the run, and so is a folder that was made for it and stayed empty.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    command
+        What the note calls the run: ``retropole watch``.
 
     Raises
     ------
     OSError
-        Where another run has it: the message says which.
+        Where another run has it: the message says which. Where it cannot be written to.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    is_new = not folder.exists()
     note = folder / RUNNING
-    note.touch()
-    with _alone_in(folder, note):
-        with _named(note):
-            note.write_text(this_run())
+    descriptor = _own(note)
+    unfinished.add(str(note))
+    try:
+        with suppress(OSError):
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, this_run(command).encode())
         yield
+    finally:
+        # Before another run has it; only where what is open cannot be removed, after that.
+        with suppress(OSError):
+            if os.name != "nt":
+                note.unlink()
+        os.close(descriptor)
+        with suppress(OSError):
+            if os.name == "nt":
+                note.unlink()
+        unfinished.discard(str(note))
+        if is_new:
+            with suppress(OSError):
+                folder.rmdir()
 
 
-def this_run() -> str:
+def _own(note: Path) -> int:
+    """Make and lock a note, and give its descriptor."""
+    while True:
+        note.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            descriptor = _opened(note)
+        except FileNotFoundError:
+            continue  # a run that has just ended removed its folder
+        if not _locked(descriptor):
+            who = os.read(descriptor, LONGEST_NOTE).decode(errors="replace")
+            os.close(descriptor)
+            raise taken(str(note.parent), who)
+        try:
+            if os.path.samestat(os.fstat(descriptor), note.stat()):
+                return descriptor
+        except FileNotFoundError:
+            pass
+        os.close(descriptor)  # a run that has just ended removed this one
+
+
+def _opened(note: Path) -> int:
+    try:
+        return os.open(note, os.O_RDWR | os.O_CREAT, 0o666)
+    except PermissionError:
+        # One that another user's run left, as it was killed, can be locked all the same.
+        if not note.exists():
+            raise
+        return os.open(note, os.O_RDONLY)
+
+
+def this_run(command: str = "") -> str:
     """Say which process this is, and since when it runs."""
     since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    return f"process {os.getpid()} on {socket.gethostname()}, since {since}"
+    named = f"{command}, " if command else ""
+    return f"{named}process {os.getpid()} on {socket.gethostname()}, since {since}"
 
 
 def taken(folder: str, who: str = "", remedy: str = "") -> BlockingIOError:
@@ -162,30 +305,45 @@ def taken(folder: str, who: str = "", remedy: str = "") -> BlockingIOError:
 
 
 @contextmanager
-def _alone_in(folder: Path, note: Path | None = None) -> Iterator[None]:
+def _alone_in(folder: Path) -> Iterator[None]:
     """Keep other processes from writing into a folder; the system lets go when a process ends.
 
-    With a note, which says who has it, that is locked: files may be written to the folder as ever.
-    Where the system has no such locks, as on Windows and some network drives, there is none.
+    Where folders cannot be locked, as on Windows and some network drives, there is no lock.
     """
     try:
-        import fcntl
-
-        descriptor = os.open(note or folder, os.O_RDONLY)
-    except (ImportError, PermissionError):
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:
         yield
         return
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise taken(str(folder), "" if note is None else note.read_text()) from None
-    except OSError:
-        pass
-    try:
+        if not _locked(descriptor):
+            raise taken(str(folder))
         yield
     finally:
         os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    """Lock an open file or folder; tell whether no other process has it.
+
+    True also where the file system has no locks.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if sys.platform == "win32":
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+    return True
 
 
 def _replace(files: Mapping[Path, bytes]) -> None:

@@ -76,9 +76,13 @@ def run(words: Sequence[str] | None = None) -> int:
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
     except (click.ClickException, RetropoleError, OSError, MemoryError) as error:
-        command = _command_of(args)
+        name, command = _command_of(args)
+        if isinstance(error, click.ClickException):
+            from .out import set_older_aside
+
+            set_older_aside(command, args)
         refused = isinstance(error, Refusal)
-        return tell(failure_of(error, command), refused=refused, as_json=asks_for_json(args))
+        return tell(failure_of(error, name), refused=refused, as_json=asks_for_json(args))
     except SystemExit as error:
         # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.
         if error.code == 1:
@@ -90,12 +94,13 @@ def run(words: Sequence[str] | None = None) -> int:
     return int(code or 0)
 
 
-def _command_of(words: Sequence[str]) -> str:
-    """Name the command that was called, and of a group which of it: ``retropole site init``."""
-    named = next((k for k, word in enumerate(words) if word in COMMANDS), None)
-    if named is None:
-        return "retropole"
-    group = cli.commands[words[named]]
-    inner = group.commands if isinstance(group, click.Group) else {}
-    following = words[named + 1 : named + 2]
-    return " ".join(["retropole", words[named], *(word for word in following if word in inner)])
+def _command_of(words: Sequence[str]) -> tuple[str, click.Command]:
+    """Find the command that was called, of a group which of it, and its name."""
+    name: str = "retropole"
+    command: click.Command = cli
+    named = next((k for k, word in enumerate(words) if word in COMMANDS), len(words))
+    for word in words[named : named + 2]:
+        inner = command.commands if isinstance(command, click.Group) else {}
+        if word in inner:
+            name, command = f"{name} {word}", inner[word]
+    return name, command

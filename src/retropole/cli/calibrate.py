@@ -10,16 +10,15 @@ from typing import Any
 import click
 
 from ..result import RunConfig
+from ..result.folder import REPORT_FILE, RESULT_FILE
 from .common import command_line, listening, result_told, say
-from .older import DEFAULT_OUT, SettingAside, older_set_aside
-from .options import CLOUD, OUT, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
+from .options import CLOUD, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
+from .out import out_folder
 
 
-@click.command(cls=SettingAside)
+@click.command()
 @placement_arguments
-@click.option(
-    "--out", type=OUT, default=DEFAULT_OUT, help="Folder for result.json and report.html."
-)
+@out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
@@ -77,14 +76,13 @@ def calibrate(
         from ..api.plan_checking import cost_of, load_plan
 
         wanted = load_plan(plan)
-    with older_set_aside(out):
-        if options["at_m"] is not None and options["need_m"] is None:
-            raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
-        targets, sources = placed(target, source, placements)
-        config = RunConfig(**options)
-        with listening(quiet, config.frames, units=False) as listener:
-            result = calibrate_with(targets, sources, config, listener)
-            written = result.save(out)
+    if options["at_m"] is not None and options["need_m"] is None:
+        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+    targets, sources = placed(target, source, placements)
+    config = RunConfig(**options)
+    with listening(quiet, config.frames, units=False) as listener:
+        result = calibrate_with(targets, sources, config, listener)
+        written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, targets[0], sources[0]),

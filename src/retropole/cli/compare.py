@@ -17,7 +17,7 @@ from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .evaluate import scores, true_errors
-from .options import CLOUD, SENSORS, TOPICS, run_options
+from .options import CLOUD, SEED, SENSORS, TOPICS, run_options
 
 if TYPE_CHECKING:
     from ..api.evaluation import Compared
@@ -49,7 +49,7 @@ TITLES = OURS | {
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", "unit", "unit_source")
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=SEED,
     default=0,
     help="Seed of what methods draw, and of the points that they are scored on.",
 )

@@ -9,12 +9,15 @@ import click
 
 from ..result import RunConfig
 from .common import listening, say, show
-from .options import CLOUD, OUT, run_option, run_options
+from .options import CLOUD, run_option, run_options
+from .out import out_folder
+
+PICTURE = "detect.png"
 
 
 @click.command()
 @click.argument("file", type=CLOUD)
-@click.option("--out", type=OUT, default=Path("retropole-out"), help="Folder for detect.png.")
+@out_folder("Folder for detect.png.", PICTURE)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
@@ -80,8 +83,8 @@ def detect(
         written: list[str] = []
         listener.progress("draw")
         try:
-            draw_detection(given.cloud, found, out / "detect.png", title=printable(file.name))
-            written.append(str(out / "detect.png"))
+            draw_detection(given.cloud, found, out / PICTURE, title=printable(file.name))
+            written.append(str(out / PICTURE))
         except MissingExtraError as error:
             say(f"retropole: no picture: {error}")
     used = replace(given, threshold=found.threshold)

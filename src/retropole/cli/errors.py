@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import click
 
-from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, quoting
+from ..base.errors import MissingExtraError, NewerError, ReadError, Refusal, RetropoleError, quoting
 from ..base.reasons import explain, page, plain
 from .common import EXIT_REFUSED, EXIT_USAGE, echo_refusal, json_text, say
 
@@ -90,6 +90,10 @@ def failure_of(error: Exception, command: str) -> Failure:
         case MissingExtraError():
             install = f"pip install 'retropole[{error.extra}]'"
             return Failure("missing_extra", str(error), (install,), "install.html")
+        case NewerError():
+            return Failure(
+                "unreadable", str(error), ("pip install --upgrade retropole",), "install.html"
+            )
         case ReadError():
             look, read_on = TO_LOOK_AT.get(command, TO_LOOK_AT["retropole"])
             return Failure("unreadable", str(error), (look,), read_on)
@@ -106,7 +110,7 @@ def failure_of(error: Exception, command: str) -> Failure:
             words = quoting(f"{place}: {error.strerror}" if place else str(error))
             check = "check that it exists and may be read or written, and that there is room"
             if isinstance(error, BlockingIOError) and error.filename:
-                check = "wait until that run is over, or write to another folder"
+                check = "wait until that run is over, or name another folder with --out"
             return Failure("system", words, (check,))
     raise error
 

@@ -12,7 +12,7 @@ from ..base.quantities import counted
 from ..fleet import TIME_LIMIT
 from .check import tolerance_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
-from .options import Command, Number
+from .options import Command, Number, Whole
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
@@ -31,7 +31,7 @@ def cluster_options(command: Command) -> Command:
     )
     workers = click.option(
         "--workers",
-        type=click.IntRange(min=1, max=1024),
+        type=Whole(1, 1024),
         help="Number of local processes, where there is no --scheduler.  "
         "[default: one per processor]",
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,27 @@ import click
 from msgspec import inspect
 
 from ..result import DEFAULT_CONFIG
-from ..result.options import OPTIONS, UNITS, Frames, frames_named, radius_in_metres
+from ..result.options import LARGEST_WHOLE, OPTIONS, UNITS, Frames, frames_named, radius_in_metres
 
 Command = Callable[..., int]
 
 CLOUD = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 OUT = click.Path(path_type=Path, file_okay=False)
+
+
+class Whole(click.IntRange):
+    """A whole number within bounds, which every error names: click does where it is a number."""
+
+    name = "integer"
+
+    def convert(self, value: Any, *of: Any) -> int:
+        """Take a number as click does."""
+        try:
+            int(value)
+        except ValueError:
+            self.fail(f"{value!r} is no whole number in the range {self._describe_range()}.", *of)
+        return int(super().convert(value, *of))
 
 
 class Number(click.FloatRange):
@@ -37,10 +52,13 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, *of: Any) -> float:
         """Take a number as click does, but no nan."""
-        number = float(super().convert(value, *of))
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is no number.", *of)
-        return self.into(number)
+        try:
+            is_number = not math.isnan(float(value))
+        except ValueError:
+            is_number = False
+        if not is_number:
+            self.fail(f"{value!r} is no number in the range {self._describe_range()}.", *of)
+        return self.into(float(super().convert(value, *of)))
 
 
 class Radius(Number):
@@ -48,9 +66,9 @@ class Radius(Number):
 
     def convert(self, value: Any, *of: Any) -> float:
         """Take a number as `Number` does."""
-        words = radius_in_metres(click.FLOAT.convert(value, *of))
-        if words:
-            self.fail(f"{words}.", *of)
+        with suppress(ValueError):
+            if words := radius_in_metres(float(value)):
+                self.fail(f"{words}.", *of)
         return super().convert(value, *of)
 
 
@@ -65,9 +83,14 @@ def _frames(context: click.Context, option: click.Parameter, value: str | None) 
         return None
     frames = frames_named(value)
     if frames is None:
-        raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
+        raise click.BadParameter(
+            f"{value!r}: expected A:B, A:B:STEP or the number of a frame, none "
+            f"beyond {LARGEST_WHOLE}"
+        )
     return frames.start, frames.stop, frames.step
 
+
+SEED = Whole(0, LARGEST_WHOLE)
 
 DEGREES = Number(math.radians, min=0, min_open=True, max=180)
 """An angle, which is radians inside."""
@@ -159,7 +182,7 @@ def _type(field: str, kind: inspect.Type) -> Any:
         case inspect.LiteralType():
             return click.Choice(UNITS)
         case inspect.IntType() if field != "frames":
-            return click.IntRange(min=kind.ge)
+            return Whole(kind.ge, kind.le)
         case inspect.FloatType():
             into, scale = (metres, 100) if field == "need_m" else (float, 1)
             assert kind.le is not None

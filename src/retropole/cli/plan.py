@@ -10,8 +10,10 @@ import click
 import numpy as np
 
 from ..result import RunConfig
+from ..result.folder import PLAN_FILE, PLAN_PAGE
 from .common import command_line, listening, show, show_written
-from .options import CLOUD, METRES, OUT, TOPICS, Number, run_options
+from .options import CLOUD, METRES, TOPICS, Number, Whole, run_options
+from .out import out_folder
 
 if TYPE_CHECKING:
     from ..api import Array
@@ -48,8 +50,8 @@ ANGLE = Number(min=-360, max=360)
     metavar="X Y LX LY LZ",
     help="With --lidar: a box that stands there, by its middle and its sides; repeat it.",
 )
-@click.option("--poles", type=click.IntRange(2, 6), default=2, help="That stand at once.")
-@click.option("--placements", type=click.IntRange(1, 8), default=1, help="How often they stand.")
+@click.option("--poles", type=Whole(2, 6), default=2, help="That stand at once.")
+@click.option("--placements", type=Whole(1, 8), default=1, help="How often they stand.")
 @click.option("--length", type=Number(min=0.5, max=10), default=2.0, help="Of the poles, metres.")
 @run_options("radius_m", "need_m", "at_m")
 @click.option(
@@ -70,7 +72,7 @@ ANGLE = Number(min=-360, max=360)
 )
 @run_options("sensor_target", "sensor_source", *TOPICS, "frames", "max_points", "unit")
 @run_options("unit_source")
-@click.option("--out", type=OUT, default=Path("retropole-plan"), help="Folder for the plan.")
+@out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def plan(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
 
 from .common import progress_on_terminal, say, show_written
 from .options import CLOUD, FILE
+from .out import alone_beside
 
 
 @click.command()
@@ -74,8 +76,9 @@ def report(
     from ..result.folder import REPORT_FILE, SITE_REPORT_FILE, result_file
 
     file = result_file(result)
-    document = loaded(file, decode_any)
-    with progress_on_terminal(quiet) as progress:
+    beside = nullcontext() if out else alone_beside(file)
+    with beside, progress_on_terminal(quiet) as progress:
+        document = loaded(file, decode_any)
         if isinstance(document, ResultDoc):
             if serials:
                 raise click.UsageError(

@@ -9,20 +9,19 @@ import click
 
 from ..base.datatypes import MAX_POLES
 from .common import progress_on_terminal, show_written
-from .options import OUT, run_options
+from .options import SEED, Whole, run_options
+from .out import out_folder
 
 
 @click.command("site")
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
-@click.option("--out", type=OUT, default=Path("retropole-site"))
-@click.option("--seed", type=click.IntRange(min=0), default=0)
-@click.option("--lidars", type=click.IntRange(2, 12), default=4)
+@out_folder("", default=Path("retropole-site"))
+@click.option("--seed", type=SEED, default=0)
+@click.option("--lidars", type=Whole(2, 12), default=4)
 @click.option(
-    "--placements", type=click.IntRange(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
+    "--placements", type=Whole(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
 )
-@click.option(
-    "--poles", type=click.IntRange(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]"
-)
+@click.option("--poles", type=Whole(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]")
 @click.option("--sensor", "sensors", multiple=True, help="Name; several are taken in turn.")
 @run_options("radius_m")
 @click.option(
@@ -90,16 +89,14 @@ class _OrSite(click.Group):
         ["corridor", "street", "harbor", "bare", "square", "camber", "kerb", "paper"]
     ),
 )
-@click.option(
-    "--out",
-    type=OUT,
+@out_folder(
+    "Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
     default=Path("retropole-simulated"),
-    help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0)
+@click.option("--seed", type=SEED, default=0)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
-@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2)
+@click.option("--poles", type=Whole(1, MAX_POLES), default=2)
 @run_options("radius_m")
 @click.option(
     "--nuisances",

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import click
 
+from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from .common import BY_SITE_FILE, command_line, listening, result_told, say, show, show_written
-from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
-from .options import CLOUD, FILE, OUT, verdict_options
+from .options import CLOUD, FILE, verdict_options
+from .out import out_folder
 from .site_check import site_check
 
 
@@ -73,11 +74,9 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     return 0
 
 
-@site.command(cls=SettingSiteAside)
+@site.command()
 @click.argument("site_file", metavar="SITE.toml", type=CLOUD)
-@click.option(
-    "--out", type=OUT, default=DEFAULT_OUT, help="Folder for site-result.json and site-report.html."
-)
+@out_folder("Folder for site-result.json and site-report.html.", SITE_RESULT_FILE, SITE_REPORT_FILE)
 @verdict_options("every pair and test, what was read and the time of each step")
 def calibrate(
     site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
@@ -105,7 +104,7 @@ def calibrate(
     from ..report.text import describe_site
 
     asked = "as the site file says"
-    with older_set_aside(out, site=True), listening(quiet, asked, BY_SITE_FILE) as listener:
+    with listening(quiet, asked, BY_SITE_FILE) as listener:
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")
         written = result.save(out)

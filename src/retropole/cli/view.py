@@ -9,7 +9,7 @@ import click
 
 from ..result import RunConfig
 from .common import listening, say, show
-from .options import CLOUD, run_option, run_options
+from .options import CLOUD, Whole, run_option, run_options
 
 
 @click.command()
@@ -23,7 +23,7 @@ from .options import CLOUD, run_option, run_options
 @run_options("frames", "unit")
 @click.option(
     "--port",
-    type=click.IntRange(1, 65535),
+    type=Whole(1, 65535),
     default=8080,
     help="Port on this machine; the next free one where it is in use.",
 )

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ import click
 
 from ..api.choices import SOURCE_KINDS
 from ..result import RunConfig
+from ..result.folder import CERTIFICATE, REPORT_FILE, RESULT_FILE
 from .common import (
     EXIT_INTERRUPTED,
     EXIT_MOVED,
@@ -25,8 +26,8 @@ from .common import (
     show,
     show_written,
 )
-from .older import DEFAULT_OUT, set_older_aside
-from .options import OUT, run_options
+from .options import Whole, run_options
+from .out import out_folder
 
 if TYPE_CHECKING:
     from ..api.watching import Watch
@@ -44,10 +45,35 @@ PAGE_SECONDS = 3.0
 """The page is served for so much longer, s, so that it shows the end."""
 
 
+GRACE = 2.0
+"""What is under way when a signal comes may take so long, s: then it waits for a file that never
+ends, or for a program that does not answer, and is broken off."""
+
+
+class BrokenOff(BaseException):
+    """What was under way when a signal came did not end."""
+
+
 class Stopped(Event):
     """Set by a signal; `code` is then the exit code."""
 
     code: int | None = None
+    _can_break = False
+
+    @contextmanager
+    def breaking(self) -> Iterator[None]:
+        """Break off what is within where it goes on for `GRACE` after a signal."""
+        self._can_break = True
+        try:
+            with suppress(BrokenOff):
+                yield
+        finally:
+            self._can_break = False
+
+    def break_off(self, number: int, frame: object) -> None:
+        """Break off what is under way: called by the alarm that follows the signal."""
+        if self._can_break:
+            raise BrokenOff
 
 
 @click.command()
@@ -57,7 +83,7 @@ class Stopped(Event):
 @run_options("need_m", "at_m")
 @click.option(
     "--sweeps",
-    type=click.IntRange(3, 100),
+    type=Whole(3, 100),
     default=15,
     help="Of each LiDAR that are kept of a placement.",
 )
@@ -79,16 +105,24 @@ class Stopped(Event):
     type=click.Path(path_type=Path),
     help="A result, or its folder: say whether the LiDARs stand where they stood.",
 )
-@click.option("--domain", type=click.IntRange(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
+@click.option("--domain", type=Whole(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
 @click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Of the page; 0: a free one."
+    "--from",
+    "senders",
+    multiple=True,
+    metavar="ADDRESS",
+    help="IP address of a LiDAR that sends packets: those of others are left out. Repeat it for "
+    "the other LiDAR.  [default: of each port, the address that sends most]",
 )
+@click.option("--port", type=Whole(0, 65535), default=0, help="Of the page; 0: a free one.")
 @click.option("--listen", is_flag=True, help="Serve the page to phones in the local network.")
 @click.option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--publish", is_flag=True, help="Publish the answer on /tf_static, if it is ok.")
 @click.option("--publish-warned", is_flag=True, help="Publish it with a warning, too.")
-@click.option("--out", type=OUT, default=DEFAULT_OUT, help="Folder for recordings and result.")
+@out_folder(
+    "Folder for recordings and result.", RESULT_FILE, REPORT_FILE, *CERTIFICATE, keeping="stored"
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
 def watch(
     target: str,
@@ -99,6 +133,7 @@ def watch(
     stored: Path | None,
     domain: int | None,
     interface: str | None,
+    senders: tuple[str, ...],
     port: int,
     listen: bool,
     no_page: bool,
@@ -128,6 +163,7 @@ def watch(
       retropole watch ros2:/front/points ros2:/rear/points
       retropole watch ros2:/front/points ros2:/rear/points --need-cm 2 --at-m 30 --listen
       retropole watch velodyne:2368 velodyne:2369 --sensor-target VLP-16
+      retropole watch velodyne:2368 velodyne:2369 --from 192.168.1.201 --from 192.168.1.202
       retropole watch ouster:7502:front.json ros2:/rear/points --interface eth0
       retropole watch folder:in/front folder:in/rear --plan retropole-plan
       retropole watch replay:drive.bag:/front replay:drive.bag:/rear
@@ -145,7 +181,8 @@ def watch(
     """
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
-    from ..api.watching import Watch, Wish, check_publishing, names_of, open_sources
+    from ..api.watching import Source, Watch, Wish, check_publishing, names_of, open_sources
+    from ..report.layout import legible
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
@@ -167,43 +204,48 @@ def watch(
         to_publish = ("ok", "warn") if publish_warned else ("ok",) if publish else ()
         if to_publish:
             check_publishing(domain=domain, interface=interface)
-        made = Watch(open_sources(texts, domain=domain, interface=interface), wish, out)
+        sources = list[Source]()
+        with stopped.breaking():
+            sources = open_sources(texts, domain=domain, interface=interface, senders=senders)
+        if not sources:
+            return stopped.code or EXIT_INTERRUPTED
+        made = Watch(sources, wish, out)
         stack.callback(lambda: _told(made.finish(), quiet))
         if not no_page:
             server = _served(lambda: latest[0], port, listen=listen)
             stack.callback(server.stop)
         view = stack.enter_context(_view(quiet))
         shown = None
-        while True:
-            begun = time.monotonic()
-            said = made.step()
-            latest[0] = encode(said)
-            view(said)
-            if to_publish and stored is None and made.result is None:
-                made.frames()
-            if made.result is not shown:
-                shown = made.result
-                if shown is not None and shown.status in to_publish:
-                    made.publish(domain=domain, interface=interface)
-                else:
-                    made.withdraw()
-            if made.is_over or stopped.is_set():
-                break
-            stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
+        said: WatchDoc | None = None
+        with stopped.breaking():
+            while not (made.is_over or stopped.is_set()):
+                begun = time.monotonic()
+                # Topics, frames and faults are what others wrote.
+                said = legible(made.step())
+                latest[0] = encode(said)
+                view(said)
+                if to_publish and stored is None and made.result is None:
+                    made.frames()
+                if made.result is not shown:
+                    shown = made.result
+                    if shown is not None and shown.status in to_publish:
+                        made.publish(domain=domain, interface=interface)
+                    else:
+                        made.withdraw()
+                if not made.is_over:
+                    stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
             stopped.wait(PAGE_SECONDS)
         if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
-    if made.result is None and stored is None:
-        set_older_aside(out)
     return _exit_code(made, said, stopped)
 
 
-def _exit_code(made: Watch, said: WatchDoc, stopped: Stopped) -> int:
+def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:
     if made.checked is not None:
         return CHECKED[made.checked.status]
-    if made.is_over and said.is_good:
+    if made.is_over and said is not None and said.is_good:
         return 0
     if stopped.code is not None:
         return stopped.code
@@ -214,8 +256,12 @@ def _exit_code(made: Watch, said: WatchDoc, stopped: Stopped) -> int:
 
 @contextmanager
 def _until_signal() -> Iterator[Stopped]:
-    """Let the first Ctrl-C end in order, so that nothing is lost; a second ends at once."""
+    """Let the first Ctrl-C end in order, so that nothing is lost; a second ends at once.
+
+    Where a system has no alarms, as Windows, nothing is broken off after the first.
+    """
     stopped = Stopped()
+    has_alarm = hasattr(signal, "setitimer")
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def stop(number: int, frame: object) -> None:
@@ -223,6 +269,9 @@ def _until_signal() -> Iterator[Stopped]:
         stopped.set()
         for each, handler in before.items():
             signal.signal(each, handler)
+        if has_alarm:
+            signal.signal(signal.SIGALRM, stopped.break_off)
+            signal.setitimer(signal.ITIMER_REAL, GRACE)
 
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
@@ -232,6 +281,9 @@ def _until_signal() -> Iterator[Stopped]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        if has_alarm and stopped.is_set():
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def _served(state: Callable[[], bytes], port: int, *, listen: bool) -> WatchServer:
@@ -261,7 +313,15 @@ def _told(written: list[Path], quiet: bool) -> None:
 def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
     """Show the state on a terminal; in a pipe, a line for each new thing to do."""
     if quiet:
-        yield lambda said: None
+        fault = [""]
+
+        def only_faults(said: WatchDoc) -> None:
+            now = said.next if said.code == "not_written" else ""
+            if now and not fault[0]:
+                say(now)
+            fault[0] = now
+
+        yield only_faults
         return
     if not sys.stderr.isatty():
         last, noted = [""], list[str]()

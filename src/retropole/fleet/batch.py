@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import chain
 from typing import TypeVar
@@ -14,7 +15,7 @@ from . import TIME_LIMIT
 from .alone import alone_in
 from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
-from .storage import absolute
+from .storage import absolute, is_url
 from .work import Outcome, Task, lost, task_of
 
 Key = TypeVar("Key")
@@ -86,7 +87,9 @@ def calibrate_fleet(
     """
     out = absolute(out)
     reports = None if reports is None else absolute(reports)
-    with alone_in(out):
+    # At a URL, the dataset's is enough to remove by hand where a run was killed.
+    own_reports = reports is not None and reports != out and not is_url(reports)
+    with alone_in(out), alone_in(reports) if own_reports and reports else nullcontext():
         known = known_in(out)
         others = known.keys() - {site.id for site in sites}
         parts: dict[str, list[FleetSite]] = {

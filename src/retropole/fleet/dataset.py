@@ -24,7 +24,7 @@ from ..result import BudgetEntry, ErrorAtRange, ResultDoc, encode
 from ..result.decoding import decode, decode_site
 from ..result.site import LidarDoc, SiteDoc
 from .sites import FleetSite, Kind
-from .storage import below, names_in, remove, write_bytes
+from .storage import below, names_in, remove, replace_bytes
 from .tables import arrow, opened, parquet_of
 
 FLEET_SCHEMA = "retropole/fleet/1"
@@ -217,7 +217,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     ):
         place = below(out, folder, partition)
         if each:
-            write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
+            replace_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
         elif partition in partitions_in(out, folder):
             remove(place)
 

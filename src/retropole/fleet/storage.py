@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError, said
-from ..base.files import write_atomically
+from ..base.files import check_is_file, write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""
@@ -240,6 +240,9 @@ def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     ReadError
         Where it cannot be read, or is longer than one would be.
     """
+    with _asked(place, "cannot be read") as (system, path):
+        if not is_url(place):
+            check_is_file(Path(path))
     with _asked(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
         if file.seek(0, os.SEEK_END) > most:
             raise ReadError(f"{place}: more than {most} bytes")
@@ -262,7 +265,8 @@ def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
 def write_bytes(place: str, data: bytes) -> None:
     """Write a file whole or not at all, and make its folder where there is none.
 
-    An object store puts an object whole; on the local system the file is renamed into its place.
+    An object store puts an object whole; on the local system the file is renamed into its place,
+    and a pipe or a device is written to.
 
     Raises
     ------
@@ -275,6 +279,21 @@ def write_bytes(place: str, data: bytes) -> None:
     with _changed(place) as (system, path):
         _make_folder(system, place, path)
         system.pipe_file(path, data)
+
+
+def replace_bytes(place: str, data: bytes) -> None:
+    """Write a file as `write_bytes` does, but never into a pipe or a device, where it were lost.
+
+    Raises
+    ------
+    OSError
+        As `write_bytes`.
+    ReadError
+        Where there is something else than a file.
+    """
+    if not is_url(place) and Path(absolute(place)).exists():
+        check_is_file(Path(absolute(place)))
+    write_bytes(place, data)
 
 
 def write_new(url: str, data: bytes) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from ..base.errors import MissingExtraError, ReadError, quoting, said
+from ..base.errors import MissingExtraError, NewerError, ReadError, is_newer, quoting, said
 from .storage import LARGEST_LIST, open_file, read_bytes
 
 
@@ -70,7 +70,8 @@ def opened(
     Raises
     ------
     ReadError
-        Where it cannot be read, or what is read of it meanwhile.
+        Where it cannot be read, or what is read of it meanwhile; a `NewerError` where a newer
+        version wrote it.
     MissingExtraError
         As `arrow`.
     """
@@ -79,6 +80,8 @@ def opened(
         try:
             file = pa.parquet.ParquetFile(data, page_checksum_verification=True)
             has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+            if schema and is_newer(has, schema):
+                raise NewerError(f"{place}: schema {has!r}")
             if schema and has != schema:
                 raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
             yield file

@@ -26,7 +26,7 @@ from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered,
 from .history.store import CheckRow
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
-from .storage import below, is_url, other_protocols, read_bytes, write_bytes
+from .storage import below, is_url, other_protocols, read_bytes, replace_bytes
 
 if TYPE_CHECKING:
     from ..api.result import CalibrationResult
@@ -259,7 +259,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
         result.save(place)
         return
     for path in result.save(folder, relative=False):
-        write_bytes(below(place, path.name), path.read_bytes())
+        replace_bytes(below(place, path.name), path.read_bytes())
 
 
 def _is_reported(task: Task, hashed: Hashed) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
+from ..base.files import check_is_file
 from .arrays import ARRAY_SOURCE as ARRAY_SOURCE
 from .arrays import cloud_from_array as cloud_from_array
 from .arrays import read_npy, read_npz, read_pts, read_text
@@ -212,7 +213,10 @@ def _files(path: Path) -> list[Path]:
             raise ReadError(f"{path}: there is no such file or folder")
         if is_rosbag2(path):
             return sorted((p for p in path.iterdir() if p.is_file()), key=_natural_key)
-        return frames_of(path) if path.is_dir() else [path]
+        if path.is_dir():
+            return frames_of(path)
+        check_is_file(path)
+        return [path]
 
 
 def _read(path: Path) -> PointCloud:
@@ -232,7 +236,12 @@ def frames_of(folder: Path) -> list[Path]:
     ReadError
         Where there are none, or files of different formats.
     """
-    files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
+    named = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_dir()]
+    for path in named:
+        # A frame that is a pipe, or leads nowhere, is not left out without a word.
+        if path.suffix.lower() in READERS:
+            check_is_file(path)
+    files = [p for p in named if p.is_file()]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
         recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES)]

@@ -17,10 +17,11 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError
+from ..base.files import check_is_file
 from .bag_mcap import open_mcap
 from .failures import naming, reported
 from .recordings import MAX_MESSAGES, Bag, counted_topics
-from .unpacking import allowance, unpack_file, unpacked
+from .unpacking import LARGEST_RECORD, allowance, unpack_file, unpacked
 
 REPAIR = (
     "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
@@ -37,9 +38,6 @@ INDEX_ENTRY = 12
 """Bytes of a message in the index of a ROS 1 bag."""
 
 TABLES = ("topics", "messages")
-
-MAX_LENGTH = 10**9
-"""Bytes of the longest message, SQLite's own limit; none is longer than its file."""
 
 MAX_TOPICS = 10_000
 """More are not read."""
@@ -105,6 +103,8 @@ def _ros1(path: Path) -> Iterator[Bag]:
     class Reader(rosbag1.Reader):
         def read_chunk(self) -> Any:
             chunk = super().read_chunk()
+            if chunk.datasize > LARGEST_RECORD:
+                raise ReadError(f"a chunk of {chunk.datasize:,} bytes, which no recording has")
             kind = kinds.get(chunk.decompressor, "")
             return chunk._replace(decompressor=lambda data: unpacked(kind, data, spend))
 
@@ -153,7 +153,7 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
     address = f"{path.absolute().as_uri()}?mode={mode}"
     with closing(sqlite3.connect(address, LOCKED_FOR, uri=True)) as database:
         database.text_factory = lambda text: text.decode(errors="replace")
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, MAX_LENGTH))
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, LARGEST_RECORD))
         database.execute("PRAGMA trusted_schema=OFF")
         with _counted_steps(size, database):
             _check_tables(database)
@@ -271,6 +271,8 @@ def _folder(path: Path) -> Iterator[Bag]:
             "expected mcap or sqlite3, and none or zstd"
         )
     files = [path / PurePath(str(name)).name for name in about["relative_file_paths"]]
+    for file in files:
+        check_is_file(file)
     spend = allowance(sum(file.stat().st_size for file in files))
     with ExitStack() as stack:
         if mode == "file":

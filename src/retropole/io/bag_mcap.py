@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..base.errors import ReadError
 from .recordings import Bag, counted_topics
-from .unpacking import Spend, allowance, unpacked
+from .unpacking import Spend, allowance, opened_within, unpacked
 
 if TYPE_CHECKING:
     from mcap.summary import Summary
@@ -42,8 +42,8 @@ def open_mcap(path: Path) -> Iterator[Bag]:
     ReadError
         Where a chunk, or all of them, unpack to more than `unpacking` allows.
     """
-    size = path.stat().st_size
-    with path.open("rb") as file:
+    with opened_within(path) as file:
+        size = path.stat().st_size
         index = _index(file)
 
         def entries(name: str | None) -> Iterator[Entry]:

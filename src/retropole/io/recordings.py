@@ -65,12 +65,15 @@ class Frame:
         As in `FrameHeader`.
     cloud
         Its points; an empty cloud is a frame without returns.
+    sender
+        Of packets that come now, the address and the port of who sends them.
     """
 
     number: int
     cloud: PointCloud
     stamp: float | None = None
     frame_id: str = ""
+    sender: str = ""
 
     @property
     def header(self) -> FrameHeader:

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ReadError
+from ..base.errors import ReadError, shortened
 from ..base.quantities import counted
 from .bag_files import opened
 from .failures import naming, reported
 from .fields import Columns, frame_from_columns, noted
 from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
+from .unpacking import LARGEST_RECORD
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number of a type in a PointField to its name in NumPy."""
@@ -36,6 +37,10 @@ LIVOX_POINT += [(name, "u1") for name in ("reflectivity", "tag", "line")]
 
 MAX_LISTED = 10
 """Topics that a message names."""
+
+LONGEST_NAME = 1000
+"""Characters of a frame's name that are kept. Exports refuse names of more than 500, so that one
+that was cut is not taken for whole."""
 
 NANOSECONDS = 1e9
 """In a second; bags count them."""
@@ -134,13 +139,17 @@ def frame_of(
     ReadError
         Where it is no such message; names the topic and the number.
     """
+    where = f"message {number} of {topic}"
+    with naming(where):
+        if len(data) > LARGEST_RECORD:
+            raise ReadError(f"has {len(data):,} bytes, up to {LARGEST_RECORD:,} are read")
     if is_of_livox(kind):
-        where = f"message {number} of {topic}"
         with naming(where), reported(kind):
             frame_id, columns, note = _livox_points(data, encoding)
         cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
-        return Frame(number, noted(cloud, note), stamp / NANOSECONDS, frame_id)
-    with naming(f"message {number} of {topic}"), reported(CLOUDS):
+        name = shortened(frame_id, LONGEST_NAME)
+        return Frame(number, noted(cloud, note), stamp / NANOSECONDS, name)
+    with naming(where), reported(CLOUDS):
         # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
     return frame_of_message(source, topic, number, stamp, message)
@@ -152,7 +161,8 @@ def frame_of_message(source: str, topic: str, number: int, stamp: int, message: 
     with naming(where), reported(CLOUDS):
         columns = columns_of(message)
     cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
-    return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
+    frame_id = shortened(message.header.frame_id, LONGEST_NAME)
+    return Frame(number, cloud, stamp / NANOSECONDS, frame_id)
 
 
 def _livox_points(data: bytes, encoding: str) -> tuple[str, Columns, str]:

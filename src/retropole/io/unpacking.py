@@ -12,10 +12,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..base.errors import ReadError
+from ..base.files import check_is_file
 
 MAX_UNPACKED = 2**26
 """Bytes that one chunk, or one message, may unpack to. Recorders end a chunk after 0.8 to 4 MiB,
 and a sweep of a sensor with 128 rings has 10 MiB."""
+
+LARGEST_RECORD = MAX_UNPACKED + 2**20
+"""Bytes of a record that are read at once: with what stands before a chunk."""
 
 ALLOWED, ALLOWED_RATIO = 2**29, 100
 """Bytes that all of a bag may unpack to: so many, and so many times its size. Scans compress 2 to
@@ -26,6 +30,38 @@ BLOCK = 2**20
 
 Spend = Callable[[int], None]
 """Counts bytes, and raises where a file has used up what it is allowed."""
+
+
+class BoundedFile(io.BufferedReader):
+    """A file that says itself how much of it to read next, and of which no more is read than that
+    can be: a file of some KB may have holes of GiB, and say that they are a record."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read so many bytes.
+
+        Raises
+        ------
+        ReadError
+            Where they are more than `LARGEST_RECORD`.
+        """
+        if size is None or not 0 <= size <= LARGEST_RECORD:
+            raise ReadError(
+                f"a record of {size:,} bytes; up to {LARGEST_RECORD:,} are read, and no recorder "
+                "writes so many"
+            )
+        return super().read(size)
+
+
+def opened_within(path: Path) -> BoundedFile:
+    """Open a file to read no more of it at once than a record can have.
+
+    Raises
+    ------
+    ReadError, OSError
+        As `check_is_file`.
+    """
+    check_is_file(path)
+    return BoundedFile(path.open("rb", buffering=0))
 
 
 def allowance(size: int, base: int = ALLOWED, ratio: int = ALLOWED_RATIO) -> Spend:
@@ -61,6 +97,8 @@ def unpacked(kind: str, data: bytes, spend: Spend) -> bytes:
         Where there are more than `MAX_UNPACKED`, or than the file may have in all.
     """
     if kind not in ("bz2", "lz4", "zstd"):
+        if len(data) > LARGEST_RECORD:
+            raise ReadError(f"a chunk or message of {len(data):,} bytes, which no recording has")
         spend(len(data))
         return data
     out = io.BytesIO()

@@ -14,6 +14,7 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
+from ..base.errors import visible
 from ..base.quantities import UNKNOWN, error
 from ..base.reasons import unlinked
 from .listings import Listing
@@ -47,7 +48,7 @@ def join(parts: Iterable[Html]) -> Html:
 
 
 def fill(piece: str, /, **places: object) -> Html:
-    """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped.
+    """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped, and visible.
 
     Numbers that are no integers are places in a picture, and have one digit behind the point.
     """
@@ -57,7 +58,7 @@ def fill(piece: str, /, **places: object) -> Html:
 def _markup(value: object) -> str:
     if isinstance(value, Html):
         return value
-    return f"{value:.1f}" if isinstance(value, float) else escape(str(value))
+    return f"{value:.1f}" if isinstance(value, float) else escape(visible(str(value)))
 
 
 def fill_each(piece: str, values: Iterable[object]) -> Html:
@@ -187,7 +188,7 @@ def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:
 def inline(markdown: str) -> Html:
     """Turn a line of Markdown into HTML: code and emphasis, links by their words."""
     # Escaped first: nothing in the text but these marks can become markup.
-    text = escape(unlinked(markdown))
+    text = escape(visible(unlinked(markdown)))
     # The odd parts are code, in which an asterisk is an asterisk.
     parts = CODE.split(text)
     return Html(

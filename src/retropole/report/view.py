@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import msgspec
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Scan
+from ..base.errors import visible
 from ..base.quantities import counted
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..scene.consistency import contradicting_points, standing_in
@@ -195,9 +197,17 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     )
 
 
+ESCAPES = re.compile(r"\\(?:([uUx][0-9a-f]{2,8})|.)")
+"""What stands for one sign in JSON and in what is visible; the first for one that is not shown."""
+
+
 def embed_json(value: object) -> Html:
-    """Write JSON that no content can lead out of its script element; not-a-number becomes null."""
-    text = msgspec.json.encode(value, enc_hook=plain).decode()
+    """Write JSON that no content can lead out of its script element; not-a-number becomes null.
+
+    What is not `visible` in a text is escaped in the text itself: the page shows the escape.
+    """
+    text = visible(msgspec.json.encode(value, enc_hook=plain).decode())
+    text = ESCAPES.sub(lambda found: rf"\{found[0]}" if found[1] else found[0], text)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return Html(text)

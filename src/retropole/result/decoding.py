@@ -7,17 +7,19 @@ covariances are covariances that agree with each other, and every index finds wh
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import fields
 
 from ..base import se3
 from ..base.bounded import Covariance, Direction, Number, PartCovariance, Pose, Vector
 from ..base.datatypes import Array
-from ..base.errors import ReadError, said
+from ..base.errors import NewerError, ReadError, is_newer, said
 from ..base.uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, ResultDoc
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
@@ -168,7 +170,18 @@ def parsed(data: bytes, kind: type[Document], what: str) -> Document:
     try:
         return msgspec.json.decode(data, type=kind, dec_hook=_array)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            schema = msgspec.json.decode(data, type=_Head).schema
+            own: Any = kind
+            if is_newer(schema, next(f.default for f in fields(own) if f.name == "schema")):
+                raise NewerError(f"schema {schema!r}") from None
         raise ReadError(f"no {what}: {said(error)}") from None
+
+
+class _Head(msgspec.Struct):
+    """What any document begins with."""
+
+    schema: str
 
 
 def _array(kind: Any, value: Any) -> Array:

@@ -12,6 +12,9 @@ RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
 REPORT_FILE, SITE_REPORT_FILE = "report.html", "site-report.html"
 """What the reports of both are called there."""
 
+CERTIFICATE = "certificate.json", "certificate.html"
+"""What the field test of two LiDARs is called there that were watched."""
+
 PLAN_FILE, PLAN_PAGE = "plan.json", "plan.html"
 """What a plan of poles and its page are called there."""
 

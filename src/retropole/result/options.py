@@ -73,6 +73,8 @@ def frames_named(text: str) -> slice | None:
         parts = [int(part) if part.strip() else None for part in text.split(":")]
     except ValueError:
         return None
+    if any(abs(part or 0) > LARGEST_WHOLE for part in parts):
+        return None
     if len(parts) == 1 and parts[0] is not None:
         return slice(parts[0], parts[0] + 1 or None)
     step = parts[2] if len(parts) == 3 else None

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.base.errors import ReadError
+from retropole.base.errors import NewerError, ReadError
 from retropole.fleet.history.reading import contents
 from retropole.fleet.history.reading import read as read_sites
 from retropole.fleet.history.store import EPOCH, CheckRow, append, schema
@@ -78,6 +78,10 @@ def test_what_is_damaged_is_said(tmp_path: Path) -> None:
     pq.write_table(pa.table({"id": ["a"]}), path)
     with pytest.raises(ReadError, match="not of the schema"):
         read(tmp_path)
+    newer = schema().with_metadata({"schema": "retropole/history/2"})
+    pq.write_table(pa.Table.from_pylist([], newer), path)
+    with pytest.raises(NewerError, match="update this one"):
+        contents(str(tmp_path), {"lamp-1"}, lambda fault: None)
     changed = pa.Table.from_pylist(
         [{**pq.ParquetFile(_written(tmp_path, whole)).read().to_pylist()[0], "id": "x"}], schema()
     )

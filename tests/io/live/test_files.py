@@ -2,8 +2,10 @@
 
 import os
 import sqlite3
+import struct
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from io import BytesIO
@@ -20,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame
-from retropole.io.live import Source, files
+from retropole.io.live import Source, files, growing
 from retropole.io.live.files import BagSource, FolderSource
 from retropole.io.ros import frame_of
 from tests.bags import CLOUDS, START, STEP, message, points_of
@@ -398,6 +400,68 @@ def test_the_folder_of_a_bag_is_followed_to_its_next_file(tmp_path: Path) -> Non
         (folder / "metadata.yaml").write_text("")
         (folder / "run_10.mcap").write_bytes(later)
         assert required(source.newest(0)).number == 11
+
+
+@pytest.mark.parametrize("kind", [3, 4, 5, 6])
+def test_a_record_that_no_recorder_writes_is_not_read(tmp_path: Path, kind: int) -> None:
+    """Of 2 GiB, in a file that has some bytes and a hole."""
+    path = tmp_path / "run.mcap"
+    for size, hole in ((2**31, 2**31), (2**31, 0), (2**63, 0)):
+        with path.open("wb") as file:
+            file.write(growing.MCAP_START + struct.pack("<BQ", kind, size))
+            file.truncate(file.tell() + hole)
+        tracemalloc.start()
+        with closing(BagSource(path)) as source, pytest.raises(ReadError, match=f"{size:,} bytes"):
+            source.newest(0)
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+        tracemalloc.stop()
+
+
+def test_what_a_record_says_of_its_parts_leads_not_beyond_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        # A schema of 100 bytes whose name has 1 GiB.
+        record = struct.pack("<BQHI", 3, 100, 1, 2**30)
+        file.write(growing.MCAP_START + record)
+        file.truncate(file.tell() + 2**30)
+    tracemalloc.start()
+    with closing(BagSource(path)) as source, pytest.raises(ReadError):
+        source.newest(0)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX")
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+@pytest.mark.parametrize("kind", ["a named pipe", "a device", "a folder"])
+def test_what_is_no_file_is_said_and_not_opened(tmp_path: Path, suffix: str, kind: str) -> None:
+    path = tmp_path / f"run_0{suffix}"
+    make = {
+        "a named pipe": os.mkfifo,
+        "a device": lambda path: os.symlink("/dev/zero", path),
+        "a folder": os.mkdir,
+    }
+    make[kind](path)
+    said = f"run_0{suffix}: is {kind}, expected a file"
+    with closing(BagSource(tmp_path)) as source, pytest.raises(ReadError, match=said):
+        source.newest(0)
+    if kind != "a folder":
+        with pytest.raises(ReadError, match=said):
+            BagSource(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_pipe_in_a_folder_is_left_out_with_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "a.npy")
+    (tmp_path / "b.npy").symlink_to("nowhere")
+    with closing(FolderSource(tmp_path)) as source:
+        save(tmp_path / "c.npy", 1)
+        assert_cloud(source.newest(LONG), 1)
+        monkeypatch.setattr(files, "QUIET", 0.0)
+        assert nothing(source)
+        assert source.waits_for.endswith("no new file comes; 2 names left out, as a.npy, no file")
 
 
 def test_what_cannot_be_read_while_it_is_written(tmp_path: Path) -> None:

@@ -259,6 +259,66 @@ def test_another_sender_is_taken_when_the_first_stops(
         assert_same(frame, read[0])
 
 
+STRANGER, SENSOR = ("10.0.0.9", 1), ("10.0.0.1", 2368)
+
+
+def taken_of(source: PacketSource, packets: list[tuple[float, tuple[str, int]]]) -> list[bool]:
+    """Whether each packet is taken that comes then, of whom."""
+    return [is_taken(source, sender, at) for at, sender in sorted(packets)]
+
+
+def is_taken(source: PacketSource, sender: tuple[str, int], at: float) -> bool:
+    is_the_one = source._is_the_one(sender, at)
+    if is_the_one:
+        source._last_packet = at
+    return is_the_one
+
+
+def rate_of(
+    sender: tuple[str, int], hertz: float, start: float, end: float
+) -> list[tuple[float, tuple[str, int]]]:
+    return [(start + k / hertz, sender) for k in range(int((end - start) * hertz))]
+
+
+def test_who_sends_little_keeps_no_sensor_away(velodyne: tuple[VelodyneSource, int]) -> None:
+    source, _ = velodyne
+    given = sorted(rate_of(STRANGER, 2, 0, 5) + rate_of(SENSOR, 320, 1.2, 5))
+    taken = taken_of(source, given)
+    late = [(one, sender) for (at, sender), one in zip(given, taken, strict=True) if at > 1.5]
+    assert all(one == (sender == SENSOR) for one, sender in late)
+    assert len(late) > 1000
+
+
+@pytest.mark.parametrize("hertz", [2.0, 754.0, 50_000.0])
+def test_a_sensor_is_kept_whatever_others_send(
+    velodyne: tuple[VelodyneSource, int], hertz: float
+) -> None:
+    source, _ = velodyne
+    given = sorted(rate_of(SENSOR, 754, 0, 3) + rate_of(STRANGER, hertz, 1, 2))
+    taken = taken_of(source, given)
+    assert all(one == (sender == SENSOR) for (_, sender), one in zip(given, taken, strict=True))
+    # Once it has stopped, another one is.
+    assert not is_taken(source, STRANGER, 4.0)
+    assert is_taken(source, STRANGER, 5.1)
+    assert all(taken_of(source, rate_of(STRANGER, 754, 5.2, 6)))
+
+
+def test_only_senders_that_are_named_are_taken() -> None:
+    pytest.importorskip("velodyne_decoder")
+    path = shared(VLP16)
+    port = free_port()
+    with closing(VelodyneSource(port, HOME, ["127.0.0.2"])) as source, sender(port) as send:
+        send(payloads(path)[:50])
+        until(lambda: source._others >= 40)
+        assert "left out, as --from names another" in source.waits_for
+    with closing(VelodyneSource(port, HOME, ["127.0.0.2", HOME])) as source, sender(port) as send:
+        send(payloads(path))
+        frame = required(source.newest(LONG))
+        assert frame.sender.startswith(f"{HOME}:")
+    with pytest.raises(UsageError, match="--from 'lidar': expected an IP address"):
+        VelodyneSource(port, HOME, ["lidar"])
+
+
 def test_a_port_in_use_is_named() -> None:
     pytest.importorskip("velodyne_decoder")
     port = free_port()

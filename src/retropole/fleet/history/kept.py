@@ -18,7 +18,7 @@ import numpy as np
 from ...api import Array
 from ...base.errors import ReadError
 from ...base.version import __version__
-from ..storage import below, is_url, read_bytes, write_bytes
+from ..storage import below, is_url, read_bytes, replace_bytes
 from .events import Event, EventKind, Watched
 from .model import PLAIN, SIZE, Observed
 from .runs import Runs, begin
@@ -177,7 +177,7 @@ def write(folder: str, kept: Iterable[tuple[str, bytes]]) -> None:
 
     def one(name: str, data: bytes) -> None:
         try:
-            write_bytes(_place(folder, name), data)
+            replace_bytes(_place(folder, name), data)
         except OSError as error:
             # Another run keeps the same meanwhile.
             if error.errno != errno.EAGAIN:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ...base.errors import ReadError
-from ..storage import below, exists, folder_of, remove, write_bytes
+from ..storage import below, exists, folder_of, remove, replace_bytes
 from ..tables import arrow, parquet_bytes
 from .reading import Contents, files_of, tables_of
 from .store import schema
@@ -72,7 +72,7 @@ def _merge(places: Sequence[str]) -> int:
     # Named by all that is in it: another run that merges the same files writes the same one.
     name = hashlib.sha256(data).hexdigest()[:32]
     merged = below(folder_of(places[0]), f"{name}.parquet")
-    write_bytes(merged, data)
+    replace_bytes(merged, data)
     old = [place for place in places if place != merged]
     for place in old:
         try:

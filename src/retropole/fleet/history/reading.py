@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import ReadError
+from ...base.errors import NewerError, ReadError
 from ..storage import below, exists, names_in
 from ..tables import arrow, opened
 from .columns import PLACE
@@ -285,6 +285,9 @@ def tables_of(
     def first() -> Iterator[tuple[str, Any]]:
         place, future = waiting.popleft()
         found = future.result()
+        if isinstance(found, NewerError):
+            # Its checks are not lost, and what would be written has its name.
+            raise found
         if isinstance(found, ReadError):
             if gone is None or place in gone or _is_there(place):
                 tell(found)

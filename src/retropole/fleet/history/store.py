@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from ...base.errors import ReadError, said
 from ...result.decoding import check_covariance
-from ..storage import below, write_bytes
+from ..storage import below, replace_bytes
 from ..tables import arrow, parquet_of
 from .model import Observed
 
@@ -214,7 +214,9 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) ->
     for month, fresh in sorted(months.items()):
         name = hashlib.sha256("\n".join(sorted(fresh)).encode()).hexdigest()[:32]
         place = below(folder, month, f"{name}.parquet")
-        write_bytes(place, parquet_of((columns_of(fresh[key]) for key in sorted(fresh)), schema()))
+        replace_bytes(
+            place, parquet_of((columns_of(fresh[key]) for key in sorted(fresh)), schema())
+        )
     return sum(map(len, months.values()))
 
 

@@ -5,12 +5,15 @@ A maker's driver is one class with what `Source` names, and one line in `source_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
+
+MOST_DIGITS = 20
+"""Of a port: more are none, and Python reads no more than some thousand."""
 
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
@@ -69,7 +72,13 @@ class Source(Protocol):
         ...
 
 
-def source_of(text: str, *, domain: int | None = None, interface: str | None = None) -> Source:
+def source_of(
+    text: str,
+    *,
+    domain: int | None = None,
+    interface: str | None = None,
+    senders: Collection[str] = (),
+) -> Source:
     """Open a source by what it is called.
 
     Parameters
@@ -78,6 +87,8 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
         One of `SOURCE_KINDS`.
     domain, interface
         Of ROS 2, as `dds.DdsSource` takes them.
+    senders
+        Of packets, as `udp.PacketSource` takes them.
 
     Raises
     ------
@@ -102,14 +113,14 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
         from .udp import ALL_INTERFACES, VelodyneSource
 
         host, _, port = where.rpartition(":")
-        return VelodyneSource(_port(text, port), host or ALL_INTERFACES)
+        return VelodyneSource(_port(text, port), host or ALL_INTERFACES, senders)
     if kind == "ouster":
         from .udp import OusterSource
 
         port, _, metadata = where.partition(":")
         if not metadata:
             raise UsageError(f"{text!r}: name the metadata too, ouster:PORT:FILE.json")
-        return OusterSource(_port(text, port), Path(metadata))
+        return OusterSource(_port(text, port), Path(metadata), senders=senders)
     if kind == "folder":
         from .files import FolderSource
 
@@ -128,21 +139,28 @@ def source_of(text: str, *, domain: int | None = None, interface: str | None = N
 
 
 def open_sources(
-    texts: Sequence[str], *, domain: int | None = None, interface: str | None = None
+    texts: Sequence[str],
+    *,
+    domain: int | None = None,
+    interface: str | None = None,
+    senders: Collection[str] = (),
 ) -> list[Source]:
     """Open the sources of target and source, as `source_of` takes them; both or none.
 
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        As `source_of`; and where both are the same.
+        As `source_of`; where both are the same; and where senders are named, and none sends
+        packets.
     """
+    if senders and not any(text.startswith(("velodyne:", "ouster:")) for text in texts):
+        raise UsageError("--from names who sends packets: give velodyne:PORT or ouster:PORT:FILE")
     if len(set(texts)) < len(texts):
         raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
     opened: list[Source] = []
     try:
         for text in texts:
-            opened.append(source_of(text, domain=domain, interface=interface))
+            opened.append(source_of(text, domain=domain, interface=interface, senders=senders))
     except RetropoleError:
         for source in opened:
             source.close()
@@ -160,7 +178,9 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
     otherwise
         Their names where that does not tell them apart.
     """
-    parts = [Path(text.rpartition(":")[2]).with_suffix("").parts for text in texts]
+    paths = [Path(text.rpartition(":")[2]) for text in texts]
+    # The folder where we are has no name.
+    parts = [(path.with_suffix("") if path.name else path).parts for path in paths]
     for own in zip(*parts, strict=False):
         if len(set(own)) == len(texts) and not any(each.isdigit() for each in own):
             return own
@@ -168,6 +188,6 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
 
 
 def _port(text: str, port: str) -> int:
-    if not (port.isascii() and port.isdigit()):
-        raise UsageError(f"{text!r}: {port!r} is no port, a whole number")
+    if not (port.isascii() and port.isdigit() and len(port) < MOST_DIGITS):
+        raise UsageError(f"{text!r}: {port!r} is no port, a number from 1 to 65535")
     return int(port)

@@ -41,7 +41,9 @@ def domain_or_default(domain: int | None) -> int:
         Where there is no such number.
     """
     given = os.environ.get("ROS_DOMAIN_ID", "") if domain is None else str(domain)
-    number = int(given) if given.isascii() and given.isdigit() else 0 if not given else -1
+    digits = (given or "0").lstrip("0") or "0"
+    is_short = digits.isascii() and digits.isdigit() and len(digits) <= len(str(MOST_DOMAIN))
+    number = int(digits) if is_short else -1
     if not 0 <= number <= MOST_DOMAIN:
         raise UsageError(f"domain {given!r} is none: a whole number from 0 to {MOST_DOMAIN}")
     return number

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...base.errors import ReadError, UsageError
+from ...base.files import check_is_file
+from ...base.quantities import counted
 from .. import READERS, open_recording
 from ..bag_files import check_extra
 from ..failures import naming, readable, reported
@@ -107,7 +109,8 @@ class FolderSource(_Looking):
         """List the files that were not given yet, the newest first."""
         now = monotonic()
         with readable(self._folder):
-            found = {path: own for path in self._folder.iterdir() if (own := _version_of(path))}
+            there = {path: _version_of(path) for path in self._folder.iterdir() if _may_be(path)}
+        found = {path: own for path, own in there.items() if own is not None}
         news = {path: own for path, own in found.items() if self._done.get(path) != own}
         for path, own in news.items():
             if path not in self._since or self._since[path][0] != own:
@@ -121,6 +124,9 @@ class FolderSource(_Looking):
             if found
             else f"{self._folder}: has no point clouds yet, expected files of {', '.join(READERS)}"
         )
+        odd = sorted(p.name for p in there.keys() - found.keys() if not p.is_dir())
+        if odd:
+            self._lacks += f"; {counted(len(odd), 'name')} left out, as {odd[0]}, no file"
         # Of files that were copied at once, the longer number is the later one.
         return sorted(news, key=lambda p: (news[p].written, len(p.name), p.name), reverse=True)
 
@@ -156,10 +162,13 @@ class FolderSource(_Looking):
         self._count += len(paths)
 
 
+def _may_be(path: Path) -> bool:
+    """Whether a name is one of a point cloud."""
+    return not path.name.startswith(".") and path.suffix.lower() in READERS
+
+
 def _version_of(path: Path) -> _Version | None:
-    """Give the version of a point cloud; None where the file is none, or is gone."""
-    if path.name.startswith(".") or path.suffix.lower() not in READERS:
-        return None
+    """Give the version of a file; None where it is none, or is gone."""
     try:
         about = path.stat()
     except OSError:
@@ -191,6 +200,8 @@ class BagSource(_Looking):
     def __init__(self, path: Path, topic: str | None = None) -> None:
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
+        if not path.is_dir():
+            check_is_file(path)
         if not path.is_dir() and path.suffix.lower() not in PARTS:
             raise UsageError(
                 f"{path}: cannot be read while it is written, only {' and '.join(PARTS)} can"
@@ -234,6 +245,8 @@ class BagSource(_Looking):
         if self._path.is_dir():
             with readable(self._path):
                 found = [p for p in self._path.iterdir() if p.suffix.lower() in PARTS]
+                for path in found:
+                    check_is_file(path)
             # Recorders number them, and the longer number is the later one.
             files = sorted(found, key=lambda p: (len(p.name), p.name))
         read = [path for path, _ in self._parts if path in files]

@@ -15,11 +15,12 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
 
 from ...base.errors import ReadError
+from ...base.files import check_is_file
 from ..bag_files import MAX_TOPICS, open_database, topics_in
 from ..bag_mcap import entries_of
 from ..recordings import CLOUDS
 from ..ros import MAX_LISTED
-from ..unpacking import MAX_UNPACKED, allowance
+from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
 
 if TYPE_CHECKING:
     from mcap.summary import Summary
@@ -30,8 +31,11 @@ MCAP_START = b"\x89MCAP0\r\n"
 RECORD_HEADER = 9
 """Bytes before the content of a record: its kind, and its length."""
 
-LARGEST_RECORD = 2**32
-"""Bytes; what says that it is larger is no record but damage."""
+READ = 3, 4, 5, 6
+"""Kinds of records that are read: schemas, channels, messages and chunks."""
+
+LARGEST_SKIPPED = 2**32
+"""Bytes of others, as of attachments; what says that it is larger is damage."""
 
 HAS_LOG = b"\x02\x02"
 """Bytes 18 and 19 of a database of SQLite with a log ahead of it (WAL)."""
@@ -140,7 +144,7 @@ class GrowingMcap:
 
     def read_on(self, into: Recorded, until: float) -> bool:
         """Read the records that are whole by now."""
-        with self._path.open("rb") as file:
+        with opened_within(self._path) as file:
             size = file.seek(0, SEEK_END)
             if size < self._at:
                 self._begin()  # somebody records anew under the same name
@@ -155,8 +159,11 @@ class GrowingMcap:
             while self._at + RECORD_HEADER <= size:
                 file.seek(self._at)
                 code, length = struct.unpack("<BQ", file.read(RECORD_HEADER))
-                if code == 0 or length > LARGEST_RECORD:
-                    raise ReadError(f"is damaged at byte {self._at}, which begins no record")
+                if code == 0 or length > (LARGEST_RECORD if code in READ else LARGEST_SKIPPED):
+                    raise ReadError(
+                        f"is damaged at byte {self._at}: a record of kind {code} and {length:,} "
+                        "bytes is none"
+                    )
                 if self._at + RECORD_HEADER + length > size:
                     break
                 # Before it is read: of a damaged one, its end is known.
@@ -180,8 +187,9 @@ class GrowingMcap:
         }
         if code == Opcode.FOOTER:
             self.has_ended = True
-        if code not in readers:
+        if code not in READ:
             return
+        # Alone, so that nothing in it leads beyond it.
         record = readers[code](ReadDataStream(BytesIO(file.read(length))))
         spend = allowance(length, MAX_UNPACKED)
         for topic, kind, entry, encoding in entries_of(record, self._index, spend):
@@ -203,6 +211,7 @@ class GrowingDatabase:
 
     def read_on(self, into: Recorded, until: float) -> bool:
         """Read the rows that follow the last one."""
+        check_is_file(self._path)
         # With a log ahead of it (WAL), what was recorded last is there alone.
         log = self._path.with_name(f"{self._path.name}-wal")
         size = self._path.stat().st_size + (log.stat().st_size if log.exists() else 0)

@@ -10,8 +10,9 @@ import errno
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
+from ipaddress import ip_address
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, NamedTuple
@@ -42,6 +43,13 @@ BUFFER = 2**23
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
 same one begins a new sweep."""
+
+WINDOW, FEWEST = 0.1, 10
+"""Packets of the senders are counted over so many seconds. Who sends fewer is no sensor, which send
+30 and more: the busiest of all is taken instead."""
+
+MOST_SENDERS = 100
+"""Senders whose packets are counted apart; more have no sensor among them that would be found."""
 
 LOOK = 0.2
 """Seconds after which the thread looks whether it is to end."""
@@ -79,27 +87,47 @@ class _Came(NamedTuple):
 
     sweep: Sweep
     received: float
+    sender: str
     notes: tuple[str, ...]
 
 
 class PacketSource:
     """A sensor that sends packets to a port; `VelodyneSource` and `OusterSource` are to be used.
 
-    The packets of one sender are taken: of the first whose packets fit, until it has stopped for
-    `PAUSE`. Two sensors that send to one port would be mixed up otherwise.
+    The packets of one sender are taken, since two sensors that send to one port would be mixed up
+    otherwise: of the first whose packets fit, until it has stopped for `PAUSE`; and instead of one
+    that sends too few for a sensor, of the busiest.
+
+    Parameters
+    ----------
+    port, host
+        Where to listen.
+    kind
+        Of sensor.
+    senders
+        IP addresses of which packets are taken; none for any.
+
+    Raises
+    ------
+    UsageError
+        Where a sender is no IP address, or the port cannot be opened.
     """
 
     has_ended = False
 
-    def __init__(self, port: int, host: str, kind: _Kind) -> None:
+    def __init__(self, port: int, host: str, kind: _Kind, senders: Collection[str] = ()) -> None:
         address = "" if host == ALL_INTERFACES else f"{host}:"
         self.name = f"{kind.maker.lower()}:{address}{port}"
         self._port, self._kind = port, kind
+        self._senders = {_address(each) for each in senders}
         self._socket = _opened(port, host)
         self._mailbox: Mailbox[_Came] = Mailbox()
         self._closed = Event()
         self._lock = Lock()
         self._sender: tuple[str, int] | None = None
+        # How many packets of each sender came, and since when.
+        self._counts: Counter[tuple[str, int]] = Counter()
+        self._counted_from = -np.inf
         self._decoder: Decoder | None = None
         self._last_packet = self._last_sweep = -np.inf
         # Of the packets since the last sweep.
@@ -127,7 +155,10 @@ class PacketSource:
         return f"port {self._port}: {'; '.join(filter(None, (taken, wrong, others)))}"
 
     def _left_out(self, packets: str) -> str:
-        return f"{packets} of {_named(self._other)} left out, as those of one sensor are taken"
+        if self._senders:
+            return f"{packets} of {_named(self._other)} left out, as --from names another"
+        other = f"{packets} of {_named(self._other)} left out, as those of one sensor are taken"
+        return f"{other}; --from ADDRESS names it"
 
     def _wrong_in_words(self) -> str:
         if not self._wrong:
@@ -143,7 +174,7 @@ class PacketSource:
         taken = self._mailbox.take(wait)
         if taken is None:
             return None
-        number, (sweep, received, notes) = taken
+        number, (sweep, received, sender, notes) = taken
         start, columns, origin = sweep
         where = f"port {self._port}: sweep {number}"
         with naming(where), reported("sweep"):
@@ -151,7 +182,7 @@ class PacketSource:
         cloud = frame_from_columns(where, own, origin)
         # A sensor whose clock was never set counts from when it was switched on.
         stamp = start if is_unix(start) else received
-        return Frame(number, replace(cloud, notes=notes), stamp)
+        return Frame(number, replace(cloud, notes=notes), stamp, sender=sender)
 
     def close(self) -> None:
         """Let go of the port, as `Source` says."""
@@ -179,12 +210,12 @@ class PacketSource:
             if misfit:
                 self._wrong[misfit] += 1
                 return
-            has_paused = now - self._last_packet >= PAUSE
-            if self._sender is not None and sender != self._sender and not has_paused:
+            if not self._is_the_one(sender, now):
                 self._others, self._other = self._others + 1, sender
                 return
-            if self._decoder is None or has_paused or sender != self._sender:
-                self._sender, self._decoder = sender, self._kind.decoder()
+            has_paused = now - self._last_packet >= PAUSE
+            if self._decoder is None or has_paused:
+                self._decoder = self._kind.decoder()
             self._last_packet = now
             self._taken += 1
             decoder = self._decoder
@@ -194,16 +225,35 @@ class PacketSource:
             with self._lock:
                 # What cannot be decoded keeps no other sensor away.
                 self._sender = self._decoder = None
+                self._counts.pop(sender, None)
                 self._wrong[f"{len(packet)} that cannot be decoded ({shortened(said(error))})"] += 1
             return
         if sweep is not None:
             with self._lock:
                 note = f"port {self._port}: {self._left_out('packets')}"
-                came = _Came(sweep, received, (note,) if self._others else ())
+                came = _Came(sweep, received, _named(sender), (note,) if self._others else ())
                 self._last_sweep = now
                 self._taken = self._others = 0
                 self._wrong.clear()
             self._mailbox.put(came)
+
+    def _is_the_one(self, sender: tuple[str, int], now: float) -> bool:
+        """Whether a sender is the one that is taken; choose another where that is no sensor."""
+        if self._senders and sender[0] not in self._senders:
+            return False
+        taken, counted_for = self._sender, now - self._counted_from
+        if taken is None or now - self._last_packet >= PAUSE:
+            taken = sender
+        elif WINDOW <= counted_for < 2 * WINDOW and self._counts[taken] < FEWEST:
+            ((taken, _),) = self._counts.most_common(1) or [(taken, 0)]
+        if counted_for >= WINDOW:
+            self._counts.clear()
+            self._counted_from = now
+        if len(self._counts) < MOST_SENDERS or sender in self._counts:
+            self._counts[sender] += 1
+        if taken != self._sender:
+            self._sender, self._decoder = taken, None
+        return sender == taken
 
 
 class VelodyneSource(PacketSource):
@@ -215,6 +265,8 @@ class VelodyneSource(PacketSource):
         UDP; 2368 unless the sensor was told otherwise.
     host
         Address of this computer to listen on.
+    senders
+        As `PacketSource` takes them.
 
     Raises
     ------
@@ -224,7 +276,9 @@ class VelodyneSource(PacketSource):
         Where the port cannot be opened: another program has it.
     """
 
-    def __init__(self, port: int, host: str = ALL_INTERFACES) -> None:
+    def __init__(
+        self, port: int, host: str = ALL_INTERFACES, senders: Collection[str] = ()
+    ) -> None:
         try:
             import velodyne_decoder
         except ImportError:
@@ -239,7 +293,8 @@ class VelodyneSource(PacketSource):
 
             return sweep
 
-        super().__init__(port, host, _Kind("Velodyne", VELODYNE_SIZE, _no_velodyne, decoder))
+        kind = _Kind("Velodyne", VELODYNE_SIZE, _no_velodyne, decoder)
+        super().__init__(port, host, kind, senders)
 
 
 class OusterSource(PacketSource):
@@ -253,6 +308,8 @@ class OusterSource(PacketSource):
         The sensor's metadata, a file .json: they say how its packets are laid out.
     host
         Address of this computer to listen on.
+    senders
+        As `PacketSource` takes them.
 
     Raises
     ------
@@ -264,7 +321,13 @@ class OusterSource(PacketSource):
         Where the port cannot be opened: another program has it.
     """
 
-    def __init__(self, port: int, metadata: Path, host: str = ALL_INTERFACES) -> None:
+    def __init__(
+        self,
+        port: int,
+        metadata: Path,
+        host: str = ALL_INTERFACES,
+        senders: Collection[str] = (),
+    ) -> None:
         try:
             from ouster.sdk.core import (
                 LidarPacket,
@@ -310,13 +373,21 @@ class OusterSource(PacketSource):
 
             return sweep
 
-        super().__init__(port, host, _Kind("Ouster", size, misfit, decoder))
+        super().__init__(port, host, _Kind("Ouster", size, misfit, decoder), senders)
 
 
 def _no_velodyne(packet: bytes) -> str:
     if len(packet) != VELODYNE_SIZE:
         return str(len(packet))
     return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} that begin otherwise"
+
+
+def _address(text: str) -> str:
+    """Write an address as those of senders are."""
+    try:
+        return str(ip_address(text))
+    except ValueError:
+        raise UsageError(f"--from {text!r}: expected an IP address, as 192.168.1.201") from None
 
 
 def _named(sender: tuple[str, int]) -> str:
