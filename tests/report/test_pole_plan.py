@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import subprocess
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.api.plan_checking import load_plan
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.uncertainty import RANGES, BudgetEntry, predicted_error
 from retropole.base.uncertainty.purpose import Need, displacement_bounds
+from retropole.planning.comparison import against_plan
 from retropole.report.pole_plan import PlanPicture, render_pole_plan
 from retropole.report.pole_plan_data import PackedRoots, packed, stated, stated_alone
 from retropole.report.pole_plan_picture import WIDTH, view_of
@@ -82,15 +85,20 @@ def made_picture(placements: int = 1, lidars: int = 2) -> PlanPicture:
     ground = np.c_[rng.uniform(-2, 12, 4000), rng.uniform(-6, 6, 4000), np.zeros(4000)]
     wall = np.c_[np.full(500, 10.0), rng.uniform(-6, 6, 500), rng.uniform(0.4, 3, 500)]
     T = [se3.from_rt(np.eye(3), np.array([0.0, 4.0 * k, 1.5])) for k in range(lidars)]
-    lean = ("upright", "lean 20° away from front", "lean 20° to the left, seen from front")
+    towards = ("", "away from front", "to the left as seen from front")
+    lean = ("upright", *(f"lean 20° {way}" for way in towards[1:]))
     words = [f"{np.hypot(x, y):.1f} m from front; {way}" for x, y in grid for way in lean]
+    names = ["front", "rear", *(f"side {k}" for k in range(2, lidars))]
+    sights = [SightDoc(lidar=n, returns=80, rings=12, distance_m=5.0) for n in names]
     return PlanPicture(
         np.stack(T),
         [ground, wall],
         foot,
         axis,
         np.ones((count, lidars), dtype=bool),
+        [sights] * count,
         words,
+        towards * len(grid),
         (apart >= 1.0) & (angle >= np.radians(15.0)),
         # One upright and one that leans, so far apart that all arrows lead somewhere.
         [(33 + 3 * p, 46 + 3 * p) for p in range(placements)],
@@ -433,3 +441,92 @@ def _printed(browser: Browser, folder: Path) -> list[str]:
     words = ["pdftotext", "-layout", str(path), "-"]
     done = subprocess.run(words, capture_output=True, check=True)
     return done.stdout.decode().rstrip("\f").split("\f")
+
+
+class Finger:
+    """A finger on the screen, by the events that Chromium has from a touch screen."""
+
+    def __init__(self, browser: Browser) -> None:
+        self.browser = browser
+
+    def send(self, kind: str, *points: tuple[float, float]) -> None:
+        given = {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in points]}
+        self.browser.driver.execute_cdp_cmd("Input.dispatchTouchEvent", given)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        self.send("touchStart", start)
+        for part in np.linspace(0.1, 1.0, 10):
+            x, y = np.array(start) + part * (np.array(end) - start)
+            self.send("touchMove", (float(x), float(y)))
+        self.send("touchEnd")
+
+
+SCROLLED = "return document.scrollingElement.scrollTop"
+
+
+@needs_browser
+def test_a_finger_drags_a_pole_and_scrolls_beside_it(phone: Browser, tmp_path: Path) -> None:
+    phone.open(tmp_path, made_page())
+    phone.run("document.querySelector('#picture').scrollIntoView({block: 'center'})")
+    finger, before = Finger(phone), phone.run(SCROLLED)
+    # Along the axis in which the page scrolls.
+    x, y = phone.run(AT, 0)
+    finger.drag((x, y), (x, y - 60))
+    after_x, after_y = phone.run(AT, 0)
+    assert phone.run(SCROLLED) == before
+    assert after_y < y - 30
+    assert after_x == pytest.approx(x, abs=20)
+    assert "now" in phone.run(SHOWN, "#now-together")
+    # Beside the poles the picture scrolls with the page.
+    box = phone.run(
+        "const b = document.querySelector('#picture').getBoundingClientRect();"
+        "return [b.x + 8, b.y + b.height / 2]"
+    )
+    finger.drag((box[0], box[1]), (box[0], box[1] - 120))
+    phone.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 400)")
+    assert phone.run(SCROLLED) > before + 60
+
+
+@needs_browser
+@pytest.mark.parametrize(("placements", "lidars"), [(1, 2), (2, 3)])
+def test_a_moved_plan_is_saved_as_a_plan(
+    browser: Browser, tmp_path: Path, placements: int, lidars: int
+) -> None:
+    picture = made_picture(placements, lidars)
+    plan = made_plan(picture, need=Need(0.02, 20.0))
+    folder = tmp_path / "saved"
+    behaviour = {"behavior": "allow", "downloadPath": str(folder)}
+    browser.driver.execute_cdp_cmd("Browser.setDownloadBehavior", behaviour)
+    browser.open(tmp_path, render_pole_plan(plan, picture))
+    assert not browser.find("#save").is_displayed()
+    browser.run("arguments[0].focus()", browser.find('#picture [data-pole="0"]'))
+    browser.press("\ue013", '#picture [data-pole="0"]')
+    browser.find("#save").click()
+    for _ in range(100):
+        if list(folder.glob("*.json")):
+            break
+        time.sleep(0.05)
+    saved = load_plan(folder / "moved-plan.json", of_pair=lidars == 2)
+    assert browser.logs() == ([], [])
+    chosen = [list(own) for own in picture.chosen]
+    chosen[0][0] += 15
+    poles = [pole for each in saved.placements for pole in each.poles]
+    for pole, k in zip(poles, (k for own in chosen for k in own), strict=True):
+        assert pole.foot_m == pytest.approx(picture.foot[k], abs=1e-3)
+        assert pole.direction == pytest.approx(picture.axis[k], abs=1e-4)
+        assert pole.words == f"pole {pole.name}: {picture.words[k]}"
+        assert [each.returns for each in pole.seen] == [80] * lidars
+    # Its own lengths to measure, and the error as the page computes it; nothing else is left.
+    assert saved.moved is not None
+    assert saved.moved.poles == ["A"]
+    expected_m = expected(picture, plan, [k for own in chosen for k in own])
+    assert len(saved.moved.errors) == lidars - 1
+    for field, size in zip(("sigma_m", "alone_m"), expected_m, strict=True):
+        found = max(getattr(each, field) for each in saved.moved.errors)
+        assert lidars > 2 or found == pytest.approx(size, rel=1e-3)
+    assert (saved.predicted, saved.more, saved.rehearsal, saved.probability) == ([], [], None, None)
+    first = saved.placements[0]
+    assert [each.metres for each in first.tape] == pytest.approx(
+        [each.metres for each in _tape(first.poles, saved.lidars)], abs=1e-3
+    )
+    assert against_plan(saved, [], "front").placement in range(placements)

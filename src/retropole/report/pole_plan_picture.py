@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray
 from ..base.quantities import large, round_below
-from ..result.pole_plan import PolePlanDoc
+from ..result.pole_plan import PolePlanDoc, SightDoc
 from .page import Html, fill, join
 from .subject import colour_class
 from .svg import Labels, short
@@ -77,8 +77,11 @@ class PlanPicture:
         (C, 3) of each pole that could stand, metres, and unit vector upwards.
     seen
         (C, L) which LiDAR sees which.
-    words
-        Of each, where it stands and how: ``4.2 m from front, 30° left of ahead; upright``.
+    sights
+        Of each, what the LiDARs that see it will have of it.
+    words, towards
+        Of each, where it is and how it leans: ``4.2 m from front, 30° left of the line to rear;
+        upright``; and where to it leans alone, empty if upright.
     pairs
         (C, C) which two may stand in one placement, whatever their leans.
     chosen
@@ -95,7 +98,9 @@ class PlanPicture:
     foot: Array
     axis: Array
     seen: BoolArray
+    sights: Sequence[Sequence[SightDoc]]
     words: Sequence[str]
+    towards: Sequence[str]
     pairs: BoolArray
     chosen: Sequence[Sequence[int]]
     together: Compressed
