@@ -8,17 +8,24 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from retropole.api.plan_checking import against, planned_error
 from retropole.base.errors import ReadError, Refusal
+from retropole.base.uncertainty.purpose import Need
 from retropole.cli import run
 from retropole.export import FORMATS, read_transform
 from retropole.report import render_report
+from retropole.report.pole_plan import PlanPicture, render_pole_plan
+from retropole.report.pole_plan_text import describe_plan
 from retropole.result import encode
-from retropole.result.decoding import decode
+from retropole.result.decoding import decode, decode_plan
 from retropole.result.folder import REPORT_FILE
+from retropole.result.pole_plan import MovedDoc, MovedErrorDoc
 from tests.report.made_up import Run, made_up
+from tests.report.plans import made_picture, made_plan
 
 NASTY: tuple[Any, ...] = (
     *(None, True, False, "", [], {}, [[]], 0, -1, 3, 10**30, 0.5, -0.0, 1e-320, 1e13, 1e308),
@@ -123,6 +130,78 @@ def test_an_edited_result_is_an_error_or_a_result(whole: Run, tmp_path: Path) ->
 @pytest.mark.parametrize("part", range(20))
 def test_many_edited_results(part: int, whole: Run, tmp_path: Path) -> None:
     hold_many(whole, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))
+
+
+def hold_plan(data: bytes, whole: Run, picture: PlanPicture, *, is_shown: bool) -> bool:
+    """Hand a plan to all that take one; whether it was taken for one."""
+    try:
+        plan = decode_plan(data)
+    except ReadError:
+        return False
+    poles = whole.result.poles.target
+    for lidar in (None, *(each.name for each in plan.lidars)):
+        for some in (poles, poles[:1], []):
+            assert len(against(plan, some, lidar)) > 0
+    assert planned_error(plan) > 0
+    assert "nan" not in describe_plan(plan).split()
+    as_drawn = [len(each.poles) for each in plan.placements] == list(map(len, picture.chosen))
+    if is_shown and as_drawn:
+        assert render_pole_plan(plan, picture) if plan.predicted else plan.moved
+    return True
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_an_edited_plan_is_an_error_or_a_plan(is_moved: bool, whole: Run) -> None:
+    picture = made_picture(2)
+    plan = made_plan(picture, need=Need(0.02, 20.0))
+    if is_moved:
+        moved = MovedDoc(
+            poles=["A"], errors=[MovedErrorDoc(lidar="rear", sigma_m=0.01, alone_m=0.02)]
+        )
+        plan = msgspec.structs.replace(
+            plan, predicted=[], more=[], rehearsal=None, probability=None, moved=moved
+        )
+    document, taken = json.loads(encode(plan)), 0
+    assert hold_plan(encode(plan), whole, picture, is_shown=True)
+    for seed in range(250):
+        data = mutated(document, random.Random(seed))
+        try:
+            taken += hold_plan(data, whole, picture, is_shown=seed % 10 == 0)
+        except Exception as error:
+            raise AssertionError(f"seed {seed}: {type(error).__name__}") from error
+    assert 0.05 < taken / 250 < 0.6
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        (("lidars",), [], "lidars"),
+        (("placements",), [], "placements"),
+        (("predicted",), [], "predicted"),
+        (("placements", 0, "poles"), [], "poles"),
+        (("placements", 0, "poles", 0, "seen"), [], "seen"),
+        (("placements", 0, "poles", 0, "words"), "", "words"),
+        (("placements", 0, "poles", 0, "seen", 0, "lidar"), "nobody", "seen"),
+        (("placements", 0, "poles", 1, "name"), "A", "same name"),
+        (("placements", 0, "poles", 0, "lean_rad"), 1.0, "lean_rad"),
+        (("lidars", 1, "name"), "front", "same name"),
+        (("predicted", 0, "lidar"), "front", "predicted"),
+        (("predicted", 0, "predicted_error", 0, "sigma_m"), 0.0, "sigma_m"),
+        (("predicted", 0, "predicted_error", 0, "sigma_m"), 0.5, "by its covariance"),
+        (("predicted", 0, "predicted_error"), [], "predicted_error"),
+        (("predicted", 0, "bounds_m"), [], "bounds_m"),
+        (("range_m",), 0.0, "range_m"),
+        (("moved",), {"poles": ["A"], "errors": []}, "moved.errors"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_named(field: tuple[Any, ...], value: Any, said: str) -> None:
+    document = json.loads(encode(made_plan(made_picture())))
+    place = document
+    for key in field[:-1]:
+        place = place[key]
+    place[field[-1]] = value
+    with pytest.raises(ReadError, match=said):
+        decode_plan(json.dumps(document).encode())
 
 
 def hold_many(whole: Run, folder: Path, seeds: range) -> None:

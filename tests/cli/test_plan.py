@@ -2,13 +2,17 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.cli import run
+from retropole.result import encode
 from tests.cli.commands import retropole_here
+from tests.report.plans import made_picture, made_plan
 
 DRAWN: tuple[object, ...] = ("--lidar", "a", "VLP-16", 0, 0, 1.5, 0, 5, 0)
 DRAWN += ("--lidar", "b", "VLP-16", 1, 2, 1.5, 0, 5, 20)
@@ -89,6 +93,38 @@ def test_slips_are_told(words: tuple[object, ...], said: str, tmp_path: Path) ->
     assert done.returncode == 2
     assert said in done.stderr
     assert not (tmp_path / "retropole-plan").exists()
+
+
+@pytest.mark.parametrize("command", ["calibrate", "detect", "watch"])
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [("predicted", [], "predicted: 0 LiDARs"), ("lidars", [], "lidars"), ("", "", "no LiDAR")],
+)
+def test_a_plan_that_does_not_fit_ends_before_the_work(
+    command: str,
+    field: str,
+    value: Any,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The recordings are none: nothing was read when the plan was refused."""
+    document = json.loads(encode(made_plan(made_picture(lidars=3 if not field else 2))))
+    if field:
+        document[field] = value
+    elif command == "calibrate":
+        said = "a plan of 3 LiDARs"
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    clouds = [tmp_path / name for name in ("a.pcd", "b.pcd")]
+    for cloud in clouds:
+        cloud.write_text("no cloud")
+    given = clouds[:1] if command == "detect" else clouds
+    words = [command, *given, "--plan", tmp_path / "plan.json", "--out", tmp_path / "out"]
+    words += ["--lidar", "nobody"] if command == "detect" and not field else []
+    words += ["--no-page"] if command == "watch" else []
+    assert run([str(word) for word in words]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_file_that_is_no_plan_is_told(scene: Path, tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
         if given != names[1:]:
             raise ReadError(f"{field}: expected one for each LiDAR but the first, in their order")
     for k, each in enumerate(plan.predicted):
-        _check_prediction(f"predicted[{k}]", each)
+        _check_prediction(f"predicted[{k}]", each, plan.predicted[0])
     return plan
 
 
@@ -137,13 +137,16 @@ def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
                 raise ReadError(f"{field}.seen: expected LiDARs of the plan, each once")
 
 
-def _check_prediction(field: str, each: PredictedDoc) -> None:
-    """Let the errors at the ranges be those of the covariance, as many by the poles alone."""
-    ranges = tuple(one.range_m for one in each.predicted_error)
+def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> None:
+    """Let the errors be those of the covariance, at the ranges of the first LiDAR's."""
+    ranges = tuple(one.range_m for one in first.predicted_error)
     if not ranges or any(a >= b for a, b in pairwise(ranges)):
         raise ReadError(f"{field}.predicted_error: expected ranges, each larger than the last")
-    if tuple(one.range_m for one in each.alone) != ranges or len(each.bounds_m) != len(ranges):
-        raise ReadError(f"{field}: alone and bounds_m are for the ranges of predicted_error")
+    for name in ("predicted_error", "alone"):
+        if tuple(one.range_m for one in getattr(each, name)) != ranges:
+            raise ReadError(f"{field}.{name}: expected the ranges of predicted[0].predicted_error")
+    if len(each.bounds_m) != len(ranges):
+        raise ReadError(f"{field}.bounds_m: expected one for each range")
     for one, other in zip(
         each.predicted_error, predicted_error(each.covariance, ranges), strict=True
     ):
