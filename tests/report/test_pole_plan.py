@@ -28,7 +28,7 @@ from retropole.result.pole_plan import (
     PolePlanDoc,
 )
 from tests.report.made_up import HOSTILE, Page
-from tests.report.plans import Model, made_picture, made_plan, model, tape_of
+from tests.report.plans import LENGTH, Model, made_picture, made_plan, model, tape_of
 from tests.tiers import first_of
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
@@ -89,8 +89,9 @@ def test_a_place_that_was_drawn_has_no_points_and_no_recordings() -> None:
 
 def test_all_that_stands_there_is_in_the_picture() -> None:
     picture = made_picture(lidars=4)
-    view = view_of(picture)
-    for x, y in [*view.of(picture.foot), *view.of(picture.lidars[:, :3, 3])]:
+    view = view_of(picture, LENGTH)
+    tops = picture.foot + LENGTH * picture.axis
+    for x, y in view.of(np.concatenate([picture.foot, tops, picture.lidars[:, :3, 3]])):
         assert 0 < x < WIDTH
         assert 0 < y < view.height
     # Ahead is up, left is left.

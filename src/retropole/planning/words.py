@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from ..base import se3
 from ..base.datatypes import Array
@@ -46,6 +47,9 @@ set to about 5°, and 1° at 15 m, the farthest that a pole is from its LiDAR, i
 
 LEAST_LINE = 0.5
 """LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
+
+BY_EYE = 4.0
+"""Poles that are leant as it comes are best from 1 m to this far apart, metres (docs/placing.md)."""
 
 UPRIGHT = np.radians(2.0)
 """A pole that leans by less stands upright, rad."""
@@ -325,13 +329,20 @@ def sentences(
             f"One {each.what} more: {error(each.error)} at {at:g} m, by the poles alone "
             f"{error(each.alone)}{verdict}: {worth}."
         )
+    feet = planned.candidates.foot
+    gaps = [cdist(feet[own, :2], feet[own, :2]) for own in map(list, planned.chosen)]
+    widest = max(float(each.max(initial=0.0)) for each in gaps)
+    if widest > BY_EYE:
+        yield (
+            f"Feet up to {widest:.1f} m apart: beyond {BY_EYE:g} m it matters which way the poles "
+            "lean, so keep to the leans of the plan."
+        )
     for station in planned.stations:
         if not station.is_settled:
             yield (
                 f"The pose of {station.name} is as you gave it: the recordings share too little to "
                 "settle it."
             )
-    feet = planned.candidates.foot
     names = map(_letter, range(len(planned.numbers)))
     named = [[(next(names), feet[k]) for k in own] for own in planned.chosen]
     for p, (before, after) in enumerate(pairwise(named), 2):

@@ -47,7 +47,7 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
     picture
         What its picture is drawn from, and what predicts the error where poles are moved.
     """
-    view = view_of(picture)
+    view = view_of(picture, document.length_m)
     parts = join(
         (
             _place(document, picture, view),

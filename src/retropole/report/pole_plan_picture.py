@@ -135,9 +135,10 @@ class View:
         return np.asarray(-self.scale * steps[:, 1::-1])
 
 
-def view_of(picture: PlanPicture) -> View:
-    """Choose units per metre and the height so that all LiDARs and poles are in the picture."""
-    points = np.concatenate([picture.lidars[:, :2, 3], picture.foot[:, :2]])
+def view_of(picture: PlanPicture, length: float) -> View:
+    """Choose units per metre and height so that all LiDARs, and poles of a length, are in it."""
+    tops = picture.foot + length * picture.axis
+    points = np.concatenate([picture.lidars[:, :2, 3], picture.foot[:, :2], tops[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
     down, across = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / across, (HEIGHTS[1] - 2 * MARGIN) / down))

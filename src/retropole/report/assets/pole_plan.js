@@ -157,7 +157,9 @@
     written(`[data-words="${p}"]`, plan.words[k]);
     const lean = $(`[data-lean="${p}"]`);
     lean.replaceChildren(...standsThere(k).map((other) => {
-      const words = plan.towards[other] ? `lean ${degrees(leanOf(other))} ${plan.towards[other]}` : "upright";
+      // A list is narrow; the sentence above it says from where left and right are seen.
+      const way = plan.towards[other].replace(/(^| )to the (left|right) as seen from .*$/, "$1$2");
+      const words = way ? `${degrees(leanOf(other))} ${way}` : "upright";
       return new Option(words, other, other === k, other === k);
     }));
     lean.disabled = lean.options.length < 2;
