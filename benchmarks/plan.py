@@ -374,7 +374,8 @@ def spacing(job: tuple[str, str]) -> str:
         feet = rng.permutation(feet[((away >= 3.0) & (away <= 7.0)).all(axis=0)])[:FEET]
         poles = leaning(feet, (np.radians(20.0),), 4, 2.0, 0.02)
         seen = who_sees(poles, stations, divergences_of(stations))
-        poles, seen = poles.select(seen.all(axis=1)), seen[seen.all(axis=1)]
+        both = np.asarray(seen.all(axis=1))
+        poles, seen = poles.select(both), seen[both]
         none = Surfaces((), (np.zeros(0, dtype=np.int64),) * 2)
         numbers = np.arange(len(poles))
         network = network_of(stations, poles, seen, numbers, none.bands, ROUNDS)

@@ -82,6 +82,7 @@ def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> N
     ]
     corners, side = given["corners"], given["side"]
     areas = [Area(np.array(each), np.array(each) + side) for each in corners]
+    said: Refusal | None = None
     # What a calibration with these poles says has tests of its own, and takes most of the time.
     with patch.object(planner, "rehearse", return_value=planned().rehearsal):
         try:
@@ -96,8 +97,6 @@ def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> N
             )
         except Refusal as refusal:
             said = refusal
-        else:
-            said = None
     if said is not None:
         assert any(character.isdigit() for character in str(said))
         assert said.values

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retropole.base import se3
-from retropole.base.datatypes import Reason
+from retropole.base.errors import Reason
 from retropole.base.uncertainty.purpose import Need
 from retropole.planning.candidates import DIRECTIONS, LEANS, leaning
 from retropole.planning.comparison import NEAR

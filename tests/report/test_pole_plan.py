@@ -221,6 +221,8 @@ def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> No
 @needs_browser
 def test_two_that_lean_alike_are_warned_of(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, made_page())
+    options = "return [...document.querySelector('[data-lean=\"0\"]')].map((o) => o.textContent)"
+    assert browser.run(options) == ["upright", "20° away", "20° left"]
     browser.run(
         "const s = document.querySelector('[data-lean=\"0\"]'); s.selectedIndex = 2;"
         "s.dispatchEvent(new Event('change'))"

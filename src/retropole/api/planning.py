@@ -73,7 +73,7 @@ class Wish:
 
     def __post_init__(self) -> None:
         """Refuse what no plan is made for, before anything is read: `UsageError` names it."""
-        bounds: tuple[tuple[str, type, float, float], ...] = (
+        bounds: tuple[tuple[str, type[Integral] | type[Real], float, float], ...] = (
             ("poles", Integral, FEWEST_POLES, MOST_POLES),
             ("placements", Integral, 1, MOST_PLACEMENTS),
             ("length", Real, SHORTEST, LONGEST),
@@ -81,7 +81,7 @@ class Wish:
         )
         for name, kind, least, most in bounds:
             value = getattr(self, name)
-            if not isinstance(value, kind) or not least <= value <= most:
+            if not isinstance(value, kind) or not least <= float(value) <= most:
                 what = "a whole number" if kind is Integral else "metres"
                 raise UsageError(f"{name} is {value!r}, expected {what} from {least:g} to {most:g}")
         for area in (*self.allowed, *self.forbidden):

@@ -268,7 +268,7 @@ def _level_distance(a: Array, b: Array) -> float:
 
 def _steps(angle: float, step_deg: int) -> int:
     """Round an angle, rad, to steps: degrees above −180, 180 at most."""
-    turn = step_deg * round(np.degrees(angle) / step_deg) % 360
+    turn = step_deg * round(float(np.degrees(angle)) / step_deg) % 360
     return turn - 360 if turn > 180 else turn
 
 

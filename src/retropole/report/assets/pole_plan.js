@@ -157,8 +157,9 @@
     written(`[data-words="${p}"]`, plan.words[k]);
     const lean = $(`[data-lean="${p}"]`);
     lean.replaceChildren(...standsThere(k).map((other) => {
-      // A list is narrow; the sentence above it says from where left and right are seen.
-      const way = plan.towards[other].replace(/(^| )to the (left|right) as seen from .*$/, "$1$2");
+      // A list is narrow; the sentence above it names the LiDAR, one for all leans of a place.
+      const parts = /^(away|towards)(?: from)? .*?(?:, (\d+)° to the (left|right) as seen from there)?$|^to the (left|right) /.exec(plan.towards[other]);
+      const way = parts && [parts[1] ?? parts[4], ...(parts[2] ? [`${parts[2]}° ${parts[3]}`] : [])].join(", ");
       const words = way ? `${degrees(leanOf(other))} ${way}` : "upright";
       return new Option(words, other, other === k, other === k);
     }));
