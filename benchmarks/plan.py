@@ -18,10 +18,15 @@ With `--sites` a site of four LiDARs is planned for two placements of three pole
 as often; beside it the placements that the simulator draws for it. The error is that of the least
 certain LiDAR against the first.
 
+With `--spacing` nothing is planned: the predicted error by the poles alone, 10 m away, of pairs of
+poles on bare ground by how far apart they are, the median and the least of pairs at random, one
+upright and one leaning by 20°, each 3 to 7 m from both LiDARs.
+
 Seeds 0 to 99 tune, those from 1000 state.
 
     python benchmarks/plan.py --seeds 1000:1012 --runs 10
     python benchmarks/plan.py --sites --seeds 1000:1005 --runs 5 --kinds posts crane truck
+    python benchmarks/plan.py --spacing
 """
 
 from __future__ import annotations
@@ -39,12 +44,15 @@ from threadpoolctl import threadpool_limits
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
+from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
-from retropole.planning.candidates import Candidates, who_sees
-from retropole.planning.choice import error_of, rules_of
-from retropole.planning.information import divergences_of
-from retropole.planning.planner import Planned, plan, worst_at
-from retropole.planning.stations import bare_scan, stand
+from retropole.planning.candidates import Candidates, leaning, who_sees
+from retropole.planning.choice import error_of, errors_of, rules_of
+from retropole.planning.information import divergences_of, network_of
+from retropole.planning.place import survey
+from retropole.planning.planner import ROUNDS, Planned, design_of, plan, worst_at
+from retropole.planning.prediction import Surfaces
+from retropole.planning.stations import bare_scan, stand, stand_drawn
 from retropole.simulation import (
     FIELD,
     Cylinder,
@@ -338,6 +346,52 @@ def run_site(job: tuple[str, int, int, int]) -> Found | None:
         )
 
 
+FACING = {
+    "side by side, 1 m apart": ((0.0, 0.0, 1.5, 0.0, 0.0), (0.0, 1.0, 1.5, 0.0, 0.0)),
+    "at right angles, 4 m apart": ((0.0, 0.0, 2.0, 0.0, 0.0), (0.0, 4.0, 2.0, 0.0, 90.0)),
+    "facing each other, 8 m apart": ((0.0, 0.0, 3.0, 15.0, 0.0), (8.0, 0.0, 3.0, 15.0, 180.0)),
+}
+"""x, y, z, pitch and yaw, metres and degrees, of two LiDARs over bare ground."""
+
+SPACINGS = {0.5: 0.15, 1.0: 0.2, 1.5: 0.25, 2.5: 0.4, 4.0: 0.6, 6.0: 0.8, 8.0: 1.0}
+"""How far apart poles are, metres, and by how much more or less."""
+
+FEET, PAIRS, LEAST_PAIRS = 60, 60, 20
+
+
+def spacing(job: tuple[str, str]) -> str:
+    """Write a row: errors of two LiDARs by the spacing of the poles, cm."""
+    name, model = job
+    poses = [
+        se3.from_rt(se3.rotation_from_rpy(np.radians([0.0, pitch, yaw])), np.array([x, y, z]))
+        for x, y, z, pitch, yaw in FACING[name]
+    ]
+    with threadpool_limits(1, user_api="blas"):
+        rng = np.random.default_rng(0)
+        stations = stand_drawn(("a", "b"), [find_sensor(model)] * 2, poses)
+        feet = survey(stations).feet
+        away = np.stack([np.linalg.norm(feet[:, :2] - each.at[:2], axis=1) for each in stations])
+        feet = rng.permutation(feet[((away >= 3.0) & (away <= 7.0)).all(axis=0)])[:FEET]
+        poles = leaning(feet, (np.radians(20.0),), 4, 2.0, 0.02)
+        seen = who_sees(poles, stations, divergences_of(stations))
+        both = np.asarray(seen.all(axis=1))
+        poles, seen = poles.select(both), seen[both]
+        none = Surfaces((), (np.zeros(0, dtype=np.int64),) * 2)
+        numbers = np.arange(len(poles))
+        network = network_of(stations, poles, seen, numbers, none.bands, ROUNDS)
+        design = design_of(stations, none, poles, seen, network, 10.0)
+        upright = poles.axis[:, 2] > 0.99
+        gaps = np.linalg.norm(poles.foot[:, None] - poles.foot, axis=2)
+        cells = []
+        for middle, slack in SPACINGS.items():
+            there = np.abs(gaps - middle) <= slack
+            pairs = np.argwhere(there & upright[:, None] & ~upright)
+            errors = [errors_of(design, [p])[1].max() for p in rng.permutation(pairs)[:PAIRS]]
+            middle_cm, best_cm = 100 * np.median(errors or [0.0]), 100 * min(errors, default=0.0)
+            cells.append(f"{middle_cm:.1f}, {best_cm:.1f}" if len(errors) >= LEAST_PAIRS else "–")
+    return f"{name}, {model} | {' | '.join(cells)}"
+
+
 def table(header: str, rows: Sequence[str]) -> None:
     print(f"| {header} |\n{'| --- ' * (header.count('|') + 1)}|")
     print("\n".join(f"| {row} |" for row in rows) + "\n", flush=True)
@@ -350,8 +404,16 @@ def main() -> None:
     parser.add_argument("--poles", type=int, default=2)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS))
     parser.add_argument("--sites", action="store_true", help="plan for sites of four LiDARs")
+    parser.add_argument("--spacing", action="store_true", help="errors by how far apart poles are")
+    parser.add_argument("--models", nargs="+", default=["XT32", "VLP-16"], help="with --spacing")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
+    if options.spacing:
+        with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+            pairs = [(name, model) for name in FACING for model in options.models]
+            apart = " | ".join(f"{each:g}" for each in SPACINGS)
+            table(f"between the feet of the poles, m | {apart}", list(pool.map(spacing, pairs)))
+        return
     first, last = map(int, options.seeds.split(":"))
     jobs = [(k, s, options.runs, options.poles) for k in options.kinds for s in range(first, last)]
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:

@@ -15,19 +15,23 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.api.plan_checking import against, planned_error
 from retropole.base.errors import ReadError, Refusal
+from retropole.base.uncertainty.purpose import Need
 from retropole.cli import run
 from retropole.export import FORMATS, TREE_FORMATS, read_transform
 from retropole.report import render_report, render_site
+from retropole.report.pole_plan import render_pole_plan
+from retropole.report.pole_plan_text import describe_plan
 from retropole.result import encode
 from retropole.result.certification import FieldTestDoc, field_test_document
-from retropole.result.decoding import decode, decode_site, parsed
+from retropole.result.decoding import decode, decode_plan, decode_site, parsed
 from retropole.result.folder import REPORT_FILE
-from retropole.result.pole_plan import PolePlanDoc
+from retropole.result.pole_plan import MovedDoc, MovedErrorDoc
 from tests.report.made_up import made_up
+from tests.report.plans import made_picture, made_plan
 from tests.report.site.made_up import document_of, made_up_site
 from tests.report.test_field_test import made_up as field_test
-from tests.report.test_pole_plan import made_picture, made_plan
 
 NASTY: tuple[Any, ...] = (
     *(None, True, False, "", [], {}, [[]], 0, -1, 3, 10**30, 0.5, -0.0, 1e-320, 1e13, 1e308),
@@ -114,9 +118,18 @@ def site_whole() -> Kind:
     return Kind(encode(document_of(site)), decode_site)
 
 
-def plan_whole() -> Kind:
-    plan = made_plan(made_picture())
-    return Kind(encode(plan), partial(parsed, kind=PolePlanDoc, what="plan"))
+PICTURE = cache(partial(made_picture, 2))
+
+
+def plan_whole(*, is_moved: bool = False) -> Kind:
+    plan = made_plan(PICTURE(), need=Need(0.02, 20.0))
+    if is_moved:
+        error = MovedErrorDoc(lidar="rear", sigma_m=0.01, alone_m=0.02)
+        moved = MovedDoc(poles=["A"], errors=[error])
+        plan = msgspec.structs.replace(
+            plan, predicted=[], more=[], rehearsal=None, probability=None, moved=moved
+        )
+    return Kind(encode(plan), decode_plan)
 
 
 def certificate_whole() -> Kind:
@@ -128,6 +141,7 @@ WHOLE = {
     "result": result_whole,
     "site": site_whole,
     "plan": plan_whole,
+    "moved plan": partial(plan_whole, is_moved=True),
     "certificate": certificate_whole,
 }
 
@@ -164,6 +178,20 @@ def hold_site(path: Path, dice: random.Random) -> None:
     assert_no_nan(render_site(document))
 
 
+def hold_plan(path: Path, dice: random.Random) -> None:
+    """Hand a plan to all that take one; an error where it is none."""
+    plan, picture = decode_plan(path.read_bytes()), PICTURE()
+    poles = RUN().result.poles.target
+    for lidar in (None, *(each.name for each in plan.lidars)):
+        for some in (poles, poles[:1], []):
+            assert len(against(plan, some, lidar)) > 0
+    assert planned_error(plan) > 0
+    assert "nan" not in describe_plan(plan).split()
+    as_drawn = [len(each.poles) for each in plan.placements] == list(map(len, picture.chosen))
+    if as_drawn and dice.random() < 0.1:
+        assert render_pole_plan(plan, picture) if plan.predicted else plan.moved
+
+
 DONE = (0, 2, 3)
 """Exit codes of what ended as it should."""
 
@@ -180,6 +208,8 @@ HOLD = {
     "result": Held("result.json", hold_result, 0.05),
     # Most numbers of a site are of its joint covariance, and each of them is needed.
     "site": Held("site-result.json", hold_site, 0.01),
+    "plan": Held("plan.json", hold_plan, 0.05),
+    "moved plan": Held("plan.json", hold_plan, 0.05),
 }
 
 
@@ -187,7 +217,9 @@ def assert_no_nan(page: str) -> None:
     assert "nan" not in page.split("<script")[0].lower().split(">")
 
 
-@pytest.mark.parametrize(("kind", "count"), [("result", 150), ("site", 30)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("result", 150), ("site", 30), ("plan", 250), ("moved plan", 250)]
+)
 def test_an_edited_document_is_an_error_or_one(kind: str, count: int, tmp_path: Path) -> None:
     hold_many(kind, tmp_path, range(count))
 
@@ -203,6 +235,38 @@ def test_more_edited_documents(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("part", range(20))
 def test_many_edited_documents(part: int, kind: str, tmp_path: Path) -> None:
     hold_many(kind, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        (("lidars",), [], "lidars"),
+        (("placements",), [], "placements"),
+        (("predicted",), [], "predicted"),
+        (("placements", 0, "poles"), [], "poles"),
+        (("placements", 0, "poles", 0, "seen"), [], "seen"),
+        (("placements", 0, "poles", 0, "words"), "", "words"),
+        (("placements", 0, "poles", 0, "seen", 0, "lidar"), "nobody", "seen"),
+        (("placements", 0, "poles", 1, "name"), "A", "same name"),
+        (("placements", 0, "poles", 0, "lean_rad"), 1.0, "lean_rad"),
+        (("lidars", 1, "name"), "front", "same name"),
+        (("predicted", 0, "lidar"), "front", "predicted"),
+        (("predicted", 0, "predicted_error", 0, "sigma_m"), 0.0, "sigma_m"),
+        (("predicted", 0, "predicted_error", 0, "sigma_m"), 0.5, "by its covariance"),
+        (("predicted", 0, "predicted_error"), [], "predicted_error"),
+        (("predicted", 0, "bounds_m"), [], "bounds_m"),
+        (("range_m",), 0.0, "range_m"),
+        (("moved",), {"poles": ["A"], "errors": []}, "moved.errors"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_named(field: tuple[Any, ...], value: Any, said: str) -> None:
+    document = json.loads(encode(made_plan(made_picture())))
+    place = document
+    for key in field[:-1]:
+        place = place[key]
+    place[field[-1]] = value
+    with pytest.raises(ReadError, match=said):
+        decode_plan(json.dumps(document).encode())
 
 
 def hold_many(kind: str, folder: Path, seeds: range) -> None:

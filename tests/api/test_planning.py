@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +51,19 @@ def test_slips_are_told() -> None:
     both = tables()
     with pytest.raises(rp.UsageError, match="at is the distance"):
         rp.plan(both.target, both.source, rough=np.eye(4), at=30.0)
+    for name, value in (
+        ("poles", 1),
+        ("poles", 7),
+        ("poles", 2.5),
+        ("placements", 0),
+        ("length", 0.1),
+        ("length", "2"),
+        ("allowed", [(0, 0, 1)]),
+        ("forbidden", [(0, 0, 1, np.nan)]),
+    ):
+        options: dict[str, Any] = {name: value}
+        with pytest.raises(rp.UsageError, match="expected"):
+            rp.plan(both.target, both.source, **options)
 
 
 @pytest.mark.full

@@ -2,44 +2,70 @@
 
 import json
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from retropole.api import planning
+from retropole.api.plan_checking import load_plan
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.cli import run
+from retropole.planning.place import Station
+from retropole.planning.planner import Planned
+from retropole.result import encode
 from tests.cli.commands import retropole_here
+from tests.planning.places import planned
+from tests.report.plans import made_picture, made_plan
 
 DRAWN: tuple[object, ...] = ("--lidar", "a", "VLP-16", 0, 0, 1.5, 0, 5, 0)
 DRAWN += ("--lidar", "b", "VLP-16", 1, 2, 1.5, 0, 5, 20)
 SMALL = ("--allow", 4.6, -1.5, 5.0, -1.1, "--allow", 4.6, 0.6, 5.0, 1.0)
 
 
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("plan")
-    done = retropole_here("plan", *DRAWN, *SMALL, "--need-cm", 5, "--out", folder)
-    assert done.returncode == 0, done.stderr
-    assert "Pole A: " in done.stdout
-    assert "Tape measure: below " in done.stdout
-    assert "The need, within 5 cm at 30 m" in done.stdout
-    return folder
+def test_a_plan_is_a_document_and_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """LiDARs that are drawn as they were asked for, and a plan that was made for others."""
+    asked: dict[str, Any] = {}
 
+    def made(stations: tuple[Station, ...], **options: Any) -> Planned:
+        asked.update(options, stations=stations)
+        return planned()
 
-def test_a_plan_is_a_document_and_a_page(plan: Path) -> None:
-    document = json.loads((plan / "plan.json").read_text())
-    assert document["schema"] == "retropole/plan/1"
-    poles = document["placements"][0]["poles"]
-    assert [pole["name"] for pole in poles] == ["A", "B"]
-    for pole in poles:
-        assert 4.6 <= pole["foot_m"][0] <= 5.2
-        assert {seen["lidar"] for seen in pole["seen"]} == {"a", "b"}
-    # On bare ground nothing confirms what two poles say.
-    assert document["rehearsal"]["status"] != "ok"
-    assert any("gave the verdict" in each for each in document["words"])
-    page = (plan / "plan.html").read_text()
+    words = ("plan", *DRAWN, *SMALL, "--need-cm", 5, "--poles", 3, "--out", tmp_path)
+    with patch.object(planning, "plan_poles", made):
+        assert run([str(word) for word in words]) == 0
+    first, second = asked["stations"]
+    np.testing.assert_allclose(second.at - first.at, [1.0, 2.0, 0.0], atol=0.05)
+    assert (asked["poles"], asked["placements"], asked["need"].within) == (3, 1, 0.05)
+    assert [area.low.tolist() for area in asked["allowed"]] == [[4.6, -1.5], [4.6, 0.6]]
+    shown = capsys.readouterr().out
+    for said in ("Pole A: ", "Tape measure: below ", "The need, within 5 cm at 30 m"):
+        assert said in shown
+    document = load_plan(tmp_path)
+    assert [pole.name for pole in document.placements[0].poles] == ["A", "B"]
+    page = (tmp_path / "plan.html").read_text()
     assert page.lower().startswith("<!doctype html>")
     assert "http://" not in page.replace("http://www.w3.org", "")
+
+
+@pytest.mark.full
+def test_drawn_lidars_are_planned(tmp_path: Path) -> None:
+    done = retropole_here("plan", *DRAWN, *SMALL, "--need-cm", 5, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = load_plan(tmp_path)
+    for pole in document.placements[0].poles:
+        assert 4.6 <= pole.foot_m[0] <= 5.2
+        assert {seen.lidar for seen in pole.seen} == {"a", "b"}
+    # On bare ground nothing confirms what two poles say.
+    assert document.rehearsal is not None
+    assert document.rehearsal.status != "ok"
+    assert any("gave the verdict" in each for each in document.words)
+    # Each was rehearsed: it is worth it where its verdict is better.
+    assert all(each.status is not None for each in document.more)
 
 
 @pytest.mark.full
@@ -84,21 +110,58 @@ def test_recordings_are_planned_with_a_rough_pose(
         (("a.pcd", "b.pcd"), "a.pcd"),
     ],
 )
-def test_slips_are_told(words: tuple[object, ...], said: str, tmp_path: Path) -> None:
-    done = retropole_here("plan", *words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert said in done.stderr
+def test_slips_are_told(
+    words: tuple[object, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["plan", *map(str, words)]) == 2
+    assert said in capsys.readouterr().err
     assert not (tmp_path / "retropole-plan").exists()
 
 
-def test_a_file_that_is_no_plan_is_told(scene: Path, tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_text("{}")
-    done = retropole_here("detect", scene / "lidar0.pcd", "--plan", tmp_path, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "no plan" in done.stderr
+@pytest.mark.parametrize("command", ["calibrate", "detect", "watch"])
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("predicted", [], "predicted: 0 LiDARs"),
+        ("lidars", [], "lidars"),
+        ("schema", "x", "no plan of poles"),
+        ("", "", "no LiDAR"),
+    ],
+)
+def test_a_plan_that_does_not_fit_ends_before_the_work(
+    command: str,
+    field: str,
+    value: Any,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The recordings are none: nothing was read when the plan was refused."""
+    document = json.loads(encode(made_plan(made_picture(lidars=3 if not field else 2))))
+    if field:
+        document[field] = value
+    elif command == "calibrate":
+        said = "a plan of 3 LiDARs"
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    clouds = [tmp_path / name for name in ("a.pcd", "b.pcd")]
+    for cloud in clouds:
+        cloud.write_text("no cloud")
+    given = clouds[:1] if command == "detect" else clouds
+    words = [command, *given, "--plan", tmp_path / "plan.json", "--out", tmp_path / "out"]
+    words += ["--lidar", "nobody"] if command == "detect" and not field else []
+    words += ["--no-page"] if command == "watch" else []
+    assert run([str(word) for word in words]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
-def test_no_ground_is_refused(tmp_path: Path) -> None:
-    done = retropole_here("plan", *DRAWN, "--allow", 90, 90, 95, 95, cwd=tmp_path)
-    assert done.returncode == 3
-    assert "refused (no_ground)" in done.stderr
+def test_no_ground_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("plan", *DRAWN, "--allow", 90, 90, 95, 95, "--out", tmp_path / "plan")
+    assert run([str(word) for word in words]) == 3
+    assert "refused (no_ground)" in capsys.readouterr().err
+    assert not (tmp_path / "plan").exists()

@@ -1,10 +1,20 @@
+from typing import Any
+from unittest.mock import patch
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from retropole.base.errors import Refusal
+from retropole.base.sensors import find_sensor
+from retropole.planning import planner
+from retropole.planning.candidates import FAR
 from retropole.planning.place import Area
 from retropole.planning.planner import plan, worst_at
-from tests.planning.places import AREAS, planned, stations
+from retropole.planning.stations import stand_drawn
+from retropole.result.pole_plan import LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
+from tests.planning.places import AREAS, planned, pose, stations
 
 
 @pytest.mark.full
@@ -29,3 +39,69 @@ def test_too_little_ground_is_refused() -> None:
     with pytest.raises(Refusal) as refusal:
         plan(stations(), allowed=[corner])
     assert refusal.value.code in ("nowhere_seen", "no_ground")
+
+
+def test_masts_are_too_high_for_thin_poles() -> None:
+    """It says how thick poles must be."""
+    masts = [pose(0.0, 0.0, 12.0, 0.0, 20.0), pose(9.0, 0.0, 12.0, 180.0, 20.0)]
+    high = stand_drawn(("a", "b"), [find_sensor("XT32")] * 2, masts)
+    with pytest.raises(Refusal, match=r"they are seen up to 12\.0 m away") as refusal:
+        plan(high)
+    assert refusal.value.code == "nowhere_seen"
+    nearest = refusal.value.values["nearest_m"]
+    assert isinstance(nearest, float)
+    assert f"take poles of {np.ceil(2e3 * nearest / FAR):.0f} mm or thicker" in str(refusal.value)
+
+
+drawn_inputs = st.fixed_dictionaries(
+    {
+        "height": st.sampled_from([0.1, 0.5, 1.5, 4.0, 9.0, 12.0, 40.0]),
+        "apart": st.sampled_from([0.0, 0.3, 2.0, 9.0, 60.0]),
+        "turn": st.floats(-180.0, 180.0),
+        "pitch": st.sampled_from([-90.0, -20.0, 0.0, 30.0, 90.0]),
+        "poles": st.integers(2, MOST_POLES),
+        "placements": st.integers(1, MOST_PLACEMENTS),
+        "length": st.sampled_from([SHORTEST, 1.0, 2.0, LONGEST]),
+        "radius": st.sampled_from([0.002, 0.02, 0.1, 0.25]),
+        "corners": st.lists(
+            st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=2
+        ),
+        "side": st.sampled_from([0.3, 0.6]),
+    }
+)
+
+
+@given(drawn_inputs)
+@settings(max_examples=8)
+def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> None:
+    """Masts of any height, one LiDAR that sees nothing, tiny places: no other error comes."""
+    height = given["height"]
+    poses = [
+        pose(0.0, 0.0, height, 0.0, 10.0),
+        pose(given["apart"], 0.5, height + 0.1, given["turn"], given["pitch"]),
+    ]
+    corners, side = given["corners"], given["side"]
+    areas = [Area(np.array(each), np.array(each) + side) for each in corners]
+    said: Refusal | None = None
+    # What a calibration with these poles says has tests of its own, and takes most of the time.
+    with patch.object(planner, "rehearse", return_value=planned().rehearsal):
+        try:
+            drawn = stand_drawn(("a", "b"), [find_sensor("VLP-16")] * 2, poses)
+            found = plan(
+                drawn,
+                poles=given["poles"],
+                placements=given["placements"],
+                length=given["length"],
+                radius=given["radius"],
+                allowed=areas,
+            )
+        except Refusal as refusal:
+            said = refusal
+    if said is not None:
+        assert any(character.isdigit() for character in str(said))
+        assert said.values
+        return
+    assert [len(own) for own in found.chosen] == [given["poles"]] * given["placements"]
+    for each in found.more:
+        assert (each.what == "pole") <= (given["poles"] < MOST_POLES)
+        assert (each.what == "placement") <= (given["placements"] < MOST_PLACEMENTS)

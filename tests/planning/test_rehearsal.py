@@ -41,3 +41,12 @@ def test_three_lidars_are_rehearsed_as_a_site() -> None:
         apart = se3.difference(found.T_site_lidar, expected)
         assert apart.translation < 0.05
         assert apart.rotation < np.radians(0.5)
+
+
+def test_placements_are_rehearsed_as_recordings_of_their_own() -> None:
+    """The place was recorded once: that is no reason to refuse a second placement of the poles."""
+    found = planned()
+    poles = [found.candidates.pole(k) for k in found.numbers]
+    answer = rehearse(found.stations, [poles, poles], found.candidates.radius)
+    assert isinstance(answer, Calibration)
+    assert answer.status == "ok", answer.reasons

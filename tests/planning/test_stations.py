@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
+from retropole.base.datatypes import Scan
 from retropole.base.errors import Refusal
 from retropole.planning.stations import bare_scan, settle, stand
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
@@ -13,14 +14,17 @@ def street() -> SimulatedPair:
     return record_again(pair, np.random.default_rng(2), poles=False)
 
 
+@pytest.fixture(scope="module")
+def scans(street: SimulatedPair) -> tuple[Scan, Scan]:
+    """What both LiDARs recorded."""
+    return bare_scan(street.target, street.sensors[0]), bare_scan(street.source, street.sensors[1])
+
+
 def turned(by_deg: tuple[float, float, float], by_m: tuple[float, float, float]) -> np.ndarray:
     return se3.from_rt(se3.rotation_from_rpy(np.radians(by_deg)), np.array(by_m))
 
 
-def test_a_rough_pose_settles_on_the_place(street: SimulatedPair) -> None:
-    scans = [
-        bare_scan(c, s) for c, s in zip((street.target, street.source), street.sensors, strict=True)
-    ]
+def test_a_rough_pose_settles_on_the_place(street: SimulatedPair, scans: tuple[Scan, Scan]) -> None:
     rough = street.T_target_source @ turned((3, -4, 8), (0.5, -0.6, 0.3))
     stood = stand(("a", "b"), scans, (np.eye(4), rough))
     found = se3.inverse(stood[0].T) @ stood[1].T
@@ -39,11 +43,8 @@ def test_a_rough_pose_settles_on_the_place(street: SimulatedPair) -> None:
     [((0, 0, 40), "looked through"), ((180, 0, 0), "upside down"), ((0, 40, 0), "tilted by")],
 )
 def test_a_wrong_rough_pose_is_refused(
-    street: SimulatedPair, by: tuple[float, float, float], words: str
+    street: SimulatedPair, scans: tuple[Scan, Scan], by: tuple[float, float, float], words: str
 ) -> None:
-    target, source = (
-        bare_scan(c, s) for c, s in zip((street.target, street.source), street.sensors, strict=True)
-    )
     with pytest.raises(Refusal, match=words) as refusal:
-        settle("a", "b", target, source, street.T_target_source @ turned(by, (0, 0, 0)))
+        settle("a", "b", *scans, street.T_target_source @ turned(by, (0, 0, 0)))
     assert refusal.value.code == "pose_contradicted"

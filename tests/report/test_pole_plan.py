@@ -8,7 +8,8 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass, replace
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,166 +17,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.base import se3
+from retropole.api.plan_checking import load_plan
 from retropole.base.datatypes import Array
-from retropole.base.uncertainty import RANGES, BudgetEntry, predicted_error
-from retropole.base.uncertainty.purpose import Need, displacement_bounds
+from retropole.base.uncertainty.purpose import Need
+from retropole.planning.comparison import against_plan
 from retropole.report.pole_plan import PlanPicture, render_pole_plan
 from retropole.report.pole_plan_data import PackedRoots, packed, stated, stated_alone
 from retropole.report.pole_plan_picture import WIDTH, view_of
-from retropole.result import ReasonDoc
 from retropole.result.pole_plan import (
-    MoreDoc,
-    PlannedPlacementDoc,
-    PlannedPoleDoc,
     PolePlanDoc,
-    PredictedDoc,
-    RehearsalDoc,
-    SightDoc,
-    StationDoc,
-    TapeDoc,
 )
 from tests.report.made_up import AS_SHOWN, HOSTILE, Page
+from tests.report.plans import LENGTH, Model, made_picture, made_plan, model, tape_of
 from tests.tiers import first_of
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
-LENGTH = 2.0
-LEAN = np.radians(20.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    rows: Array
-    rest: Array
-    roots: list[Array]
-
-    def error(self, chosen: list[int]) -> float:
-        """Largest 1 σ of all LiDARs, metres."""
-        total = np.eye(self.rows.shape[2]) + sum(self.roots[k] @ self.roots[k].T for k in chosen)
-        inverse = np.linalg.inv(total)
-        squares = self.rest + np.einsum("lij,jk,lik->l", self.rows, inverse, self.rows)
-        return float(np.sqrt(squares.max()))
-
-
-def model(seed: int, count: int, lidars: int = 2) -> Model:
-    rng = np.random.default_rng(seed)
-    size = 12 + 6 * lidars
-    roots = [
-        rng.normal(size=(size, rng.integers(5, 9))) * rng.uniform(1, 300) for _ in range(count)
-    ]
-    rows = rng.normal(size=(lidars - 1, 6, size)) * 0.3
-    return Model(rows, np.full(lidars - 1, 1e-6), roots)
-
-
-def made_picture(placements: int = 1, lidars: int = 2) -> PlanPicture:
-    """A yard of 12 m with a wall, and a grid of feet, each upright or leaning to two sides."""
-    rng = np.random.default_rng(0)
-    grid = [(x, y) for x in (2.0, 3.5, 5.0, 6.5, 8.0) for y in (-3.0, -1.5, 0.0, 1.5, 3.0)]
-    feet = np.array([(x, y, 0.0) for x, y in grid])
-    low, high = np.sin(LEAN), np.cos(LEAN)
-    axes = np.array([[0.0, 0.0, 1.0], [low, 0.0, high], [0.0, low, high]])
-    foot = np.repeat(feet, 3, axis=0)
-    axis = np.tile(axes, (len(feet), 1))
-    count = len(foot)
-    apart = np.linalg.norm(foot[:, None] - foot, axis=2)
-    angle = np.arccos(np.clip(axis @ axis.T, -1, 1))
-    ground = np.c_[rng.uniform(-2, 12, 4000), rng.uniform(-6, 6, 4000), np.zeros(4000)]
-    wall = np.c_[np.full(500, 10.0), rng.uniform(-6, 6, 500), rng.uniform(0.4, 3, 500)]
-    T = [se3.from_rt(np.eye(3), np.array([0.0, 4.0 * k, 1.5])) for k in range(lidars)]
-    lean = ("upright", "lean 20° away from front", "lean 20° to the left, seen from front")
-    words = [f"{np.hypot(x, y):.1f} m from front; {way}" for x, y in grid for way in lean]
-    return PlanPicture(
-        np.stack(T),
-        [ground, wall],
-        foot,
-        axis,
-        np.ones((count, lidars), dtype=bool),
-        words,
-        (apart >= 1.0) & (angle >= np.radians(15.0)),
-        # One upright and one that leans, so far apart that all arrows lead somewhere.
-        [(33 + 3 * p, 46 + 3 * p) for p in range(placements)],
-        model(1, count, lidars),
-        model(2, count, lidars),
-        1.0,
-        float(np.radians(15.0)),
-        float(np.radians(10.0)),
-    )
-
-
-def made_plan(
-    picture: PlanPicture, name: str = "rear", status: str = "ok", need: Need | None = None
-) -> PolePlanDoc:
-    names = ["front", name, *(f"side {k}" for k in range(2, len(picture.lidars)))]
-    lidars = [
-        StationDoc(name=n, sensor="XT32", path=f"{n}.pcd", T_place_lidar=T, height_m=1.5)
-        for n, T in zip(names, picture.lidars, strict=True)
-    ]
-    placements, letters = [], iter("ABCDEFGH")
-    for own in picture.chosen:
-        poles = []
-        for k in own:
-            letter = next(letters)
-            seen = [SightDoc(lidar=n, returns=80, rings=12, distance_m=5.0) for n in names]
-            lean = float(np.arccos(picture.axis[k, 2]))
-            pole = PlannedPoleDoc(
-                name=letter,
-                foot_m=picture.foot[k],
-                direction=picture.axis[k],
-                lean_rad=lean,
-                towards="",
-                words=f"pole {letter}: {picture.words[k]}",
-                seen=seen,
-            )
-            poles.append(pole)
-        placements.append(PlannedPlacementDoc(poles=poles, tape=_tape(poles, lidars)))
-    covariance = np.diag([1e-4**2] * 3 + [2e-3**2] * 3)
-    predicted = [
-        PredictedDoc(
-            lidar=each.name,
-            covariance=covariance,
-            predicted_error=list(predicted_error(covariance)),
-            bounds_m=displacement_bounds(covariance, RANGES).tolist(),
-            alone=list(predicted_error(25 * covariance)),
-            budget=[BudgetEntry(f"kind {k}", "source", 1e-3, "m", None, 0.2) for k in range(5)],
-        )
-        for each in lidars[1:]
-    ]
-    reasons = [] if status == "ok" else [ReasonDoc("few_points", f"{name} has few", {})]
-    return PolePlanDoc(
-        lidars=lidars,
-        placements=placements,
-        length_m=LENGTH,
-        radius_m=0.02,
-        range_m=20.0,
-        need=need,
-        probability=None if need is None else 0.3,
-        predicted=predicted,
-        more=[MoreDoc(what="pole", error_m=4e-3, alone_m=9e-3, gain=0.2, is_worth_it=True)],
-        rehearsal=RehearsalDoc(
-            status=status,  # type: ignore[arg-type]
-            reasons=reasons,
-            margin=None,
-            predicted_error=[],
-        ),
-        words=["The error to expect at 20 m is 3.2 mm.", f"Poles for {name}."],
-        version="1",
-        created="2026-01-02T03:04:05+00:00",
-    )
-
-
-def _tape(poles: list[PlannedPoleDoc], lidars: list[StationDoc]) -> list[TapeDoc]:
-    found = []
-    for k, pole in enumerate(poles):
-        lengths = [
-            (float(np.linalg.norm((pole.foot_m - each.T_place_lidar[:3, 3])[:2])), each.name)
-            for each in lidars
-        ]
-        for metres, name in sorted(lengths)[:2]:
-            found.append(TapeDoc(start=f"below {name}", end=pole.name, metres=metres))
-        for other in poles[:k]:
-            metres = float(np.linalg.norm(pole.foot_m - other.foot_m))
-            found.append(TapeDoc(start=other.name, end=pole.name, metres=metres))
-    return found
 
 
 def made_page(placements: int = 1, lidars: int = 2, **options: Any) -> str:
@@ -233,8 +89,9 @@ def test_a_place_that_was_drawn_has_no_points_and_no_recordings() -> None:
 
 def test_all_that_stands_there_is_in_the_picture() -> None:
     picture = made_picture(lidars=4)
-    view = view_of(picture)
-    for x, y in [*view.of(picture.foot), *view.of(picture.lidars[:, :3, 3])]:
+    view = view_of(picture, LENGTH)
+    tops = picture.foot + LENGTH * picture.axis
+    for x, y in view.of(np.concatenate([picture.foot, tops, picture.lidars[:, :3, 3]])):
         assert 0 < x < WIDTH
         assert 0 < y < view.height
     # Ahead is up, left is left.
@@ -364,6 +221,8 @@ def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> No
 @needs_browser
 def test_two_that_lean_alike_are_warned_of(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, made_page())
+    options = "return [...document.querySelector('[data-lean=\"0\"]')].map((o) => o.textContent)"
+    assert browser.run(options) == ["upright", "20° away", "20° left"]
     browser.run(
         "const s = document.querySelector('[data-lean=\"0\"]'); s.selectedIndex = 2;"
         "s.dispatchEvent(new Event('change'))"
@@ -433,3 +292,92 @@ def _printed(browser: Browser, folder: Path) -> list[str]:
     words = ["pdftotext", "-layout", str(path), "-"]
     done = subprocess.run(words, capture_output=True, check=True)
     return done.stdout.decode().rstrip("\f").split("\f")
+
+
+class Finger:
+    """A finger on the screen, by the events that Chromium has from a touch screen."""
+
+    def __init__(self, browser: Browser) -> None:
+        self.browser = browser
+
+    def send(self, kind: str, *points: tuple[float, float]) -> None:
+        given = {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in points]}
+        self.browser.driver.execute_cdp_cmd("Input.dispatchTouchEvent", given)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        self.send("touchStart", start)
+        for part in np.linspace(0.1, 1.0, 10):
+            x, y = np.array(start) + part * (np.array(end) - start)
+            self.send("touchMove", (float(x), float(y)))
+        self.send("touchEnd")
+
+
+SCROLLED = "return document.scrollingElement.scrollTop"
+
+
+@needs_browser
+def test_a_finger_drags_a_pole_and_scrolls_beside_it(phone: Browser, tmp_path: Path) -> None:
+    phone.open(tmp_path, made_page())
+    phone.run("document.querySelector('#picture').scrollIntoView({block: 'center'})")
+    finger, before = Finger(phone), phone.run(SCROLLED)
+    # Along the axis in which the page scrolls.
+    x, y = phone.run(AT, 0)
+    finger.drag((x, y), (x, y - 60))
+    after_x, after_y = phone.run(AT, 0)
+    assert phone.run(SCROLLED) == before
+    assert after_y < y - 30
+    assert after_x == pytest.approx(x, abs=20)
+    assert "now" in phone.run(SHOWN, "#now-together")
+    # Beside the poles the picture scrolls with the page.
+    box = phone.run(
+        "const b = document.querySelector('#picture').getBoundingClientRect();"
+        "return [b.x + 8, b.y + b.height / 2]"
+    )
+    finger.drag((box[0], box[1]), (box[0], box[1] - 120))
+    phone.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 400)")
+    assert phone.run(SCROLLED) > before + 60
+
+
+@needs_browser
+@pytest.mark.parametrize(("placements", "lidars"), [(1, 2), (2, 3)])
+def test_a_moved_plan_is_saved_as_a_plan(
+    browser: Browser, tmp_path: Path, placements: int, lidars: int
+) -> None:
+    picture = made_picture(placements, lidars)
+    plan = made_plan(picture, need=Need(0.02, 20.0))
+    folder = tmp_path / "saved"
+    behaviour = {"behavior": "allow", "downloadPath": str(folder)}
+    browser.driver.execute_cdp_cmd("Browser.setDownloadBehavior", behaviour)
+    browser.open(tmp_path, render_pole_plan(plan, picture))
+    assert not browser.find("#save").is_displayed()
+    browser.run("arguments[0].focus()", browser.find('#picture [data-pole="0"]'))
+    browser.press("\ue013", '#picture [data-pole="0"]')
+    browser.find("#save").click()
+    for _ in range(100):
+        if list(folder.glob("*.json")):
+            break
+        time.sleep(0.05)
+    saved = load_plan(folder / "moved-plan.json", of_pair=lidars == 2)
+    assert browser.logs() == ([], [])
+    chosen = [list(own) for own in picture.chosen]
+    chosen[0][0] += 15
+    poles = [pole for each in saved.placements for pole in each.poles]
+    for pole, k in zip(poles, (k for own in chosen for k in own), strict=True):
+        assert pole.foot_m == pytest.approx(picture.foot[k], abs=1e-3)
+        assert pole.direction == pytest.approx(picture.axis[k], abs=1e-4)
+        assert pole.words == f"pole {pole.name}: {picture.words[k]}"
+        assert [each.returns for each in pole.seen] == [80] * lidars
+    # Its own lengths to measure, and the error as the page computes it; nothing else is left.
+    assert saved.moved is not None
+    assert saved.moved.poles == ["A"]
+    expected_m = expected(picture, plan, [k for own in chosen for k in own])
+    assert len(saved.moved.errors) == lidars - 1
+    for field, size in zip(("sigma_m", "alone_m"), expected_m, strict=True):
+        found = max(getattr(each, field) for each in saved.moved.errors)
+        assert lidars > 2 or found == pytest.approx(size, rel=1e-3)
+    assert (saved.predicted, saved.more, saved.rehearsal, saved.probability) == ([], [], None, None)
+    first = saved.placements[0]
+    assert [each.metres for each in first.tape] == pytest.approx(
+        [each.metres for each in tape_of(first.poles, saved.lidars)], abs=1e-3
+    )
+    assert against_plan(saved, [], "front").placement in range(placements)

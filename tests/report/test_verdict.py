@@ -127,7 +127,7 @@ def test_what_is_too_likely_wrong_is_not_advised_to_be_used() -> None:
         page = Page(verdict(subject) + next_steps(subject)).text
         words = " ".join(describe_result(result, [], following).split())
         for text in (page, words):
-            assert ("do not use it. Add a third pole" in text) is not is_trusted
+            assert ("do not use it. Add another pole" in text) is not is_trusted
             assert ("retropole export ." in text) is is_trusted
         assert (certificate(subject) == "") is not is_trusted
     unsure = ReasonDoc("not_confirmed", "", {"probability_wrong": 0.34})

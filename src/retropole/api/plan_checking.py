@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
-from ..base.errors import UsageError
+from ..base.errors import UsageError, printable
 from ..base.quantities import counted, error
-from ..base.uncertainty.purpose import DEFAULT_AT
+from ..base.uncertainty import predicted_error
 from ..planning.comparison import against_plan
 from ..result import PoleDoc, pole_documents
-from ..result.decoding import parsed
+from ..result.decoding import decode_plan
 from ..result.folder import PLAN_FILE
 from ..result.pole_plan import PolePlanDoc
 from .result import CalibrationResult
@@ -21,29 +20,43 @@ COSTLY = 1.25
 """An error so many times the planned one is not as planned: noise alone changes it by less."""
 
 
-def load_plan(path: Path) -> PolePlanDoc:
+def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) -> PolePlanDoc:
     """Read ``plan.json``, or that of a folder.
+
+    Parameters
+    ----------
+    path
+        Of the file or the folder.
+    lidars
+        Names of LiDARs that the plan must have.
+    of_pair
+        Whether it must be of two LiDARs.
 
     Raises
     ------
     ReadError
         Where there is none, or it is no plan; names the file and the field.
+    UsageError
+        Where it is of other LiDARs.
     """
     file = path / PLAN_FILE if path.is_dir() else path
-    return loaded(file, partial(parsed, kind=PolePlanDoc, what="plan"))
+    plan = loaded(file, decode_plan)
+    names = [each.name for each in plan.lidars]
+    if of_pair and len(names) != 2:
+        raise UsageError(
+            f"{file} is a plan of {len(names)} LiDARs ({printable(', '.join(names))}), a plan of "
+            "the two that are calibrated is needed"
+        )
+    for name in lidars:
+        if name not in names:
+            raise UsageError(
+                f"the plan has no LiDAR {printable(name)!r}, it has {printable(', '.join(names))}"
+            )
+    return plan
 
 
 def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
-    """Say which of the poles that one LiDAR sees is out of place.
-
-    Raises
-    ------
-    UsageError
-        Where the plan has no LiDAR of that name.
-    """
-    names = [each.name for each in plan.lidars]
-    if lidar is not None and lidar not in names:
-        raise UsageError(f"the plan has no LiDAR {lidar!r}, it has {', '.join(names)}")
+    """Say which of the poles that one LiDAR, of the plan, sees is out of place."""
     stood = against_plan(plan, poles, lidar)
     several = len(plan.placements) > 1
     where = f" in placement {stood.placement + 1}" if several else ""
@@ -73,13 +86,20 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
     if len(placements) != len(plan.placements):
         recorded = counted(len(placements), "placement")
         lines.append(f"{recorded} recorded, {len(plan.placements)} planned")
-    stated = {each.range_m: each.sigma_m for each in result.document.predicted_error or []}
-    planned = {each.range_m: each.sigma_m for each in plan.predicted[0].predicted_error}
-    at = DEFAULT_AT
-    if at in stated and at in planned:
-        ratio = stated[at] / planned[at]
+    covariance = result.covariance
+    if covariance is not None:
+        at = plan.range_m
+        stated, planned = predicted_error(covariance, (at,))[0].sigma_m, planned_error(plan)
+        ratio = stated / planned
         words = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
-        lines.append(
-            f"error at {at:g} m: {error(stated[at])}, planned {error(planned[at])}: {words}"
-        )
+        by = " by its page, where poles were moved" if plan.moved is not None else ""
+        lines.append(f"error at {at:g} m: {error(stated)}, planned{by} {error(planned)}: {words}")
     return lines
+
+
+def planned_error(plan: PolePlanDoc) -> float:
+    """Largest 1 σ of all LiDARs at the plan's range, metres."""
+    if plan.moved is not None:
+        return max(each.sigma_m for each in plan.moved.errors)
+    at = (plan.range_m,)
+    return max(predicted_error(each.covariance, at)[0].sigma_m for each in plan.predicted)

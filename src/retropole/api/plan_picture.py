@@ -8,17 +8,18 @@ from ..base import se3
 from ..planning.choice import LEAST_ANGLE, LEAST_LEAN, LEAST_SPACING
 from ..planning.compressed import compress
 from ..planning.planner import Planned
-from ..planning.words import leaning_words, pole_words
+from ..planning.words import leaning_words, pole_words, sights_of
 from ..report.pole_plan import PlanPicture
 
 
 def picture_of(planned: Planned) -> PlanPicture:
     """Gather what the page of a plan draws."""
     stations, candidates = planned.stations, planned.candidates
-    words = []
+    words, towards = [], []
     for foot, axis in zip(candidates.foot, candidates.axis, strict=True):
-        said = pole_words("", foot, *leaning_words(foot, axis, stations), stations)
-        words.append(said.partition(": ")[2])
+        lean, way = leaning_words(foot, axis, stations)
+        words.append(pole_words("", foot, lean, way, stations).partition(": ")[2])
+        towards.append(way)
     together, alone = compress(planned.design)
     return PlanPicture(
         lidars=np.stack([each.T for each in stations]),
@@ -26,7 +27,9 @@ def picture_of(planned: Planned) -> PlanPicture:
         foot=candidates.foot,
         axis=candidates.axis,
         seen=planned.seen,
+        sights=sights_of(planned, range(len(candidates))),
         words=words,
+        towards=towards,
         pairs=planned.design.rules.pairs,
         chosen=planned.chosen,
         together=together,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..base import se3
-from ..base.datatypes import DEFAULT_RADIUS, Array, Scan
+from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS, Array, Scan
 from ..base.errors import UsageError
 from ..base.files import write_together
 from ..base.sensors import find_sensor
@@ -25,7 +26,14 @@ from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..result import DEFAULT_CONFIG, RunConfig, encode
 from ..result.folder import PLAN_FILE, PLAN_PAGE
-from ..result.pole_plan import PolePlanDoc
+from ..result.pole_plan import (
+    FEWEST_POLES,
+    LONGEST,
+    MOST_PLACEMENTS,
+    MOST_POLES,
+    SHORTEST,
+    PolePlanDoc,
+)
 from ..simulation.raycast import Material
 from ..simulation.scenes import box
 from .inputs import SILENT, CloudSource, Input, Listener, input_documents, read_input
@@ -62,6 +70,23 @@ class Wish:
     need: Need | None = None
     allowed: tuple[tuple[float, float, float, float], ...] = ()
     forbidden: tuple[tuple[float, float, float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what no plan is made for, before anything is read: `UsageError` names it."""
+        bounds: tuple[tuple[str, type[Integral] | type[Real], float, float], ...] = (
+            ("poles", Integral, FEWEST_POLES, MOST_POLES),
+            ("placements", Integral, 1, MOST_PLACEMENTS),
+            ("length", Real, SHORTEST, LONGEST),
+            ("radius", Real, MIN_RADIUS, MAX_RADIUS),
+        )
+        for name, kind, least, most in bounds:
+            value = getattr(self, name)
+            if not isinstance(value, kind) or not least <= float(value) <= most:
+                what = "a whole number" if kind is Integral else "metres"
+                raise UsageError(f"{name} is {value!r}, expected {what} from {least:g} to {most:g}")
+        for area in (*self.allowed, *self.forbidden):
+            if len(area) != 4 or not np.isfinite(area).all():
+                raise UsageError(f"an area is {area!r}, expected four numbers: x, y, x, y, metres")
 
 
 @dataclass(frozen=True, eq=False)

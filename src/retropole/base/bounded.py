@@ -24,6 +24,12 @@ Whole = Annotated[int, Meta(ge=-int(LARGEST), le=int(LARGEST))]
 Size = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 """A length, a time or a standard deviation."""
 
+Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
+"""A length that is not none."""
+
+Sigma = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
+"""A standard deviation that others are divided by, metres: nothing is known to a nanometre."""
+
 Share = Annotated[float, Meta(ge=-1e-9, le=1 + 1e-9)]
 """A part of one, with its rounding."""
 
@@ -32,6 +38,7 @@ ShareOfSome = Annotated[float, Meta(gt=0, le=0.99)]
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_TEXT)]
 
 # Arrays of numbers are alike to a type checker; a reader tells them apart by what is noted.
 _F = np.dtype[np.float64]

@@ -75,7 +75,7 @@ def calibrate(
     if plan is not None:
         from ..api.plan_checking import cost_of, load_plan
 
-        wanted = load_plan(plan)
+        wanted = load_plan(plan, of_pair=True)
     if options["at_m"] is not None and options["need_m"] is None:
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
     targets, sources = placed(target, source, placements)

@@ -71,7 +71,7 @@ def detect(
         from ..api.plan_checking import load_plan
 
         # A plan that cannot be read is told before the work.
-        wanted = load_plan(plan)
+        wanted = load_plan(plan, [] if lidar is None else [lidar])
     elif lidar is not None:
         raise click.UsageError("--lidar is a name of the plan: give --plan, too")
     config = RunConfig(**options)

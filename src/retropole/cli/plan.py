@@ -11,6 +11,13 @@ import numpy as np
 
 from ..result import RunConfig
 from ..result.folder import PLAN_FILE, PLAN_PAGE
+from ..result.pole_plan import (
+    FEWEST_POLES,
+    LONGEST,
+    MOST_PLACEMENTS,
+    MOST_POLES,
+    SHORTEST,
+)
 from .common import command_line, listening, show, show_written
 from .options import CLOUD, METRES, TOPICS, Number, Whole, run_options
 from .out import out_folder
@@ -50,9 +57,18 @@ ANGLE = Number(min=-360, max=360)
     metavar="X Y LX LY LZ",
     help="With --lidar: a box that stands there, by its middle and its sides; repeat it.",
 )
-@click.option("--poles", type=Whole(2, 6), default=2, help="That stand at once.")
-@click.option("--placements", type=Whole(1, 8), default=1, help="How often they stand.")
-@click.option("--length", type=Number(min=0.5, max=10), default=2.0, help="Of the poles, metres.")
+@click.option(
+    "--poles", type=Whole(FEWEST_POLES, MOST_POLES), default=2, help="That stand at once."
+)
+@click.option(
+    "--placements", type=Whole(1, MOST_PLACEMENTS), default=1, help="How often they stand."
+)
+@click.option(
+    "--length",
+    type=Number(min=SHORTEST, max=LONGEST),
+    default=2.0,
+    help="Of the poles, metres.",
+)
 @run_options("radius_m", "need_m", "at_m")
 @click.option(
     "--allow",

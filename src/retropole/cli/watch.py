@@ -195,7 +195,7 @@ def watch(
         RunConfig(**options),
         (first, second),
         sweeps,
-        None if plan is None else load_plan(plan),
+        None if plan is None else load_plan(plan, (first, second)),
         None if stored is None else read_stored(stored),
     )
     latest: list[bytes] = [b"{}"]

@@ -128,7 +128,7 @@ class Place:
         steps = np.linspace(0.0, length, int(np.ceil(length / (CLEARANCE / 2))) + 1)
         along = foot[:, None] + steps[:, None] * axis[:, None]
         away = self.standing.query(along.reshape(-1, 3), distance_upper_bound=CLEARANCE)[0]
-        return np.asarray(np.isinf(away).reshape(len(foot), -1).all(axis=1))
+        return np.asarray(np.isinf(away).reshape(len(foot), len(steps)).all(axis=1))
 
 
 def survey(
@@ -153,6 +153,13 @@ def survey(
     near = np.full(len(points), np.inf)
     for at in lidars:
         near = np.minimum(near, np.linalg.norm(points[:, :2] - at[:2], axis=1))
+    if not (near < FARTHEST).any():
+        raise Refusal(
+            "no_ground",
+            f"no LiDAR recorded anything within {FARTHEST:g} m beside it, the nearest return is "
+            f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
+            {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
+        )
     points = points[near < FARTHEST]
     low, high, count, corner = _cells(points)
     disc = _disc(FOOT)

@@ -7,14 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from ..alignment.network import Network
-from ..base.datatypes import DEFAULT_RADIUS, BoolArray
+from ..base.bounded import Status
+from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, BoolArray
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
-from .candidates import Candidates, candidate_poles
+from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
+from .candidates import FAR, Candidates, candidate_poles
 from .choice import HANGS, Design, choose, errors_of, rules_of, unsure
 from .information import divergences_of, network_of, prior_of, roots_of
 from .place import Area, Place, Station, survey
@@ -37,7 +40,11 @@ ROUNDS = 5
 are then within 3 % of those after thirty, in a fraction of the time."""
 
 WORTH = 0.15
-"""One pole or placement more is worth it where it takes so large a part of the error away."""
+"""One pole or placement more is worth it where it takes so large a part of the error away, or where
+it makes the verdict better."""
+
+VERDICTS: tuple[Status, ...] = ("refused", "warn", "ok")
+"""From the worst to the best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +61,10 @@ class More:
         Largest error of all LiDARs at the range with it, metres; and by the poles alone.
     gain
         Part of the error that it takes away.
+    status
+        The verdict of its rehearsal; None where that of the plan is ok, and none was made.
+    is_better
+        Whether that verdict is better than the plan's; None where it is as good.
     """
 
     what: Literal["pole", "placement"]
@@ -61,11 +72,13 @@ class More:
     error: float
     alone: float
     gain: float
+    status: Status | None = None
+    is_better: bool | None = None
 
     @property
     def is_worth_it(self) -> bool:
-        """Whether it takes away `WORTH` or more."""
-        return self.gain >= WORTH
+        """Whether the verdict is better with it, or, where it is as good, the error by `WORTH`."""
+        return self.gain >= WORTH if self.is_better is None else self.is_better
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +102,9 @@ class Planned:
     predicted, alone
         What a calibration will state; and what the poles alone give.
     more
-        What one pole and one placement more would bring.
+        What one pole and one placement more would bring, where a plan may have as many.
     rehearsal
         The calibration with poles put into the recordings.
-    with_more
-        Where its verdict is not ok, the same with one pole more, or else one placement; None where
-        no more may stand.
     """
 
     stations: tuple[Station, ...]
@@ -108,7 +118,6 @@ class Planned:
     alone: Prediction
     more: tuple[More, ...]
     rehearsal: Rehearsal
-    with_more: tuple[More, Rehearsal] | None
 
     @property
     def numbers(self) -> list[int]:
@@ -163,13 +172,7 @@ def plan(
     widths = divergences_of(stations)
     candidates, seen = candidate_poles(place, stations, widths, length, radius)
     if len(candidates) < poles:
-        raise Refusal(
-            "nowhere_seen",
-            f"on {len(place.feet)} places of free ground {counted(len(candidates), 'pole')} of "
-            f"{length:g} m would be seen well by two LiDARs, {poles} are to stand: take thicker or "
-            "longer poles, or turn the LiDARs so that they see the same ground",
-            {"places": len(place.feet), "seen": len(candidates)},
-        )
+        raise _too_few(stations, place, len(candidates), poles, length, radius)
     progress("what each would tell")
     network = network_of(
         stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, ROUNDS
@@ -206,13 +209,13 @@ def plan(
 
     rehearsal = run(chosen)
     _check_poses(rehearsal)
-    with_more = None
-    # What the place cannot decide, one pole more may.
-    for each in more if rehearsal.status != "ok" else ():
-        progress(f"rehearse with one {each.what} more")
-        with_more = each, run(each.chosen)
-        if with_more[1].status == "ok":
-            break
+    if rehearsal.status != "ok":
+        # What the place cannot decide, one pole more may.
+        for k, each in enumerate(more):
+            progress(f"rehearse with one {each.what} more")
+            status = run(each.chosen).status
+            lead = VERDICTS.index(status) - VERDICTS.index(rehearsal.status)
+            more[k] = replace(each, status=status, is_better=None if lead == 0 else lead > 0)
     return Planned(
         tuple(stations),
         place,
@@ -225,7 +228,32 @@ def plan(
         alone,
         tuple(more),
         rehearsal,
-        with_more,
+    )
+
+
+def _too_few(
+    stations: Sequence[Station], place: Place, found: int, poles: int, length: float, radius: float
+) -> Refusal:
+    """Say that too few poles would be seen, and what would help: thicker poles where all are far.
+
+    A pole must be seen by two LiDARs: the second nearest limits.
+    """
+    middle = place.feet + np.array([0.0, 0.0, length / 2])
+    lidars = np.stack([each.at for each in stations])
+    away = float(np.sort(cdist(middle, lidars), axis=1)[:, 1].min())
+    reach = FAR * radius
+    advice = "take thicker or longer poles, or turn the LiDARs so that they see the same ground"
+    if reach < away < FAR * MAX_RADIUS:
+        advice = (
+            f"of {2e3 * radius:.0f} mm they are seen up to {reach:.1f} m away, and the nearest "
+            f"such place is {away:.1f} m from one of two LiDARs; take poles of "
+            f"{np.ceil(2e3 * away / FAR):.0f} mm or thicker (--radius is half of that, in metres)"
+        )
+    return Refusal(
+        "nowhere_seen",
+        f"on {len(place.feet)} places of free ground {counted(found, 'pole')} of {length:g} m "
+        f"would be seen well by two LiDARs, {poles} are to be set up: {advice}",
+        {"places": len(place.feet), "seen": found, "reach_m": reach, "nearest_m": away},
     )
 
 
@@ -282,10 +310,11 @@ def _more(
 ) -> Iterator[tuple[Literal["pole", "placement"], list[list[int]]]]:
     """Choose with one pole more in each placement, and with one placement more."""
     poles, placements = len(begun[0]), len(begun)
-    asked: list[tuple[Literal["pole", "placement"], int, int]] = [
-        ("pole", poles + 1, placements),
-        ("placement", poles, placements + 1),
-    ]
+    asked: list[tuple[Literal["pole", "placement"], int, int]] = []
+    if poles < MOST_POLES:
+        asked.append(("pole", poles + 1, placements))
+    if placements < MOST_PLACEMENTS:
+        asked.append(("placement", poles, placements + 1))
     for what, count, times in asked:
         chosen = choose(design, count, times, begun)
         if chosen is not None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..base.datatypes import Calibration, PointCloud
 from ..base.uncertainty.purpose import Need
 from ..pipeline import calibrate
-from ..simulation.inserting import in_sensor_frame, with_poles
+from ..simulation.inserting import in_sensor_frame, range_noise, with_poles
 from ..simulation.raycast import Cylinder
 from ..site.answer import SiteCalibration
 from ..site.calibration import calibrate_site
@@ -22,14 +23,26 @@ Rehearsal = Calibration | SiteCalibration
 
 
 def recordings_with(
-    stations: Sequence[Station], poles: Sequence[Cylinder], rng: np.random.Generator
+    stations: Sequence[Station],
+    poles: Sequence[Cylinder],
+    rng: np.random.Generator,
+    *,
+    again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles that stand in the place into the recording of each LiDAR."""
+    """Put poles that stand in the place into the recording of each LiDAR.
+
+    The place was recorded once. Recorded `again`, for another placement, its ranges have other
+    noise: number for number the same, it would be refused as one recording given twice.
+    """
     made = []
     for each, width in zip(stations, divergences_of(stations), strict=True):
         own = in_sensor_frame(poles, each.T)
         biases = np.zeros(int(each.beams.rings.max(initial=0)) + 2)
         cloud, _ = with_poles(each.cloud, each.beams, own, width, each.sensor, rng, biases)
+        if again:
+            ranges = np.linalg.norm(cloud.xyz, axis=1, keepdims=True)
+            noise = range_noise(each.sensor) * rng.normal(size=ranges.shape)
+            cloud = replace(cloud, xyz=cloud.xyz * (1.0 + noise / ranges))
         made.append(cloud)
     return made
 
@@ -42,7 +55,9 @@ def rehearse(
 ) -> Rehearsal:
     """Calibrate with the poles of all placements, as if they stood there already."""
     rng = np.random.default_rng(0)
-    clouds = [recordings_with(stations, poles, rng) for poles in placements]
+    clouds = [
+        recordings_with(stations, poles, rng, again=p > 0) for p, poles in enumerate(placements)
+    ]
     by_lidar = list(zip(*clouds, strict=True))
     if len(stations) == 2:
         sensors = stations[0].sensor, stations[1].sensor

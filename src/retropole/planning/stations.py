@@ -40,6 +40,13 @@ FEW = 0.1
 settled one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
 
 
+UPWARD = 0.1
+"""Level part of an x axis, of length 1, below which it points up or down: z is ahead then."""
+
+LEAST_RETURNS = 200
+"""A LiDAR with fewer returns of drawn ground sees none of it: no normal comes from them."""
+
+
 def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
     """Take a recording without poles as a calibration takes one: without what moved."""
     scan = find_poles(cloud, sensor=sensor, threshold=None, radius=DEFAULT_RADIUS, search=False)
@@ -105,11 +112,24 @@ def stand_drawn(
         Of the LiDARs; (4, 4) poses in the frame that is drawn in.
     boxes
         What stands there, in the same frame.
+
+    Raises
+    ------
+    Refusal
+        ``no_ground`` where a LiDAR would record hardly anything of them.
     """
     surfaces: list[Surface] = [ground(ASPHALT), *boxes]
     scans = []
-    for k, (sensor, T) in enumerate(zip(sensors, poses, strict=True)):
+    for k, (name, sensor, T) in enumerate(zip(names, sensors, poses, strict=True)):
         recorded = scan(surfaces, sensor, T, np.random.default_rng(k), TYPICAL)
+        if len(recorded.cloud) < LEAST_RETURNS or T[2, 3] <= 0:
+            raise Refusal(
+                "no_ground",
+                f"{name}, {T[2, 3]:g} m above the ground, would have {len(recorded.cloud)} returns "
+                f"in all, {LEAST_RETURNS} are needed: set it up above the ground (z > 0) and turn "
+                "it so that it sees the ground",
+                {"lidar": name, "height_m": float(T[2, 3]), "returns": len(recorded.cloud)},
+            )
         scans.append(bare_scan(recorded.cloud, sensor))
     # The first LiDAR is the datum, and the ground below it the origin.
     level = place_frame(scans[0].cloud) @ se3.inverse(poses[0])
@@ -137,7 +157,7 @@ def place_frame(cloud: PointCloud) -> Array:
     """(4, 4) to the frame on the ground below a LiDAR: z up, x where the LiDAR's x axis points."""
     up, height = _upwards(standing_in(cloud, np.random.default_rng(0)))
     ahead = np.eye(3)[0] - up[0] * up
-    if np.linalg.norm(ahead) < 0.1:
+    if np.linalg.norm(ahead) < UPWARD:
         ahead = np.eye(3)[2] - up[2] * up
     ahead /= np.linalg.norm(ahead)
     R = np.stack([ahead, np.cross(up, ahead), up])

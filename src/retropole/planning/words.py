@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted, error, percent
+from ..base.reasons import explain
 from ..base.uncertainty import RANGES, predicted_error, source_words
 from ..base.uncertainty.purpose import (
     Need,
@@ -36,9 +39,17 @@ from .information import divergences_of
 from .place import Station
 from .planner import Planned
 from .rehearsal import Rehearsal
+from .stations import UPWARD
 
-ASIDE = np.radians(45.0)
-"""Within this angle a pole leans towards a LiDAR, away from it, or to a side, rad."""
+LEAN_STEP_DEG, PLACE_STEP_DEG = 5, 1
+"""Steps in which the direction of a lean and that of a foot are given, degrees: by eye a lean is
+set to about 5°, and 1° at 15 m, the farthest that a pole is from its LiDAR, is 0.26 m."""
+
+LEAST_LINE = 0.5
+"""LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
+
+BY_EYE = 4.0
+"""Poles that lean as it comes are best from 1 m to this far apart, metres (docs/placing.md)."""
 
 UPRIGHT = np.radians(2.0)
 """A pole that leans by less stands upright, rad."""
@@ -91,6 +102,7 @@ def plan_document(
                 alone_m=each.alone,
                 gain=each.gain,
                 is_worth_it=each.is_worth_it,
+                status=each.status,
             )
             for each in planned.more
         ],
@@ -126,33 +138,20 @@ def _predicted(planned: Planned) -> Iterator[PredictedDoc]:
 
 
 def _placements(planned: Planned) -> Iterator[PlannedPlacementDoc]:
-    stations, widths = planned.stations, divergences_of(planned.stations)
-    views = [each.seen_from_place() for each in stations]
+    stations, sights = planned.stations, sights_of(planned, planned.numbers)
     number = 0
     for chosen in planned.chosen:
         poles = []
         for k in chosen:
-            name, pole = _letter(number), planned.candidates.pole(k)
+            name, seen = _letter(number), sights[number]
             number += 1
-            seen = []
-            for i in np.flatnonzero(planned.seen[k]):
-                met = beams_met(pole, views[i], widths[i])
-                rings = np.unique(views[i].rings[met.beam])
-                seen.append(
-                    SightDoc(
-                        lidar=stations[i].name,
-                        returns=len(met.beam),
-                        rings=None if rings.min(initial=0) < 0 else len(rings),
-                        distance_m=float(np.linalg.norm(pole.centre - stations[i].at)),
-                    )
-                )
-            foot = planned.candidates.foot[k]
-            lean, towards = leaning_words(foot, pole.axis, stations)
+            foot, axis = planned.candidates.foot[k], planned.candidates.axis[k]
+            lean, towards = leaning_words(foot, axis, stations)
             poles.append(
                 PlannedPoleDoc(
                     name=name,
                     foot_m=foot,
-                    direction=pole.axis,
+                    direction=axis,
                     lean_rad=lean,
                     towards=towards,
                     words=pole_words(name, foot, lean, towards, stations),
@@ -162,55 +161,115 @@ def _placements(planned: Planned) -> Iterator[PlannedPlacementDoc]:
         yield PlannedPlacementDoc(poles=poles, tape=list(_tape(poles, stations)))
 
 
+def sights_of(planned: Planned, numbers: Sequence[int]) -> list[list[SightDoc]]:
+    """What each LiDAR will have of some poles that could stand; of each by those that see it."""
+    stations, widths = planned.stations, divergences_of(planned.stations)
+    views = [each.seen_from_place() for each in stations]
+    found = []
+    for k in numbers:
+        pole, seen = planned.candidates.pole(k), []
+        for i in np.flatnonzero(planned.seen[k]):
+            met = beams_met(pole, views[i], widths[i])
+            rings = np.unique(views[i].rings[met.beam])
+            seen.append(
+                SightDoc(
+                    lidar=stations[i].name,
+                    returns=len(met.beam),
+                    rings=None if rings.min(initial=0) < 0 else len(rings),
+                    distance_m=round(float(np.linalg.norm(pole.centre - stations[i].at)), 3),
+                )
+            )
+        found.append(seen)
+    return found
+
+
 def _letter(number: int) -> str:
     """Name a pole: A to Z, then A2 and so on."""
     return chr(ord("A") + number % 26) + (str(number // 26 + 1) if number >= 26 else "")
 
 
+class Viewpoint(NamedTuple):
+    """Where a person looks from, and in which direction: what left and right are counted from.
+
+    Attributes
+    ----------
+    lidar
+        The LiDAR that the person is at.
+    azimuth
+        Of the line that angles are counted from, rad, in the frame of the place.
+    line
+        The line, in words: ``the line to rear``.
+    """
+
+    lidar: Station
+    azimuth: float
+    line: str
+
+
+def viewpoint_of(foot: Array, stations: Sequence[Station]) -> Viewpoint:
+    """Choose from where the place of a foot (3,) is described.
+
+    Of two LiDARs it is the first, along the line to the other; of more the nearest, along the line
+    to the next. LiDARs above each other have no line: then it is ahead of the first.
+    """
+    own = list(stations)
+    if len(own) > 2:
+        own.sort(key=lambda each: _level_distance(foot, each.at))
+    for other in own[1:]:
+        if _level_distance(own[0].at, other.at) >= LEAST_LINE:
+            way = other.at - own[0].at
+            return Viewpoint(own[0], float(np.arctan2(way[1], way[0])), f"the line to {other.name}")
+    # In the frame of the place x is ahead of the first LiDAR.
+    first = stations[0]
+    axis = "x" if np.hypot(*first.T[:2, 0]) >= UPWARD else "z"
+    return Viewpoint(first, 0.0, f"ahead of {first.name} (its {axis} axis)")
+
+
 def leaning_words(foot: Array, axis: Array, stations: Sequence[Station]) -> tuple[float, str]:
-    """How far a pole leans, rad, and where to, as seen from the first LiDAR."""
+    """How far a pole leans, rad, and where to, as seen from the LiDAR of its viewpoint."""
     lean = float(np.arccos(np.clip(axis[2], -1.0, 1.0)))
     if lean < UPRIGHT:
         return 0.0, ""
-    own = np.arctan2(axis[1], axis[0])
-    for station in stations:
-        away = foot[:2] - station.at[:2]
-        if abs(_turn(own - np.arctan2(*-away[::-1]))) < np.radians(15.0):
-            return lean, f"towards {station.name}"
-    away = foot[:2] - stations[0].at[:2]
-    turn = _turn(own - np.arctan2(*away[::-1]))
-    name = stations[0].name
-    if abs(turn) <= ASIDE:
-        return lean, f"away from {name}"
-    if abs(turn) >= np.pi - ASIDE:
-        return lean, f"towards {name}"
-    return lean, f"to the {'left' if turn > 0 else 'right'}, seen from {name}"
-
-
-def _turn(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+    lidar = viewpoint_of(foot, stations).lidar
+    away = foot[:2] - lidar.at[:2]
+    turn = _steps(np.arctan2(axis[1], axis[0]) - np.arctan2(away[1], away[0]), LEAN_STEP_DEG)
+    # What leans towards the viewer and to his left turns clockwise.
+    way, aside = ("away from", turn) if abs(turn) <= 90 else ("towards", 180 - abs(turn))
+    side = "left" if turn > 0 else "right"
+    if abs(turn) == 90:
+        return lean, f"to the {side} as seen from {lidar.name}"
+    if aside == 0:
+        return lean, f"{way} {lidar.name}"
+    return lean, f"{way} {lidar.name}, {abs(aside)}° to the {side} as seen from there"
 
 
 def pole_words(
     name: str, foot: Array, lean: float, towards: str, stations: Sequence[Station]
 ) -> str:
-    """Say where a pole stands: ``pole A: 4.2 m from front, 30° left of its x axis, upright``."""
-    first = stations[0]
-    to = foot - first.at
-    x = first.T[:2, 0]
-    turn = np.degrees(_turn(np.arctan2(to[1], to[0]) - np.arctan2(x[1], x[0])))
-    if abs(turn) < 5:
-        side = "straight ahead (its x axis)"
-    elif abs(turn) > 175:
-        side = "straight behind"
-    else:
-        side = f"{abs(turn):.0f}° {'left' if turn > 0 else 'right'} of ahead (its x axis)"
-    others = [f"{np.linalg.norm(foot[:2] - s.at[:2]):.1f} m from {s.name}" for s in stations[1:]]
+    """Say where a pole is: ``pole A: 4.2 m from front, 30° left of the line to rear, upright``."""
+    lidar, azimuth, line = viewpoint_of(foot, stations)
+    to = foot - lidar.at
+    turn = _steps(np.arctan2(to[1], to[0]) - azimuth, PLACE_STEP_DEG)
+    side = f"{abs(turn)}° {'left' if turn > 0 else 'right'} of {line}"
+    side = {0: f"on {line}", 180: f"opposite to {line}"}.get(abs(turn), side)
+    others = sorted(
+        (_level_distance(foot, each.at), each.name) for each in stations if each is not lidar
+    )
     # Of many LiDARs the two nearest are enough.
-    others = sorted(others, key=lambda each: float(each.split()[0]))[:2]
+    away = [f"{distance:.1f} m from {other}" for distance, other in others[:2]]
     way = "upright" if not towards else f"lean {np.degrees(lean):.0f}° {towards}"
-    where = ", ".join([f"{np.linalg.norm(to[:2]):.1f} m from {first.name}", side, *others])
+    where = ", ".join([f"{_level_distance(foot, lidar.at):.1f} m from {lidar.name}", side, *away])
     return f"pole {name}: {where}; {way}"
+
+
+def _level_distance(a: Array, b: Array) -> float:
+    return float(np.linalg.norm(a[:2] - b[:2]))
+
+
+def _steps(angle: float, step_deg: int) -> int:
+    """Round an angle, rad, to steps: degrees above −180, 180 at most."""
+    turn = step_deg * round(float(np.degrees(angle)) / step_deg) % 360
+    return turn - 360 if turn > 180 else turn
 
 
 def _tape(poles: Sequence[PlannedPoleDoc], stations: Sequence[Station]) -> Iterator[TapeDoc]:
@@ -222,6 +281,14 @@ def _tape(poles: Sequence[PlannedPoleDoc], stations: Sequence[Station]) -> Itera
         for other in poles[:k]:
             gap = float(se3.lengths((pole.foot_m - other.foot_m)[None])[0])
             yield TapeDoc(start=other.name, end=pole.name, metres=gap)
+
+
+def _titles(rehearsal: Rehearsal) -> Iterator[str]:
+    """Titles of the reasons of a verdict, with their codes, each once."""
+    for code in dict.fromkeys(each.code for each in rehearsal.reasons):
+        known = explain(code)
+        title = code if known is None else f"{known.title[0].lower()}{known.title[1:]} ({code})"
+        yield title
 
 
 def sentences(
@@ -246,15 +313,9 @@ def sentences(
     if rehearsal.status == "ok":
         yield "Poles put into your recordings were found and calibrated: verdict ok."
     else:
-        first = rehearsal.reasons[0]
-        yield (
-            f"Poles put into your recordings gave the verdict {rehearsal.status} "
-            f"({first.code}): {first.message}."
-        )
-    if planned.with_more is not None:
-        more, other = planned.with_more
-        why = f" ({other.reasons[0].code})" if other.reasons else ""
-        yield f"With one {more.what} more it would be {other.status}{why}."
+        # What a calibration advises is in its messages; here `more` says what would help.
+        why = "; ".join(_titles(rehearsal))
+        yield f"Poles put into your recordings gave the verdict {rehearsal.status}: {why}."
     if worst.budget:
         first_entry = worst.budget[0]
         yield (
@@ -263,9 +324,18 @@ def sentences(
         )
     for each in planned.more:
         worth = "worth it" if each.is_worth_it else "not worth it"
+        verdict = "" if each.status is None else f", verdict {each.status}"
         yield (
             f"One {each.what} more: {error(each.error)} at {at:g} m, by the poles alone "
-            f"{error(each.alone)}: {worth}."
+            f"{error(each.alone)}{verdict}: {worth}."
+        )
+    feet = planned.candidates.foot
+    gaps = [cdist(feet[own, :2], feet[own, :2]) for own in map(list, planned.chosen)]
+    widest = max(float(each.max(initial=0.0)) for each in gaps)
+    if widest > BY_EYE:
+        yield (
+            f"Feet up to {widest:.1f} m apart: beyond {BY_EYE:g} m it matters which way the poles "
+            "lean, so keep to the leans of the plan."
         )
     for station in planned.stations:
         if not station.is_settled:
@@ -273,7 +343,6 @@ def sentences(
                 f"The pose of {station.name} is as you gave it: the recordings share too little to "
                 "settle it."
             )
-    feet = planned.candidates.foot
     names = map(_letter, range(len(planned.numbers)))
     named = [[(next(names), feet[k]) for k in own] for own in planned.chosen]
     for p, (before, after) in enumerate(pairwise(named), 2):

@@ -23,7 +23,7 @@ from .page import (
 from .pole_plan_data import plan_data, stated, stated_alone
 from .pole_plan_picture import WIDTH, PlanPicture, View, drawn, recorded, view_of
 from .render import HEADING
-from .verdict import reason_item, verdict_box
+from .verdict import verdict_box
 from .view import embed_json
 
 __all__ = ["PlanPicture", "render_pole_plan"]
@@ -47,7 +47,7 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
     picture
         What its picture is drawn from, and what predicts the error where poles are moved.
     """
-    view = view_of(picture)
+    view = view_of(picture, document.length_m)
     parts = join(
         (
             _place(document, picture, view),
@@ -97,8 +97,6 @@ def _verdict(document: PolePlanDoc) -> Html:
     kind, need = _kind(document), document.need
     asked = "" if need is None else f"; asked for: {need.words}"
     title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){asked}"
-    rehearsal = document.rehearsal
-    reasons = EMPTY if rehearsal is None else join(map(reason_item, rehearsal.reasons))
     return verdict_box(
         kind,
         SYMBOLS[kind],
@@ -107,7 +105,6 @@ def _verdict(document: PolePlanDoc) -> Html:
             "plan-words",
             first=fill("strong", text=first),
             others=fill("statements", items=fill_each("li", others)) if others else EMPTY,
-            reasons=fill("reasons", items=reasons) if reasons else EMPTY,
         ),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray
 from ..base.uncertainty import ErrorAtRange, predicted_error
-from ..result.pole_plan import PolePlanDoc
+from ..result.pole_plan import PolePlanDoc, SightDoc
 from .pole_plan_picture import LEAST_STROKE, WIDTH, Compressed, PlanPicture, View
 
 STEPS = 32767
@@ -47,10 +47,15 @@ class PlanData(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
+    document
+        The plan; with other poles in it, it is what the page saves.
     lidars, at
         Names of all LiDARs, and (L, 3) where they are, metres.
-    foot, axis, words
+    foot, axis, words, towards
         Of each pole that could stand, as `PlanPicture` has them.
+    sights
+        Of each, for each LiDAR in order: returns, rings and its distance, mm; −1 where it does not
+        see it, or has no rings.
     seen, pairs
         Base64 of bits (C, L) and (C, C), the first one highest.
     names, chosen
@@ -67,11 +72,14 @@ class PlanData(msgspec.Struct, frozen=True):
         Of the picture; see `View` and `LEAST_STROKE`.
     """
 
+    document: PolePlanDoc
     lidars: list[str]
     at: Array
     foot: Array
     axis: Array
     words: list[str]
+    towards: list[str]
+    sights: list[list[int]]
     seen: str
     pairs: str
     names: list[list[str]]
@@ -93,12 +101,16 @@ class PlanData(msgspec.Struct, frozen=True):
 
 def plan_data(document: PolePlanDoc, picture: PlanPicture, view: View) -> PlanData:
     """Gather what the page's code needs."""
+    names = [each.name for each in document.lidars]
     return PlanData(
-        [each.name for each in document.lidars],
+        document,
+        names,
         picture.lidars[:, :3, 3].round(3),
         picture.foot.round(3),
         picture.axis.round(5),
         list(picture.words),
+        list(picture.towards),
+        [_returns(each, names) for each in picture.sights],
         _bits(picture.seen),
         _bits(picture.pairs),
         [[pole.name for pole in each.poles] for each in document.placements],
@@ -117,6 +129,19 @@ def plan_data(document: PolePlanDoc, picture: PlanPicture, view: View) -> PlanDa
         view.height,
         LEAST_STROKE,
     )
+
+
+def _returns(sights: Sequence[SightDoc], names: Sequence[str]) -> list[int]:
+    """Returns, rings and distance, mm, for each LiDAR, one behind the other."""
+    found = {
+        each.lidar: [
+            each.returns,
+            -1 if each.rings is None else each.rings,
+            round(1e3 * each.distance_m),
+        ]
+        for each in sights
+    }
+    return [number for name in names for number in found.get(name, [-1, -1, -1])]
 
 
 def stated(document: PolePlanDoc) -> list[float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray
 from ..base.quantities import large, round_below
-from ..result.pole_plan import PolePlanDoc
+from ..result.pole_plan import PolePlanDoc, SightDoc
 from .page import Html, fill, join
 from .subject import colour_class
 from .svg import Labels, short
@@ -77,8 +77,11 @@ class PlanPicture:
         (C, 3) of each pole that could stand, metres, and unit vector upwards.
     seen
         (C, L) which LiDAR sees which.
-    words
-        Of each, where it stands and how: ``4.2 m from front, 30° left of ahead; upright``.
+    sights
+        Of each, what the LiDARs that see it will have of it.
+    words, towards
+        Of each, where it is and how it leans: ``4.2 m from front, 30° left of the line to rear;
+        upright``; and where to it leans alone, empty if upright.
     pairs
         (C, C) which two may stand in one placement, whatever their leans.
     chosen
@@ -95,7 +98,9 @@ class PlanPicture:
     foot: Array
     axis: Array
     seen: BoolArray
+    sights: Sequence[Sequence[SightDoc]]
     words: Sequence[str]
+    towards: Sequence[str]
     pairs: BoolArray
     chosen: Sequence[Sequence[int]]
     together: Compressed
@@ -130,9 +135,10 @@ class View:
         return np.asarray(-self.scale * steps[:, 1::-1])
 
 
-def view_of(picture: PlanPicture) -> View:
-    """Choose units per metre and the height so that all LiDARs and poles are in the picture."""
-    points = np.concatenate([picture.lidars[:, :2, 3], picture.foot[:, :2]])
+def view_of(picture: PlanPicture, length: float) -> View:
+    """Choose units per metre and height so that all LiDARs, and poles of a length, are in it."""
+    tops = picture.foot + length * picture.axis
+    points = np.concatenate([picture.lidars[:, :2, 3], picture.foot[:, :2], tops[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
     down, across = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / across, (HEIGHTS[1] - 2 * MARGIN) / down))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ..base.quantities import error
-from ..base.uncertainty import RANGES
 from ..result.pole_plan import PolePlanDoc
 from .layout import legible, table, wrapped
 
@@ -27,13 +26,15 @@ def describe_plan(document: PolePlanDoc) -> str:
         tape = "; ".join(f"{t.start} to {t.end} {t.metres:.2f} m" for t in placement.tape)
         lines += wrapped(f"Tape measure: {tape}", "    ")
     lines.append("")
-    header = ["error to expect, 1 σ", *(f"{each:g} m" for each in RANGES)]
+    # Of a plan whose poles were moved by hand the words alone have an error.
+    ranges = [each.range_m for one in document.predicted[:1] for each in one.predicted_error]
+    header = ["error to expect, 1 σ", *(f"{each:g} m" for each in ranges)]
     rows = []
     for each in document.predicted:
         rows.append([each.lidar, *(error(one.sigma_m) for one in each.predicted_error)])
         rows.append(["  95 % below", *(error(b).removeprefix("± ") for b in each.bounds_m)])
         rows.append(["  by the poles alone", *(error(one.sigma_m) for one in each.alone)])
-    lines += [table(header, rows), ""]
+    lines += [table(header, rows), ""] if rows else []
     for sentence in document.words:
         lines += wrapped(sentence, "  ")
     return "\n".join(lines)

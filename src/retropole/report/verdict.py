@@ -79,7 +79,7 @@ def instead_words(subject: Subject) -> str:
     )
     return (
         f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
-        "Add a third pole or a second placement, or record where more stands around that both "
+        "Add another pole or another placement, or record where more stands around that both "
         f"LiDARs see.{trusted}"
     )
 

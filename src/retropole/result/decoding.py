@@ -6,9 +6,10 @@ covariances are covariances that agree with each other, and every index finds wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import pairwise
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -19,9 +20,10 @@ from msgspec.structs import fields
 from ..base import se3
 from ..base.bounded import Covariance, Direction, Number, PartCovariance, Pose, Vector
 from ..base.datatypes import Array
-from ..base.errors import NewerError, ReadError, is_newer, said
-from ..base.uncertainty import covariance_fault
+from ..base.errors import NewerError, ReadError, is_newer, printable, said
+from ..base.uncertainty import covariance_fault, predicted_error
 from . import COVARIANCE_ORDER, ResultDoc
+from .pole_plan import PolePlanDoc, PredictedDoc
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
 
 UNIT = 1e-6
@@ -29,6 +31,10 @@ UNIT = 1e-6
 
 BLOCKS_AGREE = 1e-6
 """A LiDAR's covariance is its block of the joint one, but for this part of the largest number."""
+
+LEANS_AGREE, ERRORS_AGREE = float(np.radians(2.5)), 1e-3
+"""A pole leans as its direction does, rad, upright up to 2°; and an error is that of its
+covariance, in parts."""
 
 INDEX_OF = {
     **dict.fromkeys(("reference", "groups", "lidar", "lidars", "seen_by"), "lidars"),
@@ -83,6 +89,74 @@ def decode_site(data: bytes) -> SiteDoc:
     _check_indices(document)
     _check_joint(document)
     return document
+
+
+def decode_plan(data: bytes) -> PolePlanDoc:
+    """Read a plan of poles.
+
+    Raises
+    ------
+    ReadError
+        Where it is not one; names the field, and says what is wrong with it.
+    """
+    plan = parsed(data, PolePlanDoc, "plan of poles")
+    names = [lidar.name for lidar in plan.lidars]
+    if len(set(names)) < len(names):
+        raise ReadError("lidars: two have the same name")
+    _check_planned_poles(plan, names)
+    if (plan.moved is None) != bool(plan.predicted):
+        expected = "none, since poles were moved" if plan.moved else "one of each but the first"
+        raise ReadError(f"predicted: {len(plan.predicted)} LiDARs, expected {expected}")
+    of = {"predicted": [each.lidar for each in plan.predicted]}
+    if plan.moved is not None:
+        of = {"moved.errors": [each.lidar for each in plan.moved.errors]}
+    for field, given in of.items():
+        if given != names[1:]:
+            raise ReadError(f"{field}: expected one for each LiDAR but the first, in their order")
+    for k, each in enumerate(plan.predicted):
+        _check_prediction(f"predicted[{k}]", each, plan.predicted[0])
+    return plan
+
+
+def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
+    """Let every pole have a name of its own, point up, and be seen by LiDARs of the plan."""
+    of_poles = [pole.name for placement in plan.placements for pole in placement.poles]
+    if len(set(of_poles)) < len(of_poles):
+        raise ReadError("placements: two poles have the same name")
+    for name in () if plan.moved is None else plan.moved.poles:
+        if name not in of_poles:
+            raise ReadError(f"moved.poles: no pole is called {printable(name)}")
+    for p, placement in enumerate(plan.placements):
+        for k, pole in enumerate(placement.poles):
+            field, seers = f"placements[{p}].poles[{k}]", [each.lidar for each in pole.seen]
+            lean = float(np.arccos(np.clip(pole.direction[2], -1.0, 1.0)))
+            if lean > np.pi / 2 or abs(lean - pole.lean_rad) > LEANS_AGREE:
+                raise ReadError(
+                    f"{field}.lean_rad: {pole.lean_rad:.3g} rad, its direction leans by "
+                    f"{lean:.3g} rad from upright"
+                )
+            if len(set(seers)) < len(seers) or not set(seers) <= set(lidars):
+                raise ReadError(f"{field}.seen: expected LiDARs of the plan, each once")
+
+
+def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> None:
+    """Let the errors be those of the covariance, at the ranges of the first LiDAR's."""
+    ranges = tuple(one.range_m for one in first.predicted_error)
+    if not ranges or any(a >= b for a, b in pairwise(ranges)):
+        raise ReadError(f"{field}.predicted_error: expected ranges, each larger than the last")
+    for name in ("predicted_error", "alone"):
+        if tuple(one.range_m for one in getattr(each, name)) != ranges:
+            raise ReadError(f"{field}.{name}: expected the ranges of predicted[0].predicted_error")
+    if len(each.bounds_m) != len(ranges):
+        raise ReadError(f"{field}.bounds_m: expected one for each range")
+    for one, other in zip(
+        each.predicted_error, predicted_error(each.covariance, ranges), strict=True
+    ):
+        if abs(one.sigma_m - other.sigma_m) > ERRORS_AGREE * other.sigma_m:
+            raise ReadError(
+                f"{field}.predicted_error: {one.sigma_m:.3g} m at {one.range_m:g} m, by its "
+                f"covariance it is {other.sigma_m:.3g} m"
+            )
 
 
 def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | None]) -> None:

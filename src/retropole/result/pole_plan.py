@@ -6,16 +6,36 @@ below the first LiDAR, z up, x where that LiDAR's x axis points.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
-from ..base.bounded import Count, Covariance, Direction, Number, Pose, Share, Size, Text, Vector
+from ..base.bounded import (
+    Count,
+    Covariance,
+    Direction,
+    Name,
+    Number,
+    Pose,
+    Positive,
+    Share,
+    Sigma,
+    Size,
+    Text,
+    Vector,
+)
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Need
 from . import ReasonDoc
 
 PLAN_SCHEMA: Literal["retropole/plan/1"] = "retropole/plan/1"
+
+FEWEST_POLES, MOST_POLES, MOST_PLACEMENTS = 2, 6, 8
+"""Poles that are set up at once, and how often; a plan advises no more than that either."""
+
+SHORTEST, LONGEST = 0.5, 10.0
+"""Of a pole, metres."""
 
 
 class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
@@ -25,7 +45,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     empty where the place was drawn.
     """
 
-    name: Text
+    name: Name
     sensor: Text
     path: Text = ""
     sha256: Text = ""
@@ -52,20 +72,21 @@ class PlannedPoleDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     foot_m, direction
         (3,) its foot on the ground, and the unit vector up along its axis.
     lean_rad, towards
-        How far it leans, and where to, in words: ``towards the front LiDAR``; empty if upright.
+        How far it leans, and where to, in words: ``away from front, 60° to the left as seen from
+        front``; empty if upright.
     words
         Where it stands, for a person.
     seen
         By each LiDAR that sees it.
     """
 
-    name: Text
+    name: Name
     foot_m: Vector
     direction: Direction
     lean_rad: Size
     towards: Text
-    words: Text
-    seen: list[SightDoc]
+    words: Name
+    seen: Annotated[list[SightDoc], Meta(min_length=1)]
 
 
 class TapeDoc(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,7 +100,7 @@ class TapeDoc(msgspec.Struct, frozen=True, kw_only=True):
 class PlannedPlacementDoc(msgspec.Struct, frozen=True, kw_only=True):
     """Poles that stand at once, and how to find their places with a tape measure."""
 
-    poles: list[PlannedPoleDoc]
+    poles: Annotated[list[PlannedPoleDoc], Meta(min_length=1)]
     tape: list[TapeDoc]
 
 
@@ -109,13 +130,15 @@ class PredictedDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 class MoreDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What one ``pole`` or ``placement`` more would bring: largest 1 σ of all LiDARs at the range,
     the same by the poles alone, the part of the error that it takes away, whether that is worth it.
+    `status` is the verdict of its rehearsal; None where the plan's own is ok, and none is needed.
     """
 
     what: Literal["pole", "placement"]
-    error_m: Size
-    alone_m: Size
+    error_m: Sigma
+    alone_m: Sigma
     gain: Number
     is_worth_it: bool
+    status: Literal["ok", "warn", "refused"] | None = None
 
 
 class RehearsalDoc(msgspec.Struct, frozen=True, kw_only=True):
@@ -127,6 +150,25 @@ class RehearsalDoc(msgspec.Struct, frozen=True, kw_only=True):
     predicted_error: list[ErrorAtRange]
 
 
+class MovedErrorDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """The error to expect of a LiDAR's pose at the plan's range, 1 σ in metres, and that by the
+    poles alone, as the page computes them: to 10 %.
+    """
+
+    lidar: Text
+    sigma_m: Sigma
+    alone_m: Sigma
+
+
+class MovedDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """What a person changed on the page of the plan: names of the poles that were moved, and the
+    error to expect of each LiDAR but the first where they are now.
+    """
+
+    poles: Annotated[list[Name], Meta(min_length=1)]
+    errors: Annotated[list[MovedErrorDoc], Meta(min_length=1)]
+
+
 class PolePlanDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Where the poles should stand, and what to expect.
 
@@ -136,21 +178,27 @@ class PolePlanDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         Of the poles; and the range at which the error was made small.
     need, probability
         How accurate the answer must be, and the least probability of all LiDARs that it is.
+    predicted
+        Of each LiDAR but the first; none where poles were moved by hand.
+    moved
+        None unless poles were moved on the page; then nothing is predicted but what it has, and
+        nothing was rehearsed.
     words
         The plan in sentences, the most important first.
     """
 
     schema: Literal["retropole/plan/1"] = PLAN_SCHEMA
-    lidars: list[StationDoc]
-    placements: list[PlannedPlacementDoc]
-    length_m: Size
-    radius_m: Size
-    range_m: Size
+    lidars: Annotated[list[StationDoc], Meta(min_length=2)]
+    placements: Annotated[list[PlannedPlacementDoc], Meta(min_length=1)]
+    length_m: Positive
+    radius_m: Positive
+    range_m: Positive
     need: Need | None
     probability: Share | None
     predicted: list[PredictedDoc]
     more: list[MoreDoc]
     rehearsal: RehearsalDoc | None
+    moved: MovedDoc | None = None
     words: list[Text]
     version: Text
     created: Text

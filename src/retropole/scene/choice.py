@@ -118,8 +118,8 @@ class Scored(Protocol):
 
 
 NOT_SYMMETRIC = (
-    "add a third pole, or move the poles, a car or a box so that the surroundings are not "
-    "symmetric about the poles"
+    "add another pole that leans by another angle, or move the poles, a car or a box so that the "
+    "surroundings are not symmetric about the poles"
 )
 """What tells hypotheses apart."""
 

@@ -265,7 +265,7 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
         f"chance of a wrong pose: {found.chance_words}; {100 * MAX_WRONG:.0f} % is allowed. Scene "
         f"check: {found.counts}, {_lead_words(found.z_margin or 0.0)}. "
         f"{_held_by_poles(found)}. If nobody touched them from one recording to the "
-        "other, --trust-poles says so; otherwise add a third pole or a second placement",
+        "other, --trust-poles says so; otherwise add another pole or another placement",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,

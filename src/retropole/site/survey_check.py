@@ -70,7 +70,7 @@ def lay_on_survey(
         raise Refusal(
             "survey_ambiguous",
             f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
-            f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey a third pole, both "
+            f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey another pole, both "
             "ends of each, or a control point",
             {"ways": 1 + len(rivals), "rms_m": best.rms, "rival_rms_m": rivals[0].rms},
         )

@@ -72,7 +72,7 @@ def check_decided(
         "ambiguous_loop",
         f"{1 + len(choices.rivals)} arrangements fit as well{around}; they differ in "
         f"{', '.join(names)}: lean the poles so that no half turn lays them on each other, or add "
-        "a third pole that these LiDARs see with others",
+        "another pole that these LiDARs see with others",
         {"rivals": len(choices.rivals), "lidars": ", ".join(names)},
     )
 

@@ -94,7 +94,7 @@ def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[st
     if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
         # Of its doubts each says by itself what to do.
         if not is_doubted:
-            yield "what would help: a third pole, or a placement with the poles in another way"
+            yield "what would help: another pole, or a placement with the poles in another way"
         return
     least = displacement_bound(floor(), fit.at_m)
     if least > fit.within_m:

@@ -170,7 +170,7 @@ def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
         where = f"{present(view.tracks, now)[0].distance:.1f} m from {view.name}"
         yield Advice(
             "missing",
-            f"Only one pole is seen, {where}. Stand another 1 to 2.5 m beside it, leaning by 15° "
+            f"Only one pole is seen, {where}. Stand another 1 to 4 m beside it, leaning by 15° "
             "or more against it.",
         )
     else:

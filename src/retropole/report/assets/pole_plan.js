@@ -157,39 +157,79 @@
     written(`[data-words="${p}"]`, plan.words[k]);
     const lean = $(`[data-lean="${p}"]`);
     lean.replaceChildren(...standsThere(k).map((other) => {
-      const words = plan.words[other].split("; ").pop();
+      // A list is narrow; the sentence above it names the LiDAR, one for all leans of a place.
+      const parts = /^(away|towards)(?: from)? .*?(?:, (\d+)° to the (left|right) as seen from there)?$|^to the (left|right) /.exec(plan.towards[other]);
+      const way = parts && [parts[1] ?? parts[4], ...(parts[2] ? [`${parts[2]}° ${parts[3]}`] : [])].join(", ");
+      const words = way ? `${degrees(leanOf(other))} ${way}` : "upright";
       return new Option(words, other, other === k, other === k);
     }));
     lean.disabled = lean.options.length < 2;
   }
 
   /** Lengths to measure: from below the nearest two LiDARs, and from the feet of other poles. */
-  function drawTape() {
-    plan.names.forEach((inPlacement, placement) => {
-      let n = 0;
-      inPlacement.forEach((name, j) => {
-        const at = (i) => plan.foot[now[names.indexOf(inPlacement[i])]];
-        const lengths = plan.at.map((lidar, i) => [`below ${plan.lidars[i]}`, apart(at(j), lidar)]);
-        const nearest = lengths.sort((a, b) => a[1] - b[1]).slice(0, 2);
-        for (let i = 0; i < j; i++) nearest.push([inPlacement[i], Math.hypot(...at(j).map((each, m) => each - at(i)[m]))]);
-        for (const [start, metres] of nearest) {
-          for (const part of all(`[data-tape="${placement}-${n}"]`)) {
-            const [from, to, length] = part.querySelectorAll("b");
-            const text = `${metres.toFixed(2)} m`;
-            const tick = part.parentElement.querySelector("input");
-            if (tick && (length.textContent !== text || from.textContent !== start)) tick.checked = false;
-            from.textContent = start; to.textContent = name; length.textContent = text;
-          }
-          n += 1;
-        }
-      });
+  function tapeOf(inPlacement) {
+    const at = (i) => plan.foot[now[names.indexOf(inPlacement[i])]];
+    return inPlacement.flatMap((end, j) => {
+      const lengths = plan.at.map((lidar, i) => ({ start: `below ${plan.lidars[i]}`, end, metres: apart(at(j), lidar) }));
+      const nearest = lengths.sort((a, b) => a.metres - b.metres).slice(0, 2);
+      for (let i = 0; i < j; i++) nearest.push({ start: inPlacement[i], end, metres: Math.hypot(...at(j).map((each, m) => each - at(i)[m])) });
+      return nearest;
     });
   }
 
+  function drawTape() {
+    plan.names.forEach((inPlacement, placement) => tapeOf(inPlacement).forEach(({ start, end, metres }, n) => {
+      for (const part of all(`[data-tape="${placement}-${n}"]`)) {
+        const [from, to, length] = part.querySelectorAll("b");
+        const text = `${metres.toFixed(2)} m`;
+        const tick = part.parentElement.querySelector("input");
+        if (tick && (length.textContent !== text || from.textContent !== start)) tick.checked = false;
+        from.textContent = start; to.textContent = end; length.textContent = text;
+      }
+    }));
+  }
+
+  const isMoved = () => now.some((k, p) => k !== own[p]);
+  const errorsNow = () => models.map((model) => errorsOf(model, sumOf(model, now)));
+
+  /** The plan with the poles where they are now, as `calibrate --plan` reads it. */
+  function movedPlan() {
+    const changed = structuredClone(plan.document), errors = errorsNow();
+    const moved = names.filter((_, p) => now[p] !== own[p]);
+    changed.placements.forEach((placement) => {
+      for (const pole of placement.poles.filter(({ name }) => moved.includes(name))) {
+        const k = now[names.indexOf(pole.name)], length = Math.hypot(...plan.axis[k]);
+        Object.assign(pole, {
+          foot_m: plan.foot[k], direction: plan.axis[k].map((each) => each / length),
+          lean_rad: plan.towards[k] ? leanOf(k) : 0, towards: plan.towards[k], words: `pole ${pole.name}: ${plan.words[k]}`,
+          seen: seers(k).map((i) => {
+            const [returns, rings, mm] = plan.sights[k].slice(3 * i, 3 * i + 3);
+            return { lidar: plan.lidars[i], returns, rings: rings < 0 ? null : rings, distance_m: mm / 1000 };
+          }),
+        });
+      }
+      placement.tape = tapeOf(placement.poles.map(({ name }) => name));
+    });
+    const sigmas = models.map((_, m) => errors[m].map((each, k) => each * plan.stated[m][k] / planned[m][k]));
+    const [together, alone] = sigmas.map((each) => error(Math.max(...each)));
+    return Object.assign(changed, {
+      // What the page cannot work out is no more in it.
+      predicted: [], more: [], rehearsal: null, probability: null,
+      moved: { poles: moved, errors: plan.lidars.slice(1).map((lidar, k) => ({ lidar, sigma_m: sigmas[0][k], alone_m: sigmas[1][k] })) },
+      words: [`Moved by hand: ${moved.join(", ")}. The error to expect at ${plan.range} m is ${together} (1 σ), by the poles alone ${alone}, as the page computes it; nothing was rehearsed.`, ...warnings()],
+    });
+  }
+
+  $("#save").addEventListener("click", () => {
+    const address = URL.createObjectURL(new Blob([JSON.stringify(movedPlan(), null, 1), "\n"], { type: "application/json" }));
+    Object.assign(document.createElement("a"), { href: address, download: "moved-plan.json" }).click();
+    setTimeout(() => URL.revokeObjectURL(address), 60000);
+  });
+
   let said = null;
   function draw(isSpoken) {
-    const moved = now.some((k, p) => k !== own[p]);
-    const errors = models.map((model, m) => (moved ? worst(errorsOf(model, sumOf(model, now)), m) : stated[m]));
+    const moved = isMoved();
+    const errors = moved ? errorsNow().map(worst) : stated;
     ["#now-together", "#now-alone"].forEach((id, m) => {
       const part = $(id), before = part.dataset.plan;
       part.textContent = moved ? `now ${error(errors[m])}` : before;
@@ -280,6 +320,9 @@
     part.setAttribute("role", "button");
     part.setAttribute("aria-roledescription", "pole that arrow keys move");
     part.addEventListener("focus", () => choose(p));
+    // A finger on a pole moves it; beside one it scrolls the page. No touch-action does that: on a
+    // part of a picture it is ignored, and on all of the picture nothing would scroll there.
+    part.addEventListener("touchstart", (event) => event.preventDefault(), { passive: false });
     part.addEventListener("pointerdown", (event) => {
       if (event.button) return;
       event.preventDefault();
