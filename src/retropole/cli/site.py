@@ -7,13 +7,22 @@ from pathlib import Path
 
 import click
 
-from .common import BY_SITE_FILE, command_line, listening, result_told, say, show, show_written
+from .common import (
+    BY_SITE_FILE,
+    Group,
+    command_line,
+    listening,
+    result_told,
+    say,
+    show,
+    show_written,
+)
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT, verdict_options
 from .site_check import site_check
 
 
-@click.group()
+@click.group(cls=Group)
 def site() -> None:
     """Calibrate many LiDARs of one site in one frame.
 
