@@ -5,6 +5,7 @@ They have the options of this project, and its hooks.
 
 from __future__ import annotations
 
+import re
 import shlex
 import tomllib
 
@@ -109,3 +110,13 @@ def test_processes_of_workers_count(
     (own,) = found
     assert own.workers_s > 0.1, "two interpreters have started"
     assert sum(own.by_test.values()) < own.workers_s
+
+
+def test_the_documents_name_tiers_that_exist() -> None:
+    names = {marker.partition(":")[0] for marker in OPTIONS["markers"]}
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    said = re.findall(r"""pytest(?: -[\w ]+)? -m ('[^']*'|"[^"]*"|\w+)""", text)
+    assert len(said) > 5
+    words = {word for each in said for word in each.strip("'\"").split()}
+    assert words - {"or", "and", "not"} == names
