@@ -13,7 +13,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.base.reasons import page, plain, reasons
 from retropole.cli import COMMANDS, cli
 from retropole.io import write_pcd
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 from tests.paths import PACKAGE
 
 
@@ -22,10 +22,10 @@ def test_no_intensity_never_gives_a_transform(
 ) -> None:
     write_pcd(tmp_path / "a.pcd", PointCloud(clouds[0].xyz))
     write_pcd(tmp_path / "b.pcd", clouds[1])
-    done = retropole("calibrate", "a.pcd", "b.pcd", cwd=tmp_path)
+    done = retropole_here("calibrate", "a.pcd", "b.pcd", cwd=tmp_path)
     assert done.returncode == 3
     assert "no_intensity" in done.stderr
-    assert retropole("detect", "a.pcd", cwd=tmp_path).returncode == 3
+    assert retropole_here("detect", "a.pcd", cwd=tmp_path).returncode == 3
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_no_intensity_never_gives_a_transform(
     ],
 )
 def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = retropole(*words, cwd=tmp_path)
+    done = retropole_here(*words, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.strip()
     assert "Traceback" not in done.stderr

@@ -17,7 +17,8 @@ from tests.cli.commands import retropole_here
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
-    done = retropole_here("simulate", "corridor", "--seed", 4, "--out", folder)
+    few = "--sensor-target", "VLP-16", "--sensor-source", "VLP-16"
+    done = retropole_here("simulate", "corridor", "--seed", 4, *few, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 

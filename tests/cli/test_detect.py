@@ -19,7 +19,10 @@ def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
     assert len(json.loads(as_json.stdout)["poles"]) == 2
 
 
-def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
+def test_detect_and_info_take_a_topic(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("retropole.report.figures.draw_detection", lambda *args, **named: None)
     done = retropole_here("detect", bag, "--topic", "/front", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout
