@@ -24,6 +24,15 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def dense(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same street by LiDARs of 64 rings: where many points are needed."""
+    folder = tmp_path_factory.mktemp("dense")
+    done = retropole_here("simulate", "street", "--seed", 1, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
 def truth(scene: Path) -> Array:
     return np.array(json.loads((scene / "truth.json").read_text())["T_target_source"])
 
