@@ -242,7 +242,7 @@ def read_sensor(path: Path) -> Sensor:
         # Of the table alone: files that are like each other would have no end.
         model = "" if like is None else find_sensor(str(like).removesuffix(SENSOR_FILE)).name
         listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
-    except (OSError, ValueError, msgspec.ValidationError) as error:
+    except (OSError, ValueError) as error:
         raise UsageError(f"{path}: no description of a sensor: {error}") from error
     return listed.sensor(str(path))
 
