@@ -1,6 +1,6 @@
 """What is handed out installs and runs: wheel, source archive, container, conda recipe.
 
-    pytest -m full tests/test_packaging.py
+    pytest -m "full or nightly" tests/test_packaging.py
 
 builds both archives, installs each into a virtual environment that holds nothing else, and types
 there what the README says first. It takes the registry of packages, and some two minutes.
@@ -235,7 +235,11 @@ def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+@pytest.mark.parametrize(
+    "kind",
+    # The wheel is built from the other.
+    ["wheel", pytest.param("sdist", marks=pytest.mark.nightly)],
+)
 def test_a_newcomer_gets_from_the_archive_to_a_verified_answer(
     kind: str, archives: dict[str, Path], tmp_path: Path
 ) -> None:
