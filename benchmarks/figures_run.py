@@ -83,7 +83,7 @@ def runnable(script: str) -> Callable[[], object]:
     module = importlib.import_module(name)
     # A pool of processes would start anew for every draw.
     if hasattr(module, "ProcessPoolExecutor"):
-        module.ProcessPoolExecutor = lambda *_, **__: ThreadPoolExecutor(1)
+        vars(module)["ProcessPoolExecutor"] = lambda *_, **__: ThreadPoolExecutor(1)
     return module.main  # type: ignore[no-any-return]
 
 

@@ -235,6 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=8000, help="first seed")
     parser.add_argument("--cases", type=int, nargs="*", help="numbers of some of them")
+    parser.add_argument("--weeks", type=int, default=WEEKS, help="of runs of the command")
     asked = parser.parse_args(arguments)
     print(
         "| site | scene | 1 σ of the stored pose | week of the alarm | moved by then | exit codes |"
@@ -246,7 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if asked.cases and number not in asked.cases:
             continue
         with TemporaryDirectory() as folder:
-            outcomes.append(watched(case, asked.first + number, Path(folder)))
+            outcomes.append(watched(case, asked.first + number, Path(folder), asked.weeks))
         print(row_of(outcomes[-1]), flush=True)
     drawn = sum(one.draws - 1 for one in outcomes)
     print(f"\n{drawn} arrangements were refused by the calibration, and others drawn.")

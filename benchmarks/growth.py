@@ -22,7 +22,7 @@ import numpy as np
 
 from retropole.base.datatypes import PointCloud
 from retropole.evaluation.rivals import ALL_METHODS, OURS
-from retropole.io.downsampling import MAX_POINTS, thinned
+from retropole.io.downsampling import MAX_POINTS, downsample
 from retropole.simulation import SimulationError, simulate_pair
 from rivals import installed, peak_megabytes, quiet, timed
 
@@ -78,7 +78,7 @@ def grow(scene: str, what: str, method: str, size: int) -> Growth:
     begun = time.process_time()
     if method in OURS:
         # As every cloud is when it is read.
-        target, source = thinned(target, MAX_POINTS), thinned(source, MAX_POINTS)
+        target, source = downsample(target, MAX_POINTS), downsample(source, MAX_POINTS)
     thinning = time.process_time() - begun
     found = timed(method, target, source)
     seconds = thinning + found.cpu_seconds

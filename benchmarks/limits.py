@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -84,7 +85,9 @@ def measure(words: list[str]) -> tuple[float, int, int, str]:
     return time.perf_counter() - start, usage.ru_maxrss // 1024, process.returncode, said
 
 
-def write_all(folder: Path, scene: str, seed: int, frames: int, size: int, points: int) -> Truth:
+def write_all(
+    folder: Path, scene: str, seed: int, frames: int, size: int, points: int, bags: Sequence[int]
+) -> Truth:
     """Simulate the scene and write its files; give the true transform and the sensors."""
     pair = simulate_pair(scene, np.random.default_rng(seed), frames=frames)
     for role, cloud in (("target", pair.target), ("source", pair.source)):
@@ -92,7 +95,7 @@ def write_all(folder: Path, scene: str, seed: int, frames: int, size: int, point
         print(f"{role}: {count} frames of {len(cloud) // frames:,} points", flush=True)
         write_sized(folder / f"{role}.pcd", cloud, points)
         write_sized(folder / f"{role}-twice.pcd", cloud, 2 * points)
-    for count in BAGS:
+    for count in bags:
         write_bag(folder / f"{count}.mcap", pair, count)
     return pair.T_target_source, [sensor.name if sensor else "auto" for sensor in pair.sensors]
 
@@ -104,6 +107,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=20, help="that differ from each other")
     parser.add_argument("--mib", type=int, default=1024, help="of frames, of both together")
     parser.add_argument("--points", type=int, default=5_000_000, help="of each of the two clouds")
+    parser.add_argument("--bags", type=int, nargs="*", default=BAGS, help="their frames")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -117,6 +121,7 @@ def main() -> None:
                 given.frames,
                 given.mib * MIB // 2,
                 given.points,
+                given.bags,
             ).result()
         topics = ["--target-topic", TOPICS["target"], "--source-topic", TOPICS["source"]]
         one, two = ["target.pcd", "source.pcd"], ["target-twice.pcd", "source-twice.pcd"]
@@ -126,7 +131,7 @@ def main() -> None:
             ("the same, every frame asked for", ["target", "source", "--frames", ":"]),
             (f"2 × {given.points:,} points", one),
             (f"2 × {2 * given.points:,} points", two),
-            *((f"bag of {n:,} frames", [f"{n}.mcap", f"{n}.mcap", *topics]) for n in BAGS),
+            *((f"bag of {n:,} frames", [f"{n}.mcap", f"{n}.mcap", *topics]) for n in given.bags),
         ):
             out = folder / "out"
             command = [sys.executable, "-m", "retropole", "calibrate", "--out", str(out)]

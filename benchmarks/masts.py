@@ -170,12 +170,16 @@ def table(outcomes: Sequence[Outcome]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=10, help="of each cell")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
+    parser.add_argument("--heights", nargs="+", type=float, choices=HEIGHTS, default=HEIGHTS)
+    parser.add_argument("--distances", nargs="+", type=float, choices=DISTANCES, default=DISTANCES)
     parser.add_argument("--first", type=int, default=FIRST_STATED_SEED, help="first seed")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="print every run as it ends")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.runs)
-    cells = [Case(*each) for each in product(HEIGHTS, DISTANCES, TUBES, MODELS)]
+    heights, distances, models = arguments.heights, arguments.distances, arguments.models
+    cells = [Case(*each) for each in product(heights, distances, TUBES, models)]
     jobs = [(case, seed) for seed in seeds for case in cells]
     outcomes = []
     with ProcessPoolExecutor(

@@ -13,9 +13,11 @@ recordings.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import permutations
 from multiprocessing import get_context
@@ -28,7 +30,7 @@ from deception import interval
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.errors import Refusal
-from retropole.evaluation.rivals import load_rival
+from retropole.evaluation.rivals import load_rival, missing_extra
 from retropole.pipeline import calibrate
 from semireal import PAIRS, distance, load
 from wrong_files import recordings
@@ -77,11 +79,10 @@ def run_right(job: tuple[str, Path]) -> Right:
         reference = np.diag(np.repeat(of_reference, 3) ** 2)
         found = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
         squared = distance(found, given.T, reference)
-    try:
-        match = load_rival(RIVAL)(given.target, given.source, np.random.default_rng(0))
-        rival = apart(match.T_target_source, given.T)
-    except Refusal:
-        pass
+    if missing_extra(RIVAL) is None:
+        with suppress(Refusal):
+            match = load_rival(RIVAL)(given.target, given.source, np.random.default_rng(0))
+            rival = apart(match.T_target_source, given.T)
     return Right(name, answer.status, codes_of(answer), off, stated, squared, rival)
 
 
@@ -137,10 +138,13 @@ def wrong_table(outcomes: Sequence[Wrong]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder with the recordings")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th pair only")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="print every pair as it ends")
     arguments = parser.parse_args()
-    data = arguments.data
+    data, every = arguments.data, arguments.every
+    if extra := missing_extra(RIVAL):
+        print(f"{RIVAL} is left out: pip install 'retropole[{extra}]'", file=sys.stderr)
     own = recordings(data)
     mixed = [names for names in permutations(own, 2) if own[names[0]].place != own[names[1]].place]
     right, wrong = [], []
@@ -150,11 +154,11 @@ def main() -> None:
         initializer=threadpool_limits,
         initargs=(1,),
     ) as pool:
-        for one in pool.map(run_right, [(pair.name, data) for pair in PAIRS]):
+        for one in pool.map(run_right, [(pair.name, data) for pair in PAIRS[::every]]):
             right.append(one)
             if arguments.verbose:
                 print(one, flush=True)
-        for other in pool.map(run_wrong, [(names, data) for names in mixed]):
+        for other in pool.map(run_wrong, [(names, data) for names in mixed[::every]]):
             wrong.append(other)
             if arguments.verbose:
                 print(other, flush=True)

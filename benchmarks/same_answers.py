@@ -217,17 +217,17 @@ STEPS: dict[str, tuple[int, Callable[[int], Plain], Callable[[Plain], Plain]]] =
 }
 
 
-def record(file: Path) -> None:
-    """Draw everything, answer it, and keep both."""
+def record(file: Path, share: float) -> None:
+    """Draw everything or a share of it, answer it, and keep both."""
     kept = {}
     for name, (count, draw, answer) in STEPS.items():
-        drawn = [draw(k) for k in range(count)]
+        drawn = [draw(k) for k in range(round(share * count))]
         start = time.process_time()
         answers = [answer(each) for each in drawn]
         kept[name] = drawn, answers, time.process_time() - start
         verdicts = [each["verdict"][0] for each in answers]
         counts = ", ".join(f"{verdicts.count(s)} {s}" for s in ("ok", "warn", "refused"))
-        print(f"{count} {name}: {counts}", flush=True)
+        print(f"{len(drawn)} {name}: {counts}", flush=True)
     file.write_bytes(pickle.dumps(kept))
 
 
@@ -263,8 +263,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=("record", "compare"))
     parser.add_argument("file", type=Path)
+    parser.add_argument("--share", type=float, default=1.0, help="of what is recorded")
     arguments = parser.parse_args()
-    (record if arguments.what == "record" else compare)(arguments.file)
+    if arguments.what == "record":
+        record(arguments.file, arguments.share)
+    else:
+        compare(arguments.file)
 
 
 if __name__ == "__main__":

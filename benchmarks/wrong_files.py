@@ -52,6 +52,7 @@ PLACES = {
     "pandaset": "PandaSet sequence 002, a standing vehicle",
     "pandar_scene1": "a car park",
     "pandar_0001": "a road",
+    "pjlab_0003": "a wide road",
     "planes_top_front": "three planes",
     "hdl32": "a drive with an HDL-32E, one frame",
 }

@@ -2,6 +2,7 @@
 
 python docs/make_images.py docs/images
 python docs/make_images.py docs/images data
+python docs/make_images.py docs/images --only bias placements
 
 The picture of the report needs Chromium, chromedriver and selenium, and is left out without. So is
 that of real scans without the folder of test recordings (docs/contributing.md).
@@ -9,12 +10,14 @@ that of real scans without the folder of test recordings (docs/contributing.md).
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -148,31 +151,61 @@ def photograph(page: Path, path: Path, part: str = "") -> None:
         chrome.quit()
 
 
-def main() -> None:
-    """Make them all."""
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "images")
-    out.mkdir(parents=True, exist_ok=True)
-    draw_bias(out / "bias.png")
-    for scene in ("corridor", "harbor", "bare"):
-        draw_scene(scene, out / f"gallery_{scene}.png")
-    if len(sys.argv) > 2:
-        draw_car_park(Path(sys.argv[2]), out / "gallery_car_park.png")
+def draw_street(out: Path, wanted: Collection[str]) -> None:
+    """What commands make of a simulated street: pictures of `detect`, `plan` and `calibrate`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scans = folder / "lidar0.pcd", folder / "lidar1.pcd"
         run("simulate", "street", "--seed", 1, "--out", folder, "-q")
-        run("detect", scans[0], "--out", folder, "-q")
-        shutil.copy(folder / "detect.png", out / "detect.png")
-        sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
-        run("plan", *scans, *sensors, "--out", folder / "p", "-q")
-        photograph(folder / "p" / "plan.html", out / "plan.png", "#place")
-        run("calibrate", *scans, "--out", folder / "r", "-q")
-        photograph(folder / "r" / "report.html", out / "report.png")
+        if "detect" in wanted:
+            run("detect", scans[0], "--out", folder, "-q")
+            shutil.copy(folder / "detect.png", out / "detect.png")
+        if "plan" in wanted:
+            sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
+            run("plan", *scans, *sensors, "--out", folder / "p", "-q")
+            photograph(folder / "p" / "plan.html", out / "plan.png", "#place")
+        if "report" in wanted:
+            run("calibrate", *scans, "--out", folder / "r", "-q")
+            photograph(folder / "r" / "report.html", out / "report.png")
+
+
+def draw_placement(path: Path) -> None:
+    """What the example about placing the poles draws."""
+    with tempfile.TemporaryDirectory() as name:
         plot = EXAMPLES / "plot_placement.py"
-        command = [sys.executable, str(plot), "--out", str(folder), "--draws", "8"]
+        command = [sys.executable, str(plot), "--out", name, "--draws", "8"]
         subprocess.run(command, check=True)
-        shutil.copy(folder / "placement.png", out / "placement.png")
-    draw_placements(out / "placements.png")
+        shutil.copy(Path(name) / "placement.png", path)
+
+
+SCENES, OF_STREET = ("corridor", "harbor", "bare"), ("detect", "plan", "report")
+PICTURES = ("bias", *(f"gallery_{scene}" for scene in SCENES), "gallery_car_park", *OF_STREET)
+PICTURES = (*PICTURES, "placement", "placements")
+
+
+def main() -> None:
+    """Make them all, or some."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path, nargs="?", default=Path("images"), help="folder")
+    parser.add_argument("data", type=Path, nargs="?", help="folder with the recordings")
+    parser.add_argument("--only", nargs="+", choices=PICTURES, default=PICTURES, metavar="NAME")
+    given = parser.parse_args()
+    out, wanted = given.out, given.only
+    out.mkdir(parents=True, exist_ok=True)
+    if "bias" in wanted:
+        draw_bias(out / "bias.png")
+    for scene in SCENES:
+        if f"gallery_{scene}" in wanted:
+            draw_scene(scene, out / f"gallery_{scene}.png")
+    if given.data is not None and "gallery_car_park" in wanted:
+        draw_car_park(given.data, out / "gallery_car_park.png")
+    if set(OF_STREET) & set(wanted):
+        draw_street(out, wanted)
+    if "placement" in wanted:
+        draw_placement(out / "placement.png")
+    if "placements" in wanted:
+        draw_placements(out / "placements.png")
+    print(f"written: {out}")
 
 
 if __name__ == "__main__":

@@ -63,6 +63,7 @@ class Links(HTMLParser):
             self.loaded += [v for key in ("href", "src") if (v := found.get(key))]
 
 
+@pytest.mark.full
 def test_links_and_anchors_of_the_site_exist(site: Path) -> None:
     pages = {page.resolve(): Links(page) for page in site.rglob("*.html")}
     assert len(pages) > 20
@@ -102,12 +103,14 @@ class Prose(HTMLParser):
             self.words += data
 
 
+@pytest.mark.full
 def test_no_markup_is_left_in_the_words_of_a_page(site: Path) -> None:
     raw = re.compile(r".{0,40}(?:`|:(?:class|func|mod|ref|py:obj):|TypeAliasForwardRef).{0,40}")
     left = {page.name: raw.findall(Prose(page).words) for page in site.rglob("*.html")}
     assert not {name: own for name, own in left.items() if own}
 
 
+@pytest.mark.full
 def test_site_loads_nothing_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert not [link for link in Links(page).loaded if urlsplit(link).netloc], page.name
@@ -167,12 +170,14 @@ def test_command_lines_exist(page: str, words: list[str]) -> None:
         assert given <= len(arguments), f"{page}: {' '.join(words)}"
 
 
+@pytest.mark.full
 def test_every_code_has_its_entry_on_the_page(site: Path) -> None:
     anchors = Links(site / "reasons.html").anchors
     missing = {code for code in reasons() if code.replace("_", "-") not in anchors}
     assert not missing
 
 
+@pytest.mark.full
 def test_every_sensor_has_its_row_on_the_page(site: Path) -> None:
     page = unescape((site / "sensors.html").read_text(encoding="utf-8"))
     for sensor in SENSORS.values():

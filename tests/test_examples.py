@@ -15,6 +15,7 @@ import pytest
 
 from retropole.export.recording import TOPICS
 from tests.paths import ROOT
+from tests.tiers import first_of
 
 EXAMPLES = ROOT / "examples"
 LAUNCH_FILES = sorted(EXAMPLES.glob("*.launch.py"))
@@ -35,13 +36,13 @@ def run(words: list[str], folder: Path) -> str:
     return done.stdout
 
 
-LONG = ["several_placements", "plot_placement", "draw_result"]
-"""Examples that take longer, of what others show too."""
+FIRST = "calibrate"
+"""The example that runs by default; the others in the full tier."""
 
 
 @pytest.mark.parametrize(
     "script",
-    [pytest.param(p, marks=pytest.mark.full) if p.stem in LONG else p for p in SCRIPTS],
+    first_of(sorted(SCRIPTS, key=lambda p: p.stem != FIRST)),
     ids=lambda p: p.stem,
 )
 def test_example_runs(script: Path, tmp_path: Path) -> None:
@@ -91,6 +92,7 @@ def cells_of(notebook: Path) -> list[dict[str, Any]]:
     return cells
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs_cell_by_cell(notebook: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")

@@ -1,6 +1,6 @@
 """What is handed out installs and runs: wheel, source archive, container, conda recipe.
 
-    pytest -m full tests/test_packaging.py
+    pytest -m "full or nightly" tests/test_packaging.py
 
 builds both archives, installs each into a virtual environment that holds nothing else, and types
 there what the README says first. It takes the registry of packages, and some two minutes.
@@ -24,6 +24,8 @@ from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
 
 import retropole
 from tests.paths import PACKAGE, ROOT
@@ -68,6 +70,30 @@ def test_the_conda_recipe_says_what_pyproject_says() -> None:
     about = found["about"]
     assert (about["summary"], about["license"]) == (PROJECT["description"], PROJECT["license"])
     assert (ROOT / about["license_file"]).is_file()
+
+
+def pinned(name: str) -> dict[str, Version]:
+    """The versions that a constraint file gives, by the names of their packages."""
+    lines = (ROOT / "constraints" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    found = [Requirement(line) for line in lines if not line.startswith("#")]
+    assert all(len(one.specifier) == 1 and "==" in str(one) for one in found)
+    versions = {canonicalize_name(one.name): str(one.specifier)[2:] for one in found}
+    assert len(versions) == len(found)
+    return {package: Version(version) for package, version in versions.items()}
+
+
+def test_the_constraints_name_every_dependency_within_its_bounds() -> None:
+    lists = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+    every = [Requirement(line) for lines in lists for line in lines]
+    allowed = [one for one in every if one.name != PROJECT["name"]]
+    oldest, newest = pinned("oldest"), pinned("newest")
+    assert oldest.keys() == newest.keys() == {canonicalize_name(one.name) for one in allowed}
+    for one in allowed:
+        name = canonicalize_name(one.name)
+        (lower,) = [each.version for each in one.specifier if each.operator == ">="]
+        assert oldest[name] == Version(lower), f"{one}: oldest.txt has another"
+        assert newest[name] in one.specifier
+        assert oldest[name] <= newest[name]
 
 
 def test_the_citation_is_of_this_version() -> None:
@@ -188,7 +214,17 @@ def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
     with tarfile.open(archives["sdist"]) as source:
         inside = {name.partition("/")[2] for name in source.getnames()}
     tops = {name.partition("/")[0] for name in inside}
-    needed = {"src", "tests", "docs", "examples", "benchmarks", "studies", "recipe", "Dockerfile"}
+    needed = {
+        "src",
+        "tests",
+        "docs",
+        "examples",
+        "benchmarks",
+        "studies",
+        "recipe",
+        "constraints",
+        "Dockerfile",
+    }
     assert needed | {"LICENSE", "README.md", "CITATION.cff", "PKG-INFO"} <= tops
     assert not {top for top in tops if top.startswith(".") and top != ".gitignore"} - {
         ".dockerignore"
@@ -199,7 +235,11 @@ def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+@pytest.mark.parametrize(
+    "kind",
+    # The wheel is built from the other.
+    ["wheel", pytest.param("sdist", marks=pytest.mark.nightly)],
+)
 def test_a_newcomer_gets_from_the_archive_to_a_verified_answer(
     kind: str, archives: dict[str, Path], tmp_path: Path
 ) -> None:

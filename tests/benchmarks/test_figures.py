@@ -1,8 +1,10 @@
 """A figure of a page that is not what its command prints is named."""
 
+import io
 import re
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.figures_compare import Table, compare, position, tables
+from benchmarks.figures_run import runnable
+from tests.cli.commands import Done
 from tests.paths import ROOT
 
 HEAD = "| kind | runs | right | e_rt m, median | largest |\n| --- | --- | --- | --- | --- |\n"
@@ -17,9 +21,24 @@ RIGHT, MEDIAN = 0.9, 0.02
 """Of the process that these tables are drawn from."""
 
 
-def figures(*options: str, timeout: float | None = None) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, str(ROOT / "benchmarks/figures.py"), *options]
-    return subprocess.run(words, capture_output=True, text=True, timeout=timeout)
+def figures(*options: str) -> Done:
+    """Run the command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", ["figures.py", *options])
+        patch.setattr(sys, "path", [*sys.path])
+        try:
+            runnable("benchmarks/figures.py")()
+        except SystemExit as ended:
+            code = ended.code
+        else:
+            code = 0
+    assert isinstance(code, int), code
+    return Done(code, out.getvalue(), err.getvalue())
 
 
 def written(folder: Path, text: str) -> Path:
@@ -186,19 +205,35 @@ def test_a_table_that_is_not_printed_is_no_agreement() -> None:
     assert compare(said, [drawn(np.random.default_rng(2), 1).replace("| a |", "| b |")], 5) is None
 
 
-def test_figures_of_today_hold() -> None:
-    """A part of the tables each day, so that one that has gone stale is found within a month.
+def hold(day: int, *, seconds: float, timeout: float | None) -> None:
+    """Compare the tables that have a day of the month.
 
     With unchanged code this cannot fail by chance: the draws are the same every time.
     """
-    today = str(datetime.now(UTC).day)
+    limits = "--seconds", str(seconds), "--alarm", "0.001"
     try:
-        done = figures("--part", today, "--seconds", "15", "--alarm", "0.001", timeout=100.0)
+        done = subprocess.run(
+            [sys.executable, ROOT / "benchmarks/figures.py", "--part", str(day), *limits],
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
     except subprocess.TimeoutExpired:
-        pytest.skip("this machine is too slow")
+        pytest.skip("this machine is too slow; the nightly tests compare it")
     if done.stdout.startswith("no table"):
         pytest.skip("no table has this day")
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.full
+def test_figures_of_today_hold() -> None:
+    hold(datetime.now(UTC).day, seconds=15.0, timeout=100.0)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("day", range(1, 32))
+def test_figures_of_every_day_hold(day: int) -> None:
+    hold(day, seconds=60.0, timeout=None)
 
 
 def test_every_mark_is_read() -> None:

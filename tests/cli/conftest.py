@@ -10,13 +10,24 @@ import pytest
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.io import read_cloud
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
-    done = retropole("simulate", "street", "--seed", 1, "--out", folder)
+    words = "simulate", "street", "--seed", 1, "--out", folder
+    # Few points: what is tested here are the commands.
+    done = retropole_here(*words, "--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def dense(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same street by LiDARs of 64 rings: where many points are needed."""
+    folder = tmp_path_factory.mktemp("dense")
+    done = retropole_here("simulate", "street", "--seed", 1, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 

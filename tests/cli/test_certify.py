@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.simulation import simulate_pair, write_pair
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_four_poles_are_tested(four: Path) -> None:
     assert done.stdout.startswith("verdict: pass\n")
     assert "all 6 differences within their limits" in done.stdout
     assert "not named" not in done.stdout
-    unnamed = retropole("certify", *files, "--json")
+    unnamed = retropole_here("certify", *files, "--json")
     assert unnamed.returncode == 0
     document = json.loads(unnamed.stdout)
     assert document["status"] == "pass"

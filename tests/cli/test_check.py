@@ -18,7 +18,8 @@ SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    street, rng = simulate_pair("street", np.random.default_rng(1)), np.random.default_rng(17)
+    first, rng = np.random.default_rng(1), np.random.default_rng(17)
+    street = simulate_pair("street", first, sensor_target="VLP-16", sensor_source="VLP-16")
     write_pair(street, folder / "first")
     write_pair(record_again(street, rng, poles=False), folder / "same")
     write_pair(record_again(street, rng, moved=SMALL_ROTATION, poles=False), folder / "moved")

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -12,7 +13,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.base.reasons import page, plain, reasons
 from retropole.cli import COMMANDS, cli
 from retropole.io import write_pcd
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 from tests.paths import PACKAGE
 
 
@@ -21,10 +22,10 @@ def test_no_intensity_never_gives_a_transform(
 ) -> None:
     write_pcd(tmp_path / "a.pcd", PointCloud(clouds[0].xyz))
     write_pcd(tmp_path / "b.pcd", clouds[1])
-    done = retropole("calibrate", "a.pcd", "b.pcd", cwd=tmp_path)
+    done = retropole_here("calibrate", "a.pcd", "b.pcd", cwd=tmp_path)
     assert done.returncode == 3
     assert "no_intensity" in done.stderr
-    assert retropole("detect", "a.pcd", cwd=tmp_path).returncode == 3
+    assert retropole_here("detect", "a.pcd", cwd=tmp_path).returncode == 3
 
 
 @pytest.mark.parametrize(
@@ -43,7 +44,7 @@ def test_no_intensity_never_gives_a_transform(
     ],
 )
 def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = retropole(*words, cwd=tmp_path)
+    done = retropole_here(*words, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.strip()
     assert "Traceback" not in done.stderr
@@ -80,11 +81,45 @@ def test_a_radius_in_millimetres_is_told(command: tuple[str, ...]) -> None:
     assert "20 m is no pole; 20 mm? give 0.02" in done.stderr
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_worked_examples(command: str) -> None:
-    done = retropole_here(command, "--help")
-    assert done.returncode == 0
-    assert f"retropole {command} " in done.stdout.split("Examples:")[1]
+def paths(command: click.Command, *names: str) -> Iterator[tuple[str, ...]]:
+    """The words of a command and of all that are in it, groups and their commands."""
+    yield names
+    for name, inner in command.commands.items() if isinstance(command, click.Group) else ():
+        yield from paths(inner, *names, name)
+
+
+PATHS = list(paths(cli))
+GROUPS = [(), ("fleet",), ("site",)]
+
+
+def test_groups_are_those_that_are_tried() -> None:
+    assert set(PATHS) >= {*GROUPS, ("site", "check"), ("fleet", "network"), ("simulate", "site")}
+    assert len(PATHS) > len(COMMANDS) + 8
+
+
+@pytest.mark.parametrize("words", PATHS, ids=" ".join)
+def test_bare_commands_are_bad_usage(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = retropole_here(*words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "\\n" not in done.stderr
+    if words in GROUPS:
+        assert done.stderr == retropole_here(*words, "--help").stdout
+    else:
+        error, what_to_do = done.stderr.splitlines()
+        assert error.startswith("retropole: error: ")
+        assert f"'{' '.join(['retropole', *words])} --help'" in what_to_do
+    assert list(tmp_path.iterdir()) == [], "nothing is written"
+
+
+@pytest.mark.parametrize("words", PATHS, ids=" ".join)
+def test_help_has_worked_examples(words: tuple[str, ...]) -> None:
+    done = retropole_here(*words, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done == retropole_here(*words, "-h")
+    typed = " ".join(["retropole", *words])
+    assert done.stdout.startswith(f"Usage: {typed} ")
+    if words:
+        assert f"{typed} " in done.stdout.split("Examples:")[1]
 
 
 def test_every_command_is_a_module_of_its_name() -> None:

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.base.datatypes import PointCloud
-from retropole.io import write_pcd
+from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 
 
@@ -19,7 +18,10 @@ def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
     assert len(json.loads(as_json.stdout)["poles"]) == 2
 
 
-def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
+def test_detect_and_info_take_a_topic(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("retropole.report.figures.draw_detection", lambda *args, **named: None)
     done = retropole_here("detect", bag, "--topic", "/front", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout
@@ -33,17 +35,16 @@ def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_what_is_left_out_of_a_long_recording_is_said(
-    clouds: tuple[PointCloud, PointCloud], tmp_path: Path
-) -> None:
+def test_what_is_left_out_of_a_long_recording_is_said(dense: Path, tmp_path: Path) -> None:
+    cloud = read_cloud(dense / "lidar0.pcd")
     for k in range(24):
-        write_pcd(tmp_path / "many" / f"{k}.pcd", clouds[0])
+        write_pcd(tmp_path / "many" / f"{k}.pcd", cloud)
     done = retropole_here("detect", "many", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    read = -(-24 // -(-24 * len(clouds[0]) // 1_000_000))
+    read = -(-24 // -(-24 * len(cloud) // 1_000_000))
     assert read < 24, "the clouds are large enough for frames to be left out"
     assert f"read {read} of 24 frames" in done.stderr
-    assert json.loads(done.stdout)["input"]["points"] == read * len(clouds[0])
+    assert json.loads(done.stdout)["input"]["points"] == read * len(cloud)
     done = retropole_here("detect", "many", "--json", "--frames", "3:5", cwd=tmp_path)
-    assert json.loads(done.stdout)["input"]["points"] == 2 * len(clouds[0])
+    assert json.loads(done.stdout)["input"]["points"] == 2 * len(cloud)
     assert "frames" not in done.stderr

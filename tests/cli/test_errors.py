@@ -11,7 +11,7 @@ from retropole.base.reasons import reasons
 from retropole.cli import COMMANDS, run
 from retropole.cli.common import in_colour
 from retropole.cli.errors import asks_for_json, failure_of
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 
 WITH_JSON = {
     "calibrate": ("nothing.pcd", "nothing.pcd"),
@@ -71,7 +71,7 @@ def test_with_json_a_refusal_is_one_object_on_stdout(tmp_path: Path) -> None:
     assert done.returncode == 3
     error = said(done.stdout, "no_intensity", "refused")
     assert error["read_on"] == "reasons.html#no-intensity"
-    whole = retropole("calibrate", "--json", *[tmp_path / "dark.xyz"] * 2, cwd=tmp_path)
+    whole = retropole_here("calibrate", "--json", *[tmp_path / "dark.xyz"] * 2, cwd=tmp_path)
     assert whole.returncode == 3
     assert json.loads(whole.stdout)["status"] == "refused"
 

@@ -14,7 +14,6 @@ from retropole.result.decoding import decode, decode_site
 from tests.cli.test_kills import kill, start
 from tests.fleet.fleets import ENDS, write_fleet
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
-from tests.tiers import first_of
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -77,13 +76,13 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
         assert {each for each, _ in reading.read(str(folder / "history"))} == IDS
 
 
-@pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.full
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(100, 160))
 def test_ended_at_many_moments(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)

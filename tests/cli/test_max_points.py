@@ -48,17 +48,17 @@ def test_a_thinned_cloud_gives_the_same_pose(clouds: Clouds, part: float) -> Non
 
 def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_path: Path) -> None:
     words = ["calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path]
-    done = retropole_here(*words, "--max-points", 50_000, "-v")
+    done = retropole_here(*words, "--max-points", 20_000, "-v")
     assert done.returncode == 0, done.stderr
     told = " ".join(done.stdout.split())
     for k, cloud in enumerate(clouds):
-        assert f"lidar{k}.pcd: downsampled from {len(cloud):,} to 50,000 points" in done.stderr
-        assert f"{len(cloud) - 50_000:,} points left out as too many" in told
+        assert f"lidar{k}.pcd: downsampled from {len(cloud):,} to 20,000 points" in done.stderr
+        assert f"{len(cloud) - 20_000:,} points left out as too many" in told
     result = json.loads((tmp_path / "result.json").read_text())
-    assert [item["thinned"] for item in result["inputs"]] == [len(c) - 50_000 for c in clouds]
-    assert result["config"]["max_points"] == 50_000
+    assert [item["thinned"] for item in result["inputs"]] == [len(c) - 20_000 for c in clouds]
+    assert result["config"]["max_points"] == 20_000
     assert "points left out as too many" in (tmp_path / "report.html").read_text()
-    assert "downsampled" not in retropole_here(*words, "--max-points", 50_000, "-q").stderr
+    assert "downsampled" not in retropole_here(*words, "--max-points", 20_000, "-q").stderr
     assert retropole_here(*words, "--max-points", 999).returncode == 2
     with pytest.raises(UsageError, match="max_points is 999, expected a number from 1000 up"):
         rp.calibrate(*clouds, max_points=999)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.tiers import first_of
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="devices and shells of POSIX")
 
 
@@ -28,12 +30,18 @@ def shell(command: str, folder: Path, **env: str) -> subprocess.CompletedProcess
     "command",
     [
         "retropole info lidar0.pcd > /dev/full",
-        "retropole info lidar0.pcd --json > /dev/full",
-        "retropole info lidar0.pcd <&- >&-",
         "retropole info --help > /dev/full",
-        "retropole simulate bare --out lidar0.pcd/in/a/file",
         "retropole export truth.json --from json --to matrix --out /dev/full",
-        "retropole export truth.json --from json --to matrix > /dev/full",
+        "retropole export truth.json --from json --to matrix <&- >&-",
+        *first_of(
+            [
+                "retropole info lidar0.pcd --json > /dev/full",
+                "retropole info lidar0.pcd <&- >&-",
+                "retropole simulate bare --out lidar0.pcd/in/a/file",
+                "retropole export truth.json --from json --to matrix > /dev/full",
+            ],
+            0,
+        ),
     ],
 )
 def test_an_output_that_takes_nothing_is_one_line_and_what_to_do(command: str, scene: Path) -> None:
@@ -55,13 +63,13 @@ def test_a_folder_that_is_read_only_is_one_line_and_what_to_do(tmp_path: Path) -
     assert (done.returncode, done.stderr.count(b"\n")) == (2, 2)
 
 
-@pytest.mark.parametrize("command", ["info lidar0.pcd", "info lidar0.pcd --json"])
+@pytest.mark.parametrize("command", first_of(["info lidar0.pcd", "info lidar0.pcd --json"]))
 def test_a_reader_that_has_gone_ends_it_without_a_word(command: str, scene: Path) -> None:
     done = shell(f"retropole {command} | true", scene)
     assert (done.returncode, done.stdout, done.stderr) == (141, b"", b"")
 
 
-@pytest.mark.parametrize("closed", ["2>&-", "2>/dev/full", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", first_of(["<&- >&- 2>&-", "2>&-", "2>/dev/full"]))
 def test_an_error_that_nobody_can_hear_keeps_its_exit_code(closed: str, scene: Path) -> None:
     assert shell(f"retropole info missing.pcd {closed}", scene).returncode == 2
 
@@ -71,7 +79,7 @@ def test_what_prints_nothing_needs_no_output(scene: Path, tmp_path: Path) -> Non
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+@pytest.mark.parametrize("encoding", first_of(["cp1252", "ascii"]))
 def test_any_encoding_can_show_an_answer(encoding: str, scene: Path) -> None:
     done = shell("retropole info lidar0.pcd", scene, PYTHONIOENCODING=encoding)
     assert (done.returncode, done.stderr) == (0, b"")

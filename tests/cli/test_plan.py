@@ -70,11 +70,11 @@ def test_drawn_lidars_are_planned(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_recordings_are_planned_with_a_rough_pose(
-    scene: Path, truth: Array, tmp_path: Path
+    dense: Path, truth: Array, tmp_path: Path
 ) -> None:
     """The street as it was recorded: that poles stand there already does not matter."""
     xyz, rpy = truth[:3, 3], np.degrees(se3.rpy_from_rotation(truth[:3, :3]))
-    clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    clouds = dense / "lidar0.pcd", dense / "lidar1.pcd"
     rough = ("--xyz", *np.round(xyz, 1), "--rpy-deg", *np.round(rpy))
     done = retropole_here("plan", *clouds, *rough, *SMALL, "--out", tmp_path, "--json")
     assert done.returncode == 0, done.stderr

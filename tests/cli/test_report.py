@@ -145,13 +145,22 @@ def test_the_certificate_names_the_site_and_the_lidars(own: Path) -> None:
         assert said not in before
 
 
-@pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def site_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a site, and in `out` what its calibration wrote."""
-    write_site(made(placements=1), tmp_path / "s")
-    monkeypatch.chdir(tmp_path)
-    assert retropole_here("site", "calibrate", "s", "--out", "out", "-q").returncode == 0
-    return tmp_path
+    folder = tmp_path_factory.mktemp("site")
+    write_site(made(placements=1), folder / "s")
+    done = retropole_here("site", "calibrate", "s", "--out", "out", "-q", cwd=folder)
+    assert done.returncode == 0
+    return folder
+
+
+@pytest.fixture
+def site(site_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "site"
+    shutil.copytree(site_run, folder)
+    monkeypatch.chdir(folder)
+    return folder
 
 
 def test_the_page_of_a_site_is_made_again(site: Path) -> None:

@@ -12,7 +12,7 @@ from retropole.result.decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site
 from tests.api.site_files import answer_to, write_recordings, write_site
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> 
 
 
 def test_the_group_tells_its_commands() -> None:
-    done = retropole("site", "--help")
+    done = retropole_here("site", "--help")
     assert done.returncode == 0
     for name in ("init", "calibrate"):
         assert f"\n  {name} " in done.stdout

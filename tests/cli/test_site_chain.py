@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 
 def named(output: str) -> list[list[str]]:
@@ -20,7 +20,7 @@ def named(output: str) -> list[list[str]]:
 @pytest.mark.full
 def test_four_recordings_become_a_site_in_four_commands(tmp_path: Path) -> None:
     words = "simulate", "site", "posts", "--lidars", 4, "--placements", 1, "--poles", 4
-    done = retropole(*words, "--seed", 5, "--out", "made", "-q", cwd=tmp_path)
+    done = retropole_here(*words, "--seed", 5, "--out", "made", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (tmp_path / "my recordings").mkdir()
     for k in range(1, 5):
@@ -29,7 +29,7 @@ def test_four_recordings_become_a_site_in_four_commands(tmp_path: Path) -> None:
     commands = [["site", "init", "my recordings"]]
     run = 0
     while run < len(commands):
-        done = retropole(*commands[run], cwd=tmp_path)
+        done = retropole_here(*commands[run], cwd=tmp_path)
         assert done.returncode == 0, done.stdout + done.stderr
         # What to do some other day is no part of it.
         commands += [words for words in named(done.stdout) if words[:2] != ["site", "check"]]

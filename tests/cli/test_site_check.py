@@ -20,7 +20,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibrated site, its first placement again, and the same with a LiDAR turned by 1°."""
     folder = tmp_path_factory.mktemp("site")
     words = "simulate", "site", "posts", "--lidars", 3, "--seed", 1, "--out", folder / "first"
-    assert retropole_here(*words).returncode == 0
+    assert retropole_here(*words, "--sensor", "VLP-16").returncode == 0
     done = retropole_here("site", "calibrate", folder / "first", "--out", folder / "out", "-q")
     assert done.returncode == 0, done.stderr
     turned = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, np.radians(1.0)])), np.zeros(3))

@@ -14,6 +14,7 @@ import pytest
 
 from retropole.base.datatypes import PointCloud
 from retropole.io import write_pcd
+from tests.cli.commands import retropole_here
 from tests.report.test_viewer import two_poles
 
 VIEW = [sys.executable, "-m", "retropole", "view"]
@@ -51,7 +52,7 @@ def test_prints_its_address_answers_and_ends_by_interrupt(tmp_path: Path) -> Non
 def test_no_intensity_is_refused(tmp_path: Path) -> None:
     cloud = PointCloud(np.random.default_rng(0).uniform(-5, 5, (50, 3)), np.full(50, 3.0))
     write_pcd(tmp_path / "flat.pcd", cloud)
-    done = subprocess.run([*VIEW, str(tmp_path / "flat.pcd")], capture_output=True, text=True)
+    done = retropole_here("view", tmp_path / "flat.pcd")
     assert done.returncode == 3
     assert "no_intensity" in done.stderr
 
@@ -59,12 +60,12 @@ def test_no_intensity_is_refused(tmp_path: Path) -> None:
 @pytest.mark.skipif(HAS_VISER, reason="viser is installed")
 def test_missing_part_is_named(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", two_poles())
-    done = subprocess.run([*VIEW, str(tmp_path / "a.pcd")], capture_output=True, text=True)
+    done = retropole_here("view", tmp_path / "a.pcd")
     assert done.returncode == 2
     assert "retropole[view]" in done.stderr
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
-    done = subprocess.run([*VIEW, str(tmp_path / "a.pcd")], capture_output=True, text=True)
+    done = retropole_here("view", tmp_path / "a.pcd")
     assert done.returncode == 2
     assert "a.pcd" in done.stderr

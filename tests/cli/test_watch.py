@@ -38,7 +38,7 @@ WATCH = [sys.executable, "-m", "retropole", "watch"]
 @pytest.fixture(scope="module")
 def pair() -> SimulatedPair:
     return simulate_pair(
-        "street", np.random.default_rng(3), sensor_target="XT32", sensor_source="VLP-16"
+        "street", np.random.default_rng(3), sensor_target="VLP-16", sensor_source="VLP-16"
     )
 
 

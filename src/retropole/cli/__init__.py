@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from ..base.errors import Refusal, RetropoleError
-from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, never_fail_to_encode, say
+from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, Group, never_fail_to_encode, say
 from .errors import asks_for_json, failure_of, tell
 
 COMMANDS = (
@@ -48,7 +48,9 @@ class LazyCommands(UserDict[str, Any]):
         return getattr(import_module(self.data[key], __name__), key)
 
 
-@click.group(context_settings=CONTEXT, commands=LazyCommands({n: f".{n}" for n in COMMANDS}))
+@click.group(
+    cls=Group, context_settings=CONTEXT, commands=LazyCommands({n: f".{n}" for n in COMMANDS})
+)
 @click.version_option(package_name="retropole")
 def cli() -> None:
     """Calibrate LiDARs to each other with poles wrapped in retro-reflective tape.

@@ -38,6 +38,20 @@ ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
 
 
+class Group(click.Group):
+    """Commands; without the name of one it prints its help on stderr, and that is bad usage.
+
+    What click does then differs from version to version.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words that follow the group."""
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(EXIT_USAGE)
+        return super().parse_args(ctx, args)
+
+
 def fill_in(command: click.Command, word: str, titles: Mapping[str, str], *, width: int) -> None:
     """List names and titles, a line each, where the help of a command has a word."""
     lines = (f"  {name:<{width}}  {title}" for name, title in titles.items())

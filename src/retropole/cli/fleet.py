@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .common import EXIT_WARNED, json_text, progress_on_terminal, say, show, show_written
+from .common import EXIT_WARNED, Group, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_network
 from .options import SENSORS, run_options
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FLEET_SCHEMA = "retropole/fleet-run/1"
 
 
-@click.group()
+@click.group(cls=Group)
 def fleet() -> None:
     """Calibrate thousands of sites into one dataset, and watch them over time.
 

@@ -8,13 +8,22 @@ from pathlib import Path
 import click
 
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
-from .common import BY_SITE_FILE, command_line, listening, result_told, say, show, show_written
+from .common import (
+    BY_SITE_FILE,
+    Group,
+    command_line,
+    listening,
+    result_told,
+    say,
+    show,
+    show_written,
+)
 from .options import CLOUD, FILE, verdict_options
 from .out import out_folder
 from .site_check import site_check
 
 
-@click.group()
+@click.group(cls=Group)
 def site() -> None:
     """Calibrate many LiDARs of one site in one frame.
 

@@ -148,7 +148,10 @@ def _idl(name: str) -> Any:
         base = what[0]
         return {"string": str, "bool": bool}.get(base) or getattr(types, base)
 
-    _, fields = get_typestore(Stores.LATEST).fielddefs[name]
+    store: Any = get_typestore(Stores.LATEST)
+    # Before rosbags 0.11 it has capitals.
+    known = store.fielddefs if hasattr(store, "fielddefs") else store.FIELDDEFS
+    _, fields = known[name]
     short = f"{name.rpartition('/')[2]}_"
     return make_idl_struct(short, dds_name(name).replace("::", "."), {n: of(t) for n, t in fields})
 
