@@ -137,7 +137,7 @@ def certificate_whole() -> Kind:
     return Kind(encode(test), partial(parsed, kind=FieldTestDoc, what="certificate"))
 
 
-WHOLE = {
+WHOLE: dict[str, Callable[[], Kind]] = {
     "result": result_whole,
     "site": site_whole,
     "plan": plan_whole,

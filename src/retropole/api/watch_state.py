@@ -99,9 +99,9 @@ class Watched:
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
 
     @property
-    def frame_id(self) -> str:
-        """Of the newest sweep; empty where none came, or it has none."""
-        return self.origin.frame_id if self.origin else ""
+    def frame_id(self) -> str | None:
+        """Of the newest sweep, empty where it names none; None before the first sweep."""
+        return self.origin.frame_id if self.origin else None
 
 
 class Taken(NamedTuple):
