@@ -6,11 +6,11 @@ import errno
 import glob
 import os
 import re
+import secrets
 import signal
 import socket
 import stat
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -354,11 +354,12 @@ def _replace(files: Mapping[Path, bytes]) -> None:
     try:
         for place, data in files.items():
             with _named(place):
-                descriptor, written[place] = tempfile.mkstemp(
-                    dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
-                )
+                name = f".{place.name[:100]}.{secrets.token_hex(4)}{UNFINISHED}"
+                written[place] = str(place.parent / name)
+                # Before it is there: a signal may come at any moment.
                 unfinished.add(written[place])
-                with os.fdopen(descriptor, "wb") as file:
+                flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+                with os.fdopen(os.open(written[place], flags, 0o600), "wb") as file:
                     file.write(data)
                     file.flush()
                     os.fsync(file.fileno())
