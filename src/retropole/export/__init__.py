@@ -134,14 +134,15 @@ def read_transform(
     OSError
         Where it cannot be read.
     """
-    with naming(any_result_file(Path(path))):
-        return choose(_found_in(path, fmt), parent, child)
-
-
-def _found_in(path: Path, fmt: str | None = None) -> list[Found]:
-    """Read the transforms of a file, by the name of its format or by what it is."""
     file = any_result_file(Path(path))
-    data = read_document(file).removeprefix(codecs.BOM_UTF8)
+    data = read_document(file)
+    with naming(file):
+        return choose(_found_in(file, data, fmt), parent, child)
+
+
+def _found_in(file: Path, data: bytes, fmt: str | None = None) -> list[Found]:
+    """Transforms of a file that holds `data`, by the name of its format or by what it is."""
+    data = data.removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
         if name not in FORMATS:
@@ -170,8 +171,10 @@ def read_mounting(path: Path, target: str | None) -> Transform:
     OSError
         Where it cannot be read.
     """
-    with naming(path):
-        found = _found_in(path)
+    file = any_result_file(Path(path))
+    data = read_document(file)
+    with naming(file):
+        found = _found_in(file, data)
         if any(each.parent is None or each.child is None for each in found):
             raise UsageError(
                 "does not name the frames of the mounting; write it with both: retropole export "

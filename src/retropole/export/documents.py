@@ -322,8 +322,7 @@ class _Stamped:
 EXPECTED_YAML = "expected the YAML to be parent: child: {x, y, z, roll, pitch, yaw}"
 
 _NOT_OURS = (
-    "; extrinsic_T and extrinsic_R (FAST-LIO) are the LiDAR in its IMU, no transform from LiDAR to "
-    "LiDAR"
+    "; extrinsic_T and extrinsic_R (FAST-LIO) are the pose of the LiDAR in its IMU, not in a LiDAR"
 )
 
 
