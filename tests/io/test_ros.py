@@ -434,7 +434,7 @@ def test_more_points_than_bytes_for_them_are_refused() -> None:
 
 
 class TestLivox:
-    """``CustomMsg``, which Livox' drivers send unless they are told to send PointCloud2."""
+    """``CustomMsg``, which Livox' drivers send where ``xfer_format`` is 1."""
 
     @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
     @pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
