@@ -97,7 +97,7 @@ class TestExports:
         said |= dict.fromkeys(("spreadsheet.csv", "commas and blanks.txt"), "decimal marks")
         assert [said.get(name, "") in note for note in cloud.notes] == [True] * (name in said)
 
-    def test_times_in_seconds_are_told_by_their_unit(self, tmp_path: Path) -> None:
+    def test_a_time_in_another_unit_is_not_taken_for_seconds(self, tmp_path: Path) -> None:
         for unit, is_taken in (("s", True), ("", True), ("us", False), ("ms", False)):
             name = f"time ({unit})" if unit else "time"
             (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,0.5\n1,2,4,1.5\n")

@@ -451,7 +451,7 @@ def test_what_others_wrote_is_not_kept_without_end() -> None:
 
 
 class TestLivox:
-    """``CustomMsg``, which Livox' drivers send unless they are told to send PointCloud2."""
+    """``CustomMsg``, which Livox' drivers send where ``xfer_format`` is 1."""
 
     @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
     @pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])

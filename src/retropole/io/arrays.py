@@ -236,7 +236,7 @@ def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointClou
 
 
 def _as_utf8(data: bytes) -> bytes:
-    """Give a text without its byte order mark, which also tells UTF-16."""
+    """Give a text as UTF-8 without a byte order mark; one of UTF-16 has such a mark."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", errors="replace").encode("utf-8", errors="replace")
     return data.removeprefix(codecs.BOM_UTF8)

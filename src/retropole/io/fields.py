@@ -39,7 +39,7 @@ PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 """What the columns of a table without names are; a fifth could be a colour or a normal."""
 
 IN_SECONDS = ("", "s", "sec", "seconds")
-"""Units in the name of a time that are seconds, or say nothing."""
+"""Units in the name of a time that are taken for seconds; most names have none."""
 
 LAST_SECOND = 1e11
 """Greater than any time in seconds (year 5138), smaller than any Unix time in milliseconds."""
