@@ -16,7 +16,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from retropole.base.files import UNFINISHED
+from retropole.base.files import RUNNING, UNFINISHED
+from retropole.io import open_recording
 from retropole.result.decoding import decode
 from tests.tiers import first_of
 
@@ -57,10 +58,13 @@ def calibrate(run: str) -> tuple[str, ...]:
     return "calibrate", f"{run}0.pcd", f"{run}1.pcd", "--out", "out"
 
 
+WATCH = "watch", "replay:b0.pcd", "replay:b1.pcd"
+
 COMMANDS: dict[str, tuple[object, ...]] = {
     "calibrate": calibrate("b"),
     "report": ("report", "out"),
     "simulate": ("simulate", "street", "--seed", 2, "--out", "s"),
+    "watch": (*WATCH, "--sweeps", 3, "--no-page", "--out", "out"),
     "check": ("check", "out", "b0.pcd", "b1.pcd"),
     "export": ("export", "out", "--into", "robot.urdf", "--child", "other"),
 }
@@ -78,6 +82,10 @@ def assert_whole(folder: Path) -> None:
             page = (out / f"{kind}report.html").read_text()
             assert page.rstrip().endswith("</html>")
             assert all(item.path in page for item in result.inputs)
+    for path in out.glob("*.mcap"):
+        for topic in ("/target/points", "/source/points"):
+            recording = open_recording(path, topic=topic)
+            assert len(list(recording.read(range(recording.count)))) == recording.count >= 1
     truth = json.loads((folder / "s" / "truth.json").read_text())
     clouds = [folder / "s" / truth[role] for role in ("target", "source")]
     sizes = {path.stat().st_size for path in clouds if path.exists()}
@@ -122,6 +130,7 @@ def kill(
     _, errors = done.communicate(timeout=300)
     assert done.returncode in ends, f"seed {seed}: {errors[-800:]}"
     assert not list(folder.rglob(f"*{UNFINISHED}")), f"seed {seed}"
+    assert not list(folder.rglob(RUNNING)), f"seed {seed}"
     look(folder)
     return name
 

@@ -76,7 +76,30 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
         assert {each for each, _ in reading.read(str(folder / "history"))} == IDS
 
 
-@pytest.mark.parametrize("seed", range(6))
+FEW = {name: COMMANDS[name] for name in ("init", "network")}
+FEW["report"] = ("fleet", "report", "fleet", "--out", "fleet.html")
+
+
+def test_ended_where_little_is_worked_out(tmp_path: Path) -> None:
+    """What needs no recordings of a fleet; the others take long."""
+    site, folder = tmp_path / "site", tmp_path / "run"
+    site.mkdir()
+    write_made_up_fleet(site)
+    (site / "posts").mkdir()
+    for name in ("a_1.pcd", "a_2.pcd", "b_1.pcd", "b_2.pcd"):
+        (site / "posts" / name).touch()
+    for words in FEW.values():
+        assert start(site, *words).wait(timeout=300) in (0, 4)
+
+    def look(folder: Path) -> None:
+        read_site_file(folder / "posts/site.toml")
+        assert (folder / "fleet.html").read_text().rstrip().endswith("</html>")
+        assert (folder / "network.parquet").read_bytes()[-4:] == b"PAR1"
+
+    assert {kill(site, folder, k, FEW, look, (0, 4)) for k in (0, 5)} == {"network", "report"}
+
+
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.full
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)

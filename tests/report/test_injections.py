@@ -163,7 +163,6 @@ def hostile_viewer() -> Iterator[Viewer]:
 
 
 # The browser ends first: viser waits for the connections that it holds ready.
-@pytest.mark.full
 def test_no_text_runs_in_the_viewer(hostile_viewer: Viewer, browser: Browser) -> None:
     browser.driver.get(hostile_viewer.url)
     text = "return document.body.textContent"

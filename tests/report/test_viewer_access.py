@@ -212,7 +212,6 @@ def foreign(tmp_path: Path) -> Iterator[list[str]]:
 
 
 @needs_browser
-@pytest.mark.full
 def test_a_foreign_page_in_the_same_browser_gets_nothing(
     viewer: Viewer, browser: Browser, foreign: list[str], tmp_path: Path
 ) -> None:
