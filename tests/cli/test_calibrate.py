@@ -75,6 +75,7 @@ def test_moving_a_cloud_moves_the_answer(
     assert np.linalg.norm(se3.apply(A, here) - se3.apply(B, here)) < 0.15
 
 
+@pytest.mark.full
 def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
     done = retropole_here(
         "calibrate", scene / "lidar1.pcd", scene / "lidar0.pcd", "--out", tmp_path, "-q"
@@ -98,6 +99,7 @@ def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Pat
     assert (tmp_path / "r" / "report.html").exists()
 
 
+@pytest.mark.full
 def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     other = place_again(rp.simulate("street", 1), np.random.default_rng(3))
@@ -115,6 +117,7 @@ def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -
     assert len(result["placements"]) == 2
 
 
+@pytest.mark.full
 def test_a_prior_is_taken_and_a_wrong_one_refused(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     done = retropole_here("calibrate", *files, "--up", "--out", "up", "-q", cwd=tmp_path)
