@@ -136,6 +136,34 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
         assert word not in text
 
 
+def test_the_transform_names_the_recordings() -> None:
+    result = made_up("ok", 500).result
+    first = "T_target_source maps points of the source (rear.pcd) into the frame of the target"
+    assert f"{first} (front.pcd)" in " ".join(describe_result(result, []).split())
+    alike = [replace(each, path=f"{k}/{'x' * 30}.pcd") for k, each in enumerate(result.inputs)]
+    text = describe_result(replace(result, inputs=alike), [])
+    assert f"points of the source (1/{'x' * 30}.pcd)" in text
+    assert max(map(len, text.splitlines())) <= WIDTH
+    several = replace(result, inputs=2 * result.inputs)
+    assert "the source (rear.pcd, …)" in describe_result(several, [])
+
+
+def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
+    counts: dict[str, float | int | str] = {
+        "pairs": 229,
+        "pairs_laid": 200,
+        "ways": 310,
+        "ways_tried": 16,
+    }
+    reason = ReasonDoc("no_match", "no pose fits", counts)
+    result = replace(made_up("refused", 500).result, reasons=[reason])
+    assert "to bound the time" not in describe_result(result, []).lower()
+    whole = " ".join(describe_result(result, [], verbose=True).split())
+    words = "To bound the time, the 200 most alike of 229 pairs of possible poles were laid on each"
+    assert f"{words} other, the best 16 of 310 ways of pairing possible poles were tried" in whole
+    assert "registered" not in whole
+
+
 def test_what_was_asked_for_is_answered() -> None:
     words = "within 2 cm at 30 m: yes, 98 % sure"
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, words)

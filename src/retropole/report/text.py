@@ -16,10 +16,10 @@ from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements
-from .hypotheses import describe_standing, margin_words
+from .hypotheses import describe_standing, margin_words, tried_words
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
-from .subject import Subject, of_pair
+from .subject import Subject, of_pair, recorded_by
 from .verdict import instead_words
 
 ACTIONS = 2
@@ -140,8 +140,9 @@ def _poses(subject: Subject, room: int) -> list[str]:
     site, pair = subject.site, subject.pair
     if pair is not None:
         T = pair.T_target_source
-        title = ["", "T_target_source (source points into the target frame)"]
-        return [] if T is None else title + transform_lines(T)
+        target, source = recorded_by(pair)
+        title = wrapped(f"T_target_source maps points of {source} into the frame of {target}", "  ")
+        return [] if T is None else ["", *title, *transform_lines(T)]
     listing = listings.poses(site)
     rows = [[shortened(str(name), LONGEST_NAME), *row] for name, *row in listing.rows]
     listing = Listing("", listing.header, rows)
@@ -183,6 +184,8 @@ def _more(subject: Subject) -> list[str]:
         lines += [f"  {words}" for words in [margin_words(pair)] if words]
     else:
         lines += _lines(listings.changes(subject))
+    tried = tried_words(site.reasons)
+    lines += wrapped(f"  {tried}", "    ") if tried else []
     lines += _lines(listings.pairs(site))
     lines += _lines(listings.loops(site))
     lines += _lines(listings.tests(site).only(0, 2, 5, 6, 7))

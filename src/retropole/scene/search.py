@@ -16,7 +16,7 @@ from ..base.timing import Step
 from ..extraction.candidates import with_candidates
 from ..extraction.dimmer import with_dimmer_candidates
 from ..matching import correspondence
-from ..matching.budget import Share, Tried, state_what_was_tried
+from ..matching.budget import Share, Tried, with_what_was_tried
 from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
@@ -95,7 +95,7 @@ def choose_with_candidates(
         if chosen is not None:
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    return replace(first, refusal=state_what_was_tried(first.refusal, tried))
+    return replace(first, refusal=with_what_was_tried(first.refusal, tried))
 
 
 def _choose_without_poles(
