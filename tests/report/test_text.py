@@ -15,6 +15,7 @@ from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
 from retropole.report.listings import pose_rows
+from retropole.report.subject import recorded_by
 from retropole.report.text import (
     describe_detection,
     describe_result,
@@ -145,7 +146,8 @@ def test_the_transform_names_the_recordings() -> None:
     assert f"points of the source (1/{'x' * 30}.pcd)" in text
     assert max(map(len, text.splitlines())) <= WIDTH
     several = replace(result, inputs=2 * result.inputs)
-    assert "the source (rear.pcd, …)" in describe_result(several, [])
+    assert recorded_by(several) == ("the target (front.pcd, …)", "the source (rear.pcd, …)")
+    assert recorded_by(replace(result, inputs=[])) == ("the target", "the source")
 
 
 def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
