@@ -74,6 +74,7 @@ Code = Literal[
     "not_linked",
     "pose_contradicted",
     # check
+    "recordings_of_result",
     "swapped",
     "poles_not_trusted",
     "no_covariance",
