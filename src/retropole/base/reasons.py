@@ -75,6 +75,7 @@ Code = Literal[
     "pose_contradicted",
     # check
     "recordings_of_result",
+    "carrier_moved",
     "swapped",
     "poles_not_trusted",
     "no_covariance",
