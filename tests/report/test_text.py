@@ -11,6 +11,7 @@ from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.quantities import counted
 from retropole.base.reasons import plain, reasons
+from retropole.base.sensors import LITTLE
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
@@ -184,6 +185,22 @@ def test_placements_are_written_with_the_change_of_the_pose() -> None:
     text = describe_result(replace(made_up(count=500).result, placements=listed), [])
     assert re.search(r"^ +1: front.pcd ← rear.pcd +2 \+ 3 +0\.057 +4\.0 +source$", text, re.M)
     assert re.search(r"^ +2 +2 \+ 2 +– +– +source$", text, re.M)
+
+
+def test_where_nothing_stands_out_few_clusters_are_listed() -> None:
+    pair = simulate_pair("street", np.random.default_rng(1))
+    found = find_poles(pair.target, sensor=None, threshold=None, radius=0.02).detection
+    assert found is not None
+    document = detection_document(found, INPUTS[0])
+    cluster = document.rejected[0]
+    bare = replace(document, poles=[], rejected=48 * [cluster], threshold_source=f"auto; {LITTLE}")
+    text = describe_detection(bare, [])
+    assert "nothing here is distinctly brighter than the rest" in text
+    assert "48 rejected clusters, the largest 3 of them here" in text
+    assert text.count(cluster.reason[:30]) == 3
+    whole = describe_detection(replace(bare, threshold_source="VLP-16"), [])
+    assert "brighter" not in whole
+    assert whole.count(cluster.reason[:30]) == 48
 
 
 def test_detections_say_why_a_cluster_is_rejected() -> None:

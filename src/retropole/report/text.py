@@ -11,6 +11,7 @@ from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
+from ..base.sensors import LITTLE
 from ..result import InputDoc, ReasonDoc, ResultDoc
 from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
@@ -24,6 +25,9 @@ from .verdict import instead_words
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
+
+FEW_LISTED = 3
+"""Rejected clusters that are listed where nothing stands out from the rest."""
 
 LONGEST_NAME = 20
 """Characters of a LiDAR's name in a table; the middle of a longer one is left out."""
@@ -272,15 +276,22 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     if detection.poles:
         rows = [pole_row(f"pole {k}", pole) for k, pole in enumerate(detection.poles)]
         parts.append(table(columns(POLE_COLUMNS), rows))
+    listed = detection.rejected
+    if not detection.poles and detection.threshold_source.endswith(LITTLE):
+        # Their reasons are of pieces of the ground and of walls.
+        words = "nothing here is distinctly brighter than the rest: no tape is in view, or the "
+        parts += ["", *wrapped(words + "intensity is not as it was measured", "  ")]
+        listed = listed[:FEW_LISTED]
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
-    if detection.rejected:
+    if len(listed) < len(detection.rejected):
+        parts[-1] += f", the largest {len(listed)} of them here; --json lists all"
+    if listed:
         rows = [
-            [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)]
-            for cluster in detection.rejected
+            [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)] for cluster in listed
         ]
         header, *lines = table(columns("why; x, m; y, m; z, m; points"), rows).split("\n")
         parts.append(header)
-        for line, cluster in zip(lines, detection.rejected, strict=True):
+        for line, cluster in zip(lines, listed, strict=True):
             parts += [line, *wrapped(f"    {cluster.reason}", "    ")]
     if written:
         parts.append("written: " + ", ".join(written))
