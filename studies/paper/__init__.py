@@ -28,8 +28,9 @@ __all__ = ["Exhibit", "Experiment", "experiments", "reproduce", "write_exhibit"]
 SET_UPS_PER_SEED = 2
 """Of the simulated error: it has a long tail, and a set-up takes little time."""
 
-SEEDS_PER_SLOW_SCENE = 5
-"""Of the experiments that take seconds for each scene."""
+SLOW_SCENES, SEEDS_PER_SLOW_SCENE = 20, 5
+"""Experiments that take seconds for each scene run on so many of the seeds that are asked for, or
+on one in so many of them where that is more."""
 
 
 class Experiment(NamedTuple):
@@ -43,11 +44,14 @@ class Experiment(NamedTuple):
         Of the exhibits that it makes, in their order.
     run
         Makes them.
+    scenes
+        How many scenes it draws where these are fewer than the seeds; else None.
     """
 
     title: str
     names: tuple[str, ...]
     run: Callable[[], Iterable[Exhibit]]
+    scenes: int | None = None
 
 
 def experiments(seeds: int, data: Path | None) -> list[Experiment]:
@@ -56,19 +60,20 @@ def experiments(seeds: int, data: Path | None) -> list[Experiment]:
     Parameters
     ----------
     seeds
-        Number of simulated scenes of each experiment that draws any; `SET_UPS_PER_SEED` and
-        `SEEDS_PER_SLOW_SCENE` scale it.
+        Number of simulated scenes of each experiment that draws any; where a set-up takes little
+        time `SET_UPS_PER_SEED` times as many, where it takes seconds `SLOW_SCENES` of many.
     data
         Folder of the real recordings; None leaves these out.
     """
-    few = max(seeds // SEEDS_PER_SLOW_SCENE, 1)
+    few = max(min(seeds, SLOW_SCENES), seeds // SEEDS_PER_SLOW_SCENE)
+    told = few if few < seeds else None
     set_ups = SET_UPS_PER_SEED * seeds
     listed = [
         Experiment("Table I", ("table1_sensors",), lambda: [thresholds()]),
         Experiment("Equations 3 and 4, points", ("eq3_4_points",), lambda: [arc_points()]),
         Experiment("Equations 3 and 4", ("eq3_4_arc_walk",), lambda: [arc_walk()]),
         Experiment("Section IV-A", ("sec4a_transforms",), lambda: [transforms()]),
-        Experiment("Figure two_matlab", ("two_matlab",), lambda: [two_matlab()]),
+        Experiment("Fig. 5", ("two_matlab",), lambda: [two_matlab()]),
         Experiment("Table II", ("table2_line_bias",), lambda: [line_bias()]),
         Experiment("Table II, tried", ("table2_tried",), lambda: [table_two_tried()]),
         Experiment("Fig. 4", ("fig4_hypotheses",), lambda: [eight_starts(seeds)]),
@@ -78,7 +83,9 @@ def experiments(seeds: int, data: Path | None) -> list[Experiment]:
             ("simulated_norms",),
             lambda: [simulated_norms(set_ups)],
         ),
-        Experiment("simulated error, ten trials", ("simulated_trials",), lambda: [ten_trials(few)]),
+        Experiment(
+            "simulated error, ten trials", ("simulated_trials",), lambda: [ten_trials(few)], told
+        ),
         Experiment(
             "simulated error, pole length",
             ("simulated_pole_length",),
@@ -87,11 +94,12 @@ def experiments(seeds: int, data: Path | None) -> list[Experiment]:
         Experiment(
             "Table III", ("table3_four_result", "table3_how_often"), lambda: choosing(seeds)
         ),
-        Experiment("Sec. V", ("section5_failures",), lambda: [failures(few)]),
+        Experiment("weaknesses", ("weaknesses",), lambda: [failures(few)], told),
         Experiment(
             "Table IV, simulated",
             ("table4_comparing", "table4_order", "table4_corridors"),
             lambda: comparing_simulated(few),
+            told,
         ),
     ]
     if data is not None:

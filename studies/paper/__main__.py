@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import click
@@ -13,7 +13,7 @@ from retropole.base.files import write_atomically
 from retropole.cli.common import CONTEXT, never_fail_to_encode, progress_on_terminal, show
 from retropole.cli.errors import failure_of, tell
 from retropole.cli.options import OUT
-from studies.paper import Exhibit, experiments, reproduce, write_exhibit
+from studies.paper import Exhibit, Experiment, experiments, reproduce, write_exhibit
 
 COMMAND = "python -m studies.paper"
 """As it is typed."""
@@ -39,7 +39,8 @@ COMMAND = "python -m studies.paper"
     type=click.IntRange(1, 10_000),
     default=100,
     show_default=True,
-    help="Simulated scenes of each experiment; 100 take minutes.",
+    help="Simulated scenes of each experiment; 100 take minutes. Of more than 20, experiments that "
+    "take seconds for each scene run on 20 or on a fifth, and it is said which.",
 )
 @click.option(
     "--data",
@@ -59,7 +60,8 @@ def paper(out: Path, only: tuple[str, ...], seeds: int, data: Path | None, quiet
       python -m studies.paper --only table2
       python -m studies.paper --seeds 10 --data recordings/
     """
-    check_names(only, [name for each in experiments(seeds, data) for name in each.names])
+    listed = experiments(seeds, data)
+    check_names(only, [name for each in listed for name in each.names])
     with progress_on_terminal(quiet) as progress:
         exhibits = reproduce(seeds, data, progress, only=only)
         progress("write")
@@ -70,9 +72,12 @@ def paper(out: Path, only: tuple[str, ...], seeds: int, data: Path | None, quiet
         place = f"{len(written)} tables and figures in {printable(str(out))}"
     else:
         index = out / "index.md"
-        write_atomically(index, index_of(exhibits).encode())
+        said = fewer(listed, {exhibit.name for exhibit in exhibits}, seeds)
+        write_atomically(index, index_of(exhibits, said).encode())
         place = f"{printable(str(index))} and {len(written)} tables and figures beside it"
     if not quiet:
+        for line in fewer(listed, {exhibit.name for exhibit in exhibits}, seeds):
+            show(line)
         show(f"written: {place}")
 
 
@@ -93,9 +98,18 @@ def check_names(only: Sequence[str], names: Sequence[str]) -> None:
             )
 
 
-def index_of(exhibits: Sequence[Exhibit]) -> str:
-    """Write all tables as one page of Markdown, each with its picture."""
-    pages = []
+def fewer(listed: Sequence[Experiment], made: Collection[str], seeds: int) -> list[str]:
+    """Say which experiments that were made ran on fewer scenes than seeds were asked for."""
+    return [
+        f"{each.title}: {each.scenes} of {seeds} scenes, each takes seconds"
+        for each in listed
+        if each.scenes is not None and {*each.names} & {*made}
+    ]
+
+
+def index_of(exhibits: Sequence[Exhibit], said: Sequence[str] = ()) -> str:
+    """Write all tables as one page of Markdown, each with its picture, and what is to be said."""
+    pages = [f"{line[0].upper()}{line[1:]}.\n" for line in said]
     for exhibit in exhibits:
         picture = "" if exhibit.draw is None else f"\n![{exhibit.title}]({exhibit.name}.png)\n"
         pages.append(exhibit.markdown().replace("# ", "## ", 1) + picture)

@@ -1,4 +1,4 @@
-"""Figure two_matlab: the beams of a tilted LiDAR drawn to the pole."""
+"""Fig. 5: the beams of a tilted LiDAR drawn to the pole."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def two_matlab() -> Exhibit:
         rows.append((round(float(elevation)), len(points), *ends))
     return Exhibit(
         "two_matlab",
-        "Figure two_matlab: beams of a VLP-16 with q = (0.884, 0.306, 0.177, 0.306) on the pole",
+        "Fig. 5: beams of a VLP-16 with q = (0.884, 0.306, 0.177, 0.306) on the pole",
         ("ring deg", "points", "least θ deg", "most", "least z m", "most"),
         tuple(rows),
         f"x_p = {DISTANCE:g} m and r = {RADIUS:g} m, which the paper does not state; q is w first. "

@@ -115,7 +115,7 @@ def _medians(corridors: list[Corridor]) -> Exhibit:
     shown = example
     return Exhibit(
         "table4_comparing",
-        "Table IV: sharpness of the aligned clouds, simulated corridors",
+        "Table IV and Fig. 7: sharpness of the aligned clouds, simulated corridors",
         ("method", "paper", *FIGURES, "e_rt m", "refused"),
         tuple(rows),
         f"{NOTE} Medians over the {compared} of {len(corridors)} corridors (seeds from 0) in which "

@@ -1,4 +1,4 @@
-"""Sec. V: where the paper says that its method fails, as experiments; its method beside ours."""
+"""Sec. IV-C and V: the weaknesses that the paper names, as experiments; its method beside ours."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Trouble:
     Attributes
     ----------
     weakness
-        Of Sec. V.
+        Of Sec. IV-C or V.
     name
         What is done.
     change
@@ -305,8 +305,8 @@ def failures(seeds: int) -> Exhibit:
                 (trouble.weakness, trouble.name, name, *counts, seeds - sum(counts), middle)
             )
     return Exhibit(
-        "section5_failures",
-        "Sec. V: where the paper's method fails, in simulated corridors",
+        "weaknesses",
+        "Sec. IV-C and V: the weaknesses that the paper names, in simulated corridors",
         ("weakness", "what is done", "method", "success", "wrong", "refused", "median e_rt m"),
         tuple(rows),
         f"The same {seeds} corridors (seeds from 0) in every row, with all errors of the field but "

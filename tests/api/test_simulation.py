@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
+from retropole.evaluation.metrics import e_rt
 from tests.api.clouds import pair
 
 
@@ -23,3 +24,17 @@ def test_options_are_taken() -> None:
     assert set(np.unique(made.target.frame)) == {0, 1}
     with pytest.raises(rp.UsageError, match="no scene is called 'moon'"):
         rp.simulate("moon")
+
+
+def test_the_place_before_its_poles_are_set_up() -> None:
+    """Of one seed the same place, LiDARs and truth, without the poles."""
+    bare = rp.simulate("harbor", 1, sensor_target="VLP-16", sensor_source="VLP-16", poles=0)
+    np.testing.assert_array_equal(bare.T_target_source, pair().T_target_source)
+    assert not bare.poles
+    assert pair().poles
+    assert len(bare.surroundings) == len(pair().surroundings)
+    answer = rp.calibrate(bare.target, bare.source, poles=0)
+    assert answer.T_target_source is not None
+    assert e_rt(answer.T_target_source, bare.T_target_source) < 0.1
+    with pytest.raises(rp.UsageError, match="nothing stands but its poles"):
+        rp.simulate("paper", poles=0)

@@ -70,6 +70,11 @@ def test_exit_codes_are_those_of_calibrate(
     commands = "written", "next", "field test", "later"
     assert all(len(line) <= 80 for line in lines if not line.startswith(commands))
     assert ("refused (ambiguous)" in done.stderr) == (status == "refused")
+    # Whichever stream a reader sees has the reason, and the two together have it once.
+    if status == "refused":
+        message = decode_site((out / "site-result.json").read_bytes()).reasons[0].message
+        both = " ".join(f"{done.stdout}\n{done.stderr}".split())
+        assert both.count(" ".join(message.split())) == 1
 
 
 def test_json_is_the_document_alone(

@@ -11,10 +11,12 @@ from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.quantities import counted
 from retropole.base.reasons import plain, reasons
+from retropole.base.sensors import LITTLE
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
 from retropole.report.listings import pose_rows
+from retropole.report.subject import recorded_by
 from retropole.report.text import (
     describe_detection,
     describe_result,
@@ -136,6 +138,35 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
         assert word not in text
 
 
+def test_the_transform_names_the_recordings() -> None:
+    result = made_up("ok", 500).result
+    first = "T_target_source maps points of the source (rear.pcd) into the frame of the target"
+    assert f"{first} (front.pcd)" in " ".join(describe_result(result, []).split())
+    alike = [replace(each, path=f"{k}/{'x' * 30}.pcd") for k, each in enumerate(result.inputs)]
+    text = describe_result(replace(result, inputs=alike), [])
+    assert f"points of the source (1/{'x' * 30}.pcd)" in text
+    assert max(map(len, text.splitlines())) <= WIDTH
+    several = replace(result, inputs=2 * result.inputs)
+    assert recorded_by(several) == ("the target (front.pcd, …)", "the source (rear.pcd, …)")
+    assert recorded_by(replace(result, inputs=[])) == ("the target", "the source")
+
+
+def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
+    counts: dict[str, float | int | str] = {
+        "pairs": 229,
+        "pairs_laid": 200,
+        "ways": 310,
+        "ways_tried": 16,
+    }
+    reason = ReasonDoc("no_match", "no pose fits", counts)
+    result = replace(made_up("refused", 500).result, reasons=[reason])
+    assert "to bound the time" not in describe_result(result, []).lower()
+    whole = " ".join(describe_result(result, [], verbose=True).split())
+    words = "To bound the time, the 200 most alike of 229 pairs of possible poles were laid on each"
+    assert f"{words} other, the best 16 of 310 ways of pairing possible poles were tried" in whole
+    assert "registered" not in whole
+
+
 def test_what_was_asked_for_is_answered() -> None:
     words = "within 2 cm at 30 m: yes, 98 % sure"
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, words)
@@ -154,6 +185,22 @@ def test_placements_are_written_with_the_change_of_the_pose() -> None:
     text = describe_result(replace(made_up(count=500).result, placements=listed), [])
     assert re.search(r"^ +1: front.pcd ← rear.pcd +2 \+ 3 +0\.057 +4\.0 +source$", text, re.M)
     assert re.search(r"^ +2 +2 \+ 2 +– +– +source$", text, re.M)
+
+
+def test_where_nothing_stands_out_few_clusters_are_listed() -> None:
+    pair = simulate_pair("street", np.random.default_rng(1))
+    found = find_poles(pair.target, sensor=None, threshold=None, radius=0.02).detection
+    assert found is not None
+    document = detection_document(found, INPUTS[0])
+    cluster = document.rejected[0]
+    bare = replace(document, poles=[], rejected=48 * [cluster], threshold_source=f"auto; {LITTLE}")
+    text = describe_detection(bare, [])
+    assert "nothing here is distinctly brighter than the rest" in text
+    assert "48 rejected clusters, the largest 3 of them here" in text
+    assert text.count(cluster.reason[:30]) == 3
+    whole = describe_detection(replace(bare, threshold_source="VLP-16"), [])
+    assert "brighter" not in whole
+    assert whole.count(cluster.reason[:30]) == 48
 
 
 def test_detections_say_why_a_cluster_is_rejected() -> None:

@@ -12,7 +12,7 @@ from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.confirmation import UNUSABLE, Confirmation
 from retropole.base.uncertainty.purpose import Fitness
-from retropole.report.certainty import probability, statements
+from retropole.report.certainty import checks_of_site, probability, statements
 from retropole.report.certificate import certificate
 from retropole.report.error_curve import curve_sentence, error_curve
 from retropole.report.page import NO_BREAK
@@ -22,6 +22,7 @@ from retropole.report.uncertainty import certainty
 from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.site import SiteDoc
+from retropole.site.blunders import is_poor
 from tests.report.made_up import Page, made_up
 from tests.report.pages import of_each_kind, subject_of
 from tests.report.site.made_up import document_of, made_up_site
@@ -173,7 +174,26 @@ def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
     ):
         assert said in text
     warned = said_of(site("warn"))
-    assert "1 suspicious (w above 3.29): pole 2 of morning as mast-b sees it (w 6.3)" in warned
+    assert "1 suspicious: pole 2 of morning as mast-b sees it (w 6.3); 5 is the most" in warned
+
+
+@pytest.mark.parametrize(
+    ("w", "chi2", "freedom", "is_said"),
+    [(4.5, 20.3, 1, False), (5.1, 26.0, 1, True), (5.1, 40.0, 6, False), (-5.1, 26.0, 1, True)],
+)
+def test_what_is_suspicious_is_what_the_verdict_warns_of(
+    w: float, chi2: float, freedom: int, is_said: bool
+) -> None:
+    """By the same limits; else the largest is named beside the most to expect."""
+    document = document_of(made_up_site("ok"))
+    test = replace(document.tests[0], w=w, chi2=chi2, freedom=freedom)
+    others = [replace(each, w=0.5, chi2=0.25) for each in document.tests[1:] if each.w is not None]
+    words = " ".join(checks_of_site(replace(document, tests=[test, *others])))
+    assert f"{test.name} (w {abs(w):.1f})" in words
+    assert ("1 suspicious: " in words) is is_said
+    assert ("none suspicious; the largest: " in words) is not is_said
+    assert "5 is the most to expect" in words
+    assert is_poor(abs(w), chi2, freedom) is is_said
 
 
 def test_a_refused_site_names_its_groups_and_no_figures() -> None:

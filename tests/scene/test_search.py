@@ -7,10 +7,12 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from retropole.base.datatypes import Placement, Scan
+from retropole.base.datatypes import Detection, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
+from retropole.base.sensors import LITTLE, find_sensor
 from retropole.matching.budget import Share, Tried
 from retropole.matching.placements import Chosen, PairedPlacement, PlacementHypotheses
 from retropole.scene import search
@@ -99,7 +101,7 @@ def test_a_refusal_says_what_was_not_tried(
     chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert chosen.refusal is not None
     assert chosen.refusal.code == "ambiguous"
-    assert "16 of 310" in chosen.refusal.message
+    assert chosen.refusal.message == refusal.message
     assert chosen.refusal.values == {"rivals": 1, "ways": 310, "ways_tried": 16}
 
 
@@ -130,3 +132,38 @@ def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
     chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert (chosen is right) == is_third
     assert asked == ([1, 1, 0] if is_third else [1, 1])
+
+
+def bare_scan(sensor: str | None, frames: int, threshold_source: str) -> Scan:
+    rng = np.random.default_rng(0)
+    frame = np.repeat(np.arange(frames), 50) if frames > 1 else None
+    cloud = PointCloud(rng.normal(size=(50 * frames, 3)), frame=frame)
+    detection = Detection((), (), 80.0, threshold_source, 9)
+    return Scan(cloud, None if sensor is None else find_sensor(sensor), detection)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "frames", "found", "said"),
+    [
+        ("Mid-360", 1, "auto", "one of the Mid-360 has few returns on a pole: record some seconds"),
+        (None, 1, "auto", "one of a LiDAR without rings has few returns on a pole"),
+        ("Mid-360", 5, "auto", "check the tape and the threshold"),
+        ("VLP-16", 1, "auto", "check the tape and the threshold"),
+        ("VLP-16", 1, f"auto: 78%; {LITTLE}", "nothing there is distinctly brighter than the rest"),
+    ],
+)
+@pytest.mark.parametrize("source", [False, True])
+def test_of_too_few_poles_it_is_said_what_helps(
+    sensor: str | None, frames: int, found: str, said: str, source: bool
+) -> None:
+    few, enough = bare_scan(sensor, frames, found), bare_scan("VLP-16", 1, "given")
+    placement = Placement(enough, few) if source else Placement(few, enough)
+    refusal = Refusal(
+        "too_few_poles",
+        "the LiDAR sees 0 poles, 2 are needed; check the tape and the threshold with 'detect'",
+        {"lidar": "source" if source else "target"},
+    )
+    message = search.explained(refusal, [placement]).message
+    assert message.startswith("the LiDAR sees 0 poles, 2 are needed; ")
+    assert said in message
+    assert ("threshold" in message) is (said == "check the tape and the threshold")

@@ -18,7 +18,7 @@ from retropole.scene.static import (
     remove_dynamic_points,
     turned_by,
 )
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
 FRAMES = 6
 
@@ -104,11 +104,11 @@ def test_frames_average_the_noise_away() -> None:
     assert np.median(ten) < 0.8 * np.median(one)
 
 
-def bumped(cloud: PointCloud, angle: float) -> PointCloud:
+def bumped(cloud: PointCloud, angle: float, frames: int = FRAMES) -> PointCloud:
     """Turn a LiDAR before the second half of its frames."""
     assert cloud.frame is not None
     R = se3.exp_so3(angle * np.array([0.0, 0.6, 0.8]))
-    late = (cloud.frame >= FRAMES // 2)[:, None]
+    late = (cloud.frame >= frames // 2)[:, None]
     return replace(cloud, xyz=np.where(late, cloud.xyz @ R.T, cloud.xyz))
 
 
@@ -128,6 +128,32 @@ def test_a_lidar_that_stood_did_not_turn(street: SimulatedPair) -> None:
     for cloud in (street.target, street.source, replace(street.target, frame=None)):
         assert turned_by(cloud) < np.radians(0.1)
         check_still("target", cloud)
+
+
+@pytest.fixture(scope="module", params=[1000, 1001])
+def sparse(request: pytest.FixtureRequest) -> SimulatedPair:
+    """Two LiDARs whose sweeps are sparse and never meet the same points, where little holds."""
+    seed: int = request.param
+    rng = np.random.default_rng(seed)
+    return simulate_pair("corridor", rng, sensor_target="Mid-360", sensor_source="Mid-360")
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5, 6])
+def test_single_sparse_sweeps_are_no_turn(sparse: SimulatedPair, frames: int) -> None:
+    """Of the 32 recordings, GICP turns two by more than is allowed."""
+    for seed in range(2):
+        again = record_again(sparse, np.random.default_rng(seed), frames=frames)
+        for cloud in (again.target, again.source):
+            check_still("target", remove_dynamic_points(cloud))
+
+
+@pytest.mark.parametrize("degrees", [0.5, 2.0])
+def test_a_sparse_lidar_that_turned_is_refused(sparse: SimulatedPair, degrees: float) -> None:
+    again = record_again(sparse, np.random.default_rng(0), frames=8)
+    for cloud in (again.target, again.source):
+        moved = remove_dynamic_points(bumped(cloud, np.radians(degrees), 8))
+        with pytest.raises(Refusal, match="turned by"):
+            check_still("target", moved)
 
 
 def test_a_bumped_lidar_gives_no_answer(street: SimulatedPair) -> None:

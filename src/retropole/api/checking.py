@@ -222,6 +222,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
     Refusal
         As `monitoring.drift.check`.
     """
+    own = (pair.target.sha256, pair.source.sha256) in stored.hashes
     answer = check(
         stored.pose,
         pair.target.cloud,
@@ -234,7 +235,16 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
         thresholds=(config.threshold_target, config.threshold_source),
         mast_sway=config.mast_sway,
     )
-    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
+    known = (_RECORDINGS_OF_RESULT,) if own else ()
+    return replace(answer, reasons=(*known, *answer.reasons, *stored.warnings))
+
+
+_RECORDINGS_OF_RESULT = Reason(
+    "recordings_of_result",
+    "RESULT was made of these very recordings (their SHA-256 is the same), so that they give its "
+    "pose again whatever moved since: this proves nothing; give recordings that are newer",
+    {},
+)
 
 
 def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:

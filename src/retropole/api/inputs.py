@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,6 +93,11 @@ class Input:
         if isinstance(self.given, str | Path):
             return str(self.given)
         return self.cloud.source or ARRAY_SOURCE
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the recording, or of the arrays."""
+        return sha256_of(self.name) if self.read else _hash_of_arrays(self.given)
 
     @property
     def topic(self) -> str | None:
@@ -243,7 +248,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             InputDoc,
             each.cloud,
             path=path_in_text(each.name),
-            sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
+            sha256=hash_of(each.name) if each.read else each.sha256,
             points=len(each.cloud),
             frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,

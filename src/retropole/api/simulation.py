@@ -39,7 +39,7 @@ def simulate(
     sensor_target, sensor_source
         Names of sensors; None takes the scene's own.
     poles
-        How many taped poles.
+        How many taped poles; 0 for the place of 2 before they are set up.
     radius
         Of the poles, metres.
     frames
@@ -65,8 +65,8 @@ def simulate(
     """
     if nuisances is not None and nuisances not in NOISE_MODELS:
         raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
-    if not 1 <= poles <= MAX_POLES:
-        raise UsageError(f"poles is {poles}, expected a number from 1 to {MAX_POLES}")
+    if not 0 <= poles <= MAX_POLES:
+        raise UsageError(f"poles is {poles}, expected a number from 0 to {MAX_POLES}")
     checked_options(RunConfig(radius_m=radius))
     return simulate_pair(
         scene,

@@ -74,6 +74,8 @@ Code = Literal[
     "not_linked",
     "pose_contradicted",
     # check
+    "recordings_of_result",
+    "carrier_moved",
     "swapped",
     "poles_not_trusted",
     "no_covariance",

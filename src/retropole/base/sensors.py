@@ -260,6 +260,9 @@ class Threshold:
     found: str
 
 
+LITTLE = "little stands out"
+"""So ends how a threshold was found that lies among the diffuse returns: none is much brighter."""
+
 GIVEN = "given"
 """How a threshold was found that the user gave."""
 
@@ -297,7 +300,7 @@ def auto_threshold(intensity: Array) -> Threshold:
     bottom = min(0.0, float(np.quantile(intensity, BOTTOM)))
     low, high = (bottom + part * (top - bottom) for part in OF_BRIGHTEST)
     if tail > high:
-        return Threshold(high, f"auto: {OF_BRIGHTEST[1]:.0%} of the brightest; little stands out")
+        return Threshold(high, f"auto: {OF_BRIGHTEST[1]:.0%} of the brightest; {LITTLE}")
     if tail < low:
         return Threshold(low, f"auto: {OF_BRIGHTEST[0]:.0%} of the brightest")
     return Threshold(tail, "auto: well above the diffuse returns")

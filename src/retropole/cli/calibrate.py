@@ -85,7 +85,7 @@ def calibrate(
         written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),
-        "later, with new recordings": command_line("check", out, targets[0], sources[0]),
+        "later, with new recordings": command_line("check", out, "TARGET", "SOURCE"),
     }
     describe = partial(describe_result, result.document, following=following, verbose=verbose)
     code = result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

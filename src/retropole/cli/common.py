@@ -196,10 +196,10 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
         )
 
 
-def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
-    """Say on stderr why there is no answer and, unless stdout does, what to do about it."""
+def echo_refusal(code: str, message: str) -> None:
+    """Say on stderr why there is no answer, and what to do about it."""
     say(f"retropole: refused ({code}): {message}")
-    explanation = explain(code) if advise else None
+    explanation = explain(code)
     lead = "what to do: "
     for action in explanation.advice if explanation else ():
         say(lead + plain(action))
@@ -243,9 +243,11 @@ def result_told(
         show(in_colour(describe([str(path) for path in written]), result.status))
     refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
-        if refused and (unseen or not sys.stdout.isatty()):
-            # Who sees stdout has read it there.
-            echo_refusal(reason.code, reason.message, advise=unseen)
+        if refused and unseen:
+            echo_refusal(reason.code, reason.message)
+        elif refused and not sys.stdout.isatty():
+            # Why is on stdout, wherever that leads: a pipe may end on the same terminal.
+            say(f"retropole: refused ({reason.code})")
         elif unseen and not refused:
             echo_warning(reason.code, reason.message)
     if refused:

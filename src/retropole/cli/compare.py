@@ -113,10 +113,9 @@ def compare(
         }
         show(json_text(document, indent=1))
     else:
-        show(in_words(found))
+        show(in_words(found, target, source))
     for each in found:
-        # Who sees stdout has read it there.
-        if each.status == "refused" and (as_json or not sys.stdout.isatty()):
+        if each.status == "refused" and as_json:
             say(f"retropole: {each.method}: refused ({each.codes[0]}): {each.message}")
         elif each.status == "missing":
             say(f"retropole: {each.method}: not installed: {each.message}")
@@ -164,8 +163,9 @@ def _document(each: Compared) -> dict[str, Any]:
     }
 
 
-def in_words(found: Sequence[Compared]) -> str:
+def in_words(found: Sequence[Compared], target: Path, source: Path) -> str:
     """Write the findings as tables no wider than a screen, and why a method does not answer."""
+    from ..base.errors import printable
     from ..report.layout import table, wrapped
 
     verdicts, poses, errors = [], [], []
@@ -189,7 +189,8 @@ def in_words(found: Sequence[Compared]) -> str:
         parts += ["", "Error against the truth"]
         parts.append(table(("method", "e_rt m", "rotation °", "translation m"), errors))
     if poses:
-        parts += ["", "T_target_source (source points into the target frame)"]
+        maps = f"T_target_source maps points of {source} into the frame of {target}"
+        parts += ["", *wrapped(printable(maps), "  ")]
         parts.append(table(("method", "x m", "y m", "z m", "roll °", "pitch °", "yaw °"), poses))
     said: dict[str, list[str]] = {}
     for each in found:

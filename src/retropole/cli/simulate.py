@@ -96,7 +96,12 @@ class _OrSite(click.Group):
 @click.option("--seed", type=SEED, default=0)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
-@click.option("--poles", type=Whole(1, MAX_POLES), default=2)
+@click.option(
+    "--poles",
+    type=Whole(0, MAX_POLES),
+    default=2,
+    help="In view of both; 0: the same place as with 2, before they are set up.",
+)
 @run_options("radius_m")
 @click.option(
     "--nuisances",
@@ -114,6 +119,8 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
       retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
+      retropole simulate street --seed 1 --poles 0 --out bare
+      retropole plan bare/lidar0.pcd bare/lidar1.pcd
     """
     from ..api.simulation import simulate as run
     from ..api.simulation import write_pair

@@ -120,7 +120,7 @@ def calibrate(
     following = {
         "next": command_line("export", written[0], "--to", "urdf", "--out", out / "site.urdf"),
         "field test of the LiDARs": command_line("certify", site_file, "--out", out),
-        "later, with new recordings": command_line("site", "check", out, site_file),
+        "later, with new recordings": command_line("site", "check", out, "SITE"),
     }
     describe = partial(describe_site, result.document, following=following, verbose=verbose)
     return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

@@ -14,8 +14,12 @@ from .options import CLOUD
 
 if TYPE_CHECKING:
     from ..api.site_checking import CheckedPair, SiteCheck
+    from ..base.errors import Reason
 
 SCHEMA = "retropole/site-check/1"
+
+SAID_OF_ANSWERS = ("recordings_of_result", "carrier_moved")
+"""Reasons that are said of a pair that is the same or moved, too: what the answer is worth."""
 
 
 @click.command("check")
@@ -104,12 +108,25 @@ def in_words(answer: SiteCheck) -> str:
         lines.append(table(header, [_row(each) for each in answer.pairs]))
     for reason in answer.reasons:
         lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
+    for reason, pairs in _worth_saying(answer):
+        named = printable(f"{'; '.join(pairs)}: {reason.message}")
+        lines += reason_lines(ReasonDoc(reason.code, named, {}))
     for target, source, each in answer.pairs:
         if each.status == "cannot_tell":
             lines.append(f"  {printable(f'{target}, {source}')}:")
             for reason in each.reasons:
                 lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
     return "\n".join(lines)
+
+
+def _worth_saying(answer: SiteCheck) -> list[tuple[Reason, list[str]]]:
+    """List what is to be known of pairs that have an answer, and the pairs that it is said of."""
+    found: dict[str, tuple[Reason, list[str]]] = {}
+    for target, source, each in answer.pairs:
+        for reason in each.reasons:
+            if each.status != "cannot_tell" and reason.code in SAID_OF_ANSWERS:
+                found.setdefault(reason.message, (reason, []))[1].append(f"{target}, {source}")
+    return list(found.values())
 
 
 def _row(pair: CheckedPair) -> tuple[str, ...]:

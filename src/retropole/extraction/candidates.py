@@ -129,7 +129,9 @@ def with_candidates(
             continue
         near = near_box(columns, cluster)
         for part, sought in _searches(cloud, cluster, radius, beams_by(sensor)):
-            for line in _lines_in(cloud, near, part, free, sought):
+            # Of a wall a part is small, and so is what may be beside a line in it.
+            about = near if len(part) == len(cluster) else near_box(columns, part)
+            for line in _lines_in(cloud, about, part, free, sought):
                 best = line
                 if len(part) < len(cluster):
                     # Of a pole beside a plate, a part may count as surface.

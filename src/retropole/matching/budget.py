@@ -1,4 +1,4 @@
-"""How much was tried of what the poles allow, and what a refusal says of the rest.
+"""How much was tried of what the poles allow, and how a refusal counts the rest.
 
 Beside bright things that may be poles hundreds of ways of laying some on others are possible. So
 many of each kind are tried, the best first: counts, not seconds, so that the same recordings give
@@ -40,33 +40,26 @@ class Tried(NamedTuple):
 
 NOTHING = Tried()
 
-WORDS = {
-    "pairs": "the {0} most alike of {1} pairs of possible poles were laid on each other",
-    "ways": "the best {0} of {1} ways of pairing possible poles were tried",
-    "fitting": "the best {0} of {1} that fit were registered",
-}
 VERBS = {"pairs": "laid", "ways": "tried", "fitting": "registered"}
 
 
-def state_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
-    """Say of a refusal what was left out to bound the time, where something was.
+def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
+    """Add to the values of a refusal what was left out to bound the time, where something was.
 
     Parameters
     ----------
     refusal
         Why there is no answer.
     tried
-        In each attempt; it is said of the one that had the most ways.
+        In each attempt; what counts is the one that had the most ways.
     """
     most = max(tried, key=lambda each: (each.ways.found, each.fitting.found), default=NOTHING)
     cut = {name: share for name, share in most._asdict().items() if share.tried < share.found}
     if not cut:
         return refusal
-    said = ", ".join(WORDS[name].format(share.tried, share.found) for name, share in cut.items())
     counts = {
         key: count
         for name, share in cut.items()
         for key, count in ((name, share.found), (f"{name}_{VERBS[name]}", share.tried))
     }
-    message = f"{refusal.message} (to bound the time: {said})"
-    return Refusal(refusal.code, message, {**refusal.values, **counts})
+    return Refusal(refusal.code, refusal.message, {**refusal.values, **counts})

@@ -13,6 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from scipy.special import chdtri
 
 from ..base import se3
@@ -28,6 +29,7 @@ from ..pipeline import calibrate
 from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
 from ..scene.one_mast import on_one_mast
 from ..scene.preference import preferences
+from .carrier import CarrierMotion, carrier_motion
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses
 from .new_pose import Clouds, NewPose, by_poles, by_scene, is_ambiguous, search_covariance
@@ -52,6 +54,7 @@ class _Question:
     uncertainty: Uncertainty | None
     tolerance: Asked
     sensors: tuple[Sensor | None, Sensor | None]
+    carrier: CarrierMotion | None
 
 
 def check(
@@ -94,7 +97,10 @@ def check(
     """
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
-    question = _Question(stored, uncertainty, tolerance, sensors)
+    carrier = carrier_motion(stored.T_target_source, target, source)
+    if carrier is not None and carrier.is_seen:
+        target, source = carrier.taken_out(stored.T_target_source, target, source)
+    question = _Question(stored, uncertainty, tolerance, sensors, carrier)
     calibrate_again = partial(
         calibrate,
         radius=radius,
@@ -106,13 +112,34 @@ def check(
     # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
     by_confirmed_poles = partial(calibrate_again, candidates=False)
     answer = _answered(question, by_confirmed_poles(target, source), by_confirmed_poles)
-    if not _is_off(answer):
+    if _is_off(answer):
+        again = calibrate_again(target, source)
+        # What the surfaces say without an answer of the poles was just found.
+        if again.T_target_source is not None or is_ambiguous(again):
+            answer = _answered(question, again, calibrate_again)
+    return _with_carrier(answer, carrier)
+
+
+def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckResult:
+    """Say that the carrier moved; take a movement back that its motion explains, as far as known.
+
+    A movement of the rig has the same test as without, by the covariance that the motion adds.
+    """
+    if carrier is None:
         return answer
-    again = calibrate_again(target, source)
-    # What the surfaces say without an answer of the poles was just found.
-    if again.T_target_source is None and not is_ambiguous(again):
+    if carrier.is_seen:
+        return replace(answer, reasons=(carrier.seen, *answer.reasons))
+    if answer.step is None or answer.covariance is None or answer.p_value is None:
         return answer
-    return _answered(question, again, calibrate_again)
+    if answer.status == "cannot_tell" or answer.p_value >= FALSE_ALARM:
+        return answer
+    left, covariance = answer.step - carrier.step, answer.covariance + carrier.covariance
+    if left @ np.linalg.solve(covariance, left) > chdtri(6, FALSE_ALARM):
+        return answer
+    reason = carrier.explains(answer.step)
+    if answer.status == "moved":
+        return answer.untold(reason)
+    return replace(answer, reasons=(*answer.reasons, reason))
 
 
 def _answered(
@@ -202,8 +229,16 @@ def _compared(
     question: _Question, new: NewPose, used: Method, reasons: tuple[Reason, ...]
 ) -> CheckResult:
     assert new.pose is not None
-    both = question.uncertainty, new.uncertainty
-    return compare_poses(question.stored, new.pose, used, question.tolerance, reasons, both)
+    pose, uncertainty, carrier = new.pose, new.uncertainty, question.carrier
+    if carrier is not None and carrier.is_seen:
+        # What was taken out is known no better.
+        assert pose.covariance is not None
+        pose = structs.replace(pose, covariance=pose.covariance + carrier.covariance)
+        if uncertainty is not None:
+            more = uncertainty.random + carrier.covariance
+            uncertainty = structs.replace(uncertainty, random=more)
+    both = question.uncertainty, uncertainty
+    return compare_poses(question.stored, pose, used, question.tolerance, reasons, both)
 
 
 class _Doubt(NamedTuple):

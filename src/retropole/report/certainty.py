@@ -10,13 +10,11 @@ from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..result import ResultDoc
 from ..result.site import LidarDoc, LoopDoc, SiteDoc, TestDoc
+from ..site.blunders import POOR, is_poor
 from .subject import Subject
 
 BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
-
-LIMIT_W = 3.29
-"""A sound observation is beyond this once in a thousand times (Baarda 1968)."""
 
 UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
@@ -180,14 +178,14 @@ def checks_of_site(site: SiteDoc) -> Iterator[str]:
     if not tests:
         yield "no consistency checks: nothing verifies these poses"
         return
-    high = [each for each in tests if abs(each.w or 0.0) > LIMIT_W]
-    checks = counted(len(tests), "consistency check")
+    high = [each for each in tests if is_poor(abs(each.w or 0.0), each.chi2 or 0.0, each.freedom)]
+    checks, most = counted(len(tests), "consistency check"), f"{POOR:g} is the most to expect"
+    named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in (high or tests)[:NAMED]]
     if high:
-        named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in high[:NAMED]]
         rest = f" and {len(high) - NAMED} more" if len(high) > NAMED else ""
-        yield f"{checks}, {len(high)} suspicious (w above {LIMIT_W:g}): {', '.join(named)}{rest}"
+        yield f"{checks}, {len(high)} suspicious: {', '.join(named)}{rest}; {most}"
     else:
-        yield f"{checks}, none suspicious"
+        yield f"{checks}, none suspicious; the largest: {named[0]}, {most}"
     blind = unchecked(site)
     if blind:
         yield f"{counted(blind, 'observation')} without a check: an error there would not show"

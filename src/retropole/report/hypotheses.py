@@ -12,7 +12,7 @@ from ..base.datatypes import Array
 from ..base.quantities import counted
 from ..base.reasons import plain
 from ..matching.prior import MAX_SIGMAS, RotationPrior
-from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
+from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
 from .certainty import number
 from .listings import numbers
@@ -138,7 +138,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
         table=listed(listings.hypotheses(result)),
     )
-    is_clear, decided = result.status == "ok", margin_words(result)
+    is_clear, decided = result.status == "ok", margin_words(result) or tried_words(result.reasons)
     count = counted(len(result.hypotheses), "hypothesis", "hypotheses")
     has_poles = any(each.pairs for each in result.hypotheses)
     return fill(
@@ -155,6 +155,28 @@ def margin_words(result: ResultDoc) -> str:
     if not chosen or result.margin is None:
         return ""
     return f"Hypothesis {chosen[0]} is chosen: its score is {result.margin:.2f} above the next best"
+
+
+TRIED = {
+    (
+        "pairs",
+        "pairs_laid",
+    ): "the {} most alike of {} pairs of possible poles were laid on each other",
+    ("ways", "ways_tried"): "the best {} of {} ways of pairing possible poles were tried",
+    ("fitting", "fitting_registered"): "the best {} of {} that fit were registered",
+}
+"""What a refusal counts of what was left out: how many there are, how many were tried."""
+
+
+def tried_words(reasons: Sequence[ReasonDoc]) -> str:
+    """Say what a refusal left out to bound the time; empty where it tried all."""
+    said = [
+        words.format(reason.values[tried], reason.values[found])
+        for reason in reasons
+        for (found, tried), words in TRIED.items()
+        if found in reason.values and tried in reason.values
+    ]
+    return f"To bound the time, {', '.join(said)}" if said else ""
 
 
 def _standing(result: ResultDoc) -> Html:

@@ -12,7 +12,8 @@ from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc
 from ..result.site import FoundDoc, PairDoc, SiteDoc
-from .certainty import LIMIT_W, around, far_error, number, probability
+from ..site.blunders import POOR
+from .certainty import around, far_error, number, probability
 from .subject import Subject, hypothesis_name, pair_name
 
 POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
@@ -238,7 +239,7 @@ def tests(site: SiteDoc) -> Listing:
 
 def _size(w: float | None, digits: int) -> str:
     said = number(None if w is None else abs(w), digits)
-    return said + (" stands out" if w is not None and abs(w) > LIMIT_W else "")
+    return said + (" stands out" if w is not None and abs(w) > POOR else "")
 
 
 def changes(subject: Subject) -> Listing:

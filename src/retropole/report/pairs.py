@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..result.site import SiteDoc
+from ..site.blunders import POOR
 from . import listings
-from .certainty import LIMIT_W, number
+from .certainty import number
 from .page import EMPTY, Html, fill, join, listed
 from .subject import colour_class
 from .svg import FONT, Labels, short
 
 DOUBT_W = 1.96
-"""A sound observation is beyond this once in twenty times, and beyond `LIMIT_W` in a thousand."""
+"""A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""
 
 WIDTH, HEIGHT = 520.0, 420.0
 """Of the picture, in its own units."""
@@ -25,8 +26,8 @@ LABELLED_PAIRS = 10
 
 LEVELS = (
     ("calm", f"|w| up to {DOUBT_W:g}"),
-    ("doubt", f"{DOUBT_W:g} to {LIMIT_W:g}"),
-    ("blunder", f"above {LIMIT_W:g}"),
+    ("doubt", f"{DOUBT_W:g} to {POOR:g}"),
+    ("blunder", f"above {POOR:g}"),
     ("untested", "not tested"),
 )
 """How a line is drawn by the size of its w, and what the legend says of it."""
@@ -36,7 +37,7 @@ def level_of(w: float | None) -> str:
     """Name the class of a line by its w."""
     if w is None:
         return "untested"
-    return "calm" if abs(w) <= DOUBT_W else "doubt" if abs(w) <= LIMIT_W else "blunder"
+    return "calm" if abs(w) <= DOUBT_W else "doubt" if abs(w) <= POOR else "blunder"
 
 
 def pairs(site: SiteDoc) -> Html:

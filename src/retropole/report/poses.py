@@ -19,7 +19,7 @@ from . import listings
 from .certainty import number
 from .error_curve import ErrorCurve, curve_figure
 from .page import EMPTY, Html, fill, folded, join, listed
-from .subject import LIDARS, Subject, colour_class
+from .subject import LIDARS, Subject, colour_class, recorded_by
 from .uncertainty import uncertainty
 
 FRAMES = ("lidar_target", "lidar_source")
@@ -41,8 +41,11 @@ def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
     pair = subject.pair
     if pair is None or pair.T_target_source is None:
         return EMPTY
+    target, source = recorded_by(pair)
     return fill(
         "transform",
+        target=target,
+        source=source,
         matrix=transform_matrix(pair.T_target_source),
         parts=pose_parts(pair.T_target_source),
         curve=curve_figure(curve),

@@ -208,6 +208,19 @@ def input_names(result: ResultDoc) -> list[str]:
     ]
 
 
+def recorded_by(result: ResultDoc) -> tuple[str, str]:
+    """Name target and source of a pair by what they recorded: ``the source (rear.pcd)``.
+
+    Files of one name are named with their folders; of several placements, the first.
+    """
+    names = input_names(result)[:2]
+    if len(names) == 2 and names[0] == names[1]:
+        names = [item.path for item in result.inputs[:2]]
+    more = ", …" if len(result.inputs) > 2 else ""
+    target, source = (f" ({name}{more})" for name in names) if len(names) == 2 else ("", "")
+    return f"the target{target}", f"the source{source}"
+
+
 def pole_labels(document: SiteDoc) -> list[str]:
     """Name each pole for the pictures: ``2.1`` is the first pole of the second placement."""
     count = [0] * len(document.placements)

@@ -11,19 +11,23 @@ from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
+from ..base.sensors import LITTLE
 from ..result import InputDoc, ReasonDoc, ResultDoc
 from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements
-from .hypotheses import describe_standing, margin_words
+from .hypotheses import describe_standing, margin_words, tried_words
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
-from .subject import Subject, of_pair
+from .subject import Subject, of_pair, recorded_by
 from .verdict import instead_words
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
+
+FEW_LISTED = 3
+"""Rejected clusters that are listed where nothing stands out from the rest."""
 
 LONGEST_NAME = 20
 """Characters of a LiDAR's name in a table; the middle of a longer one is left out."""
@@ -140,8 +144,9 @@ def _poses(subject: Subject, room: int) -> list[str]:
     site, pair = subject.site, subject.pair
     if pair is not None:
         T = pair.T_target_source
-        title = ["", "T_target_source (source points into the target frame)"]
-        return [] if T is None else title + transform_lines(T)
+        target, source = recorded_by(pair)
+        title = wrapped(f"T_target_source maps points of {source} into the frame of {target}", "  ")
+        return [] if T is None else ["", *title, *transform_lines(T)]
     listing = listings.poses(site)
     rows = [[shortened(str(name), LONGEST_NAME), *row] for name, *row in listing.rows]
     listing = Listing("", listing.header, rows)
@@ -183,6 +188,8 @@ def _more(subject: Subject) -> list[str]:
         lines += [f"  {words}" for words in [margin_words(pair)] if words]
     else:
         lines += _lines(listings.changes(subject))
+    tried = tried_words(site.reasons)
+    lines += wrapped(f"  {tried}", "    ") if tried else []
     lines += _lines(listings.pairs(site))
     lines += _lines(listings.loops(site))
     lines += _lines(listings.tests(site).only(0, 2, 5, 6, 7))
@@ -269,15 +276,22 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     if detection.poles:
         rows = [pole_row(f"pole {k}", pole) for k, pole in enumerate(detection.poles)]
         parts.append(table(columns(POLE_COLUMNS), rows))
+    listed = detection.rejected
+    if not detection.poles and detection.threshold_source.endswith(LITTLE):
+        # Their reasons are of pieces of the ground and of walls.
+        words = "nothing here is distinctly brighter than the rest: no tape is in view, or the "
+        parts += ["", *wrapped(words + "intensity is not as it was measured", "  ")]
+        listed = listed[:FEW_LISTED]
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
-    if detection.rejected:
+    if len(listed) < len(detection.rejected):
+        parts[-1] += f", the largest {len(listed)} of them here; --json lists all"
+    if listed:
         rows = [
-            [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)]
-            for cluster in detection.rejected
+            [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)] for cluster in listed
         ]
         header, *lines = table(columns("why; x, m; y, m; z, m; points"), rows).split("\n")
         parts.append(header)
-        for line, cluster in zip(lines, detection.rejected, strict=True):
+        for line, cluster in zip(lines, listed, strict=True):
             parts += [line, *wrapped(f"    {cluster.reason}", "    ")]
     if written:
         parts.append("written: " + ", ".join(written))

@@ -4,12 +4,35 @@ from __future__ import annotations
 
 from ..base.datatypes import PointCloud, Scan
 from ..base.errors import Refusal
-from ..base.sensors import Sensor
+from ..base.sensors import LITTLE, Sensor
 from ..extraction.extent import located
 from ..extraction.poles import extract_poles
 from .copies import without_copies
 from .static import remove_dynamic_points
 from .sway import steadied
+
+SWEEP = 50_000
+"""Returns of one sweep of a LiDAR that does not repeat its pattern, at most."""
+
+
+def why_few_poles(scan: Scan) -> str:
+    """Say why a scan shows too few poles, where it is not their tape; empty where nothing is known.
+
+    What shines in no place is no tape, whatever the threshold; and one sweep of a LiDAR that does
+    not repeat its pattern has too few returns on a pole.
+    """
+    cloud, found, sensor = scan.cloud, scan.detection, scan.sensor
+    if found is not None and found.threshold_source.endswith(LITTLE):
+        return (
+            "nothing there is distinctly brighter than the rest: wrap the tape, or record the "
+            "intensity as the LiDAR measures it"
+        )
+    most = SWEEP if sensor is None else 1.5 * sensor.points
+    is_rosette = cloud.ring is None if sensor is None else sensor.pattern == "rosette"
+    if cloud.frame is not None or len(cloud) > most or not is_rosette:
+        return ""
+    which = "a LiDAR without rings" if sensor is None else f"the {sensor.name}"
+    return f"it is one sweep, and one of {which} has few returns on a pole: record some seconds"
 
 
 def find_poles(

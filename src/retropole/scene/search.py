@@ -16,7 +16,7 @@ from ..base.timing import Step
 from ..extraction.candidates import with_candidates
 from ..extraction.dimmer import with_dimmer_candidates
 from ..matching import correspondence
-from ..matching.budget import Share, Tried, state_what_was_tried
+from ..matching.budget import Share, Tried, with_what_was_tried
 from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
@@ -24,6 +24,7 @@ from . import disambiguation, icp_refinement
 from .by_place import STAND_TWO, choose_by_place, has_rival
 from .choice import choose_best
 from .one_pole import MOST_POLES
+from .scans import why_few_poles
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
@@ -95,7 +96,21 @@ def choose_with_candidates(
         if chosen is not None:
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    return replace(first, refusal=state_what_was_tried(first.refusal, tried))
+    refusal = with_what_was_tried(explained(first.refusal, placements), tried)
+    return replace(first, refusal=refusal)
+
+
+def explained(refusal: Refusal, placements: Sequence[Placement]) -> Refusal:
+    """Say why a LiDAR sees too few poles, where its recordings tell: no threshold helps then."""
+    name = refusal.values.get("lidar")
+    if refusal.code != "too_few_poles" or name not in ("target", "source"):
+        return refusal
+    scans = (each.target if name == "target" else each.source for each in placements)
+    why = next(filter(None, map(why_few_poles, scans)), "")
+    if not why:
+        return refusal
+    said = refusal.message.partition("; ")[0]
+    return Refusal(refusal.code, f"{said}; {why}", refusal.values)
 
 
 def _choose_without_poles(

@@ -112,20 +112,19 @@ def judged(
     """
     ways = ways_of(motion)
     found = infer(asked, sizes, ways, noise)
-    after = noise_of(observed, found)
+    after = noise_of(observed, *found.best)
     return (found if after == noise else infer(asked, sizes, ways, after)), after
 
 
-def noise_of(observed: Observed, found: Motion) -> float:
+def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
     """How many times the variance that the returns state what the motion leaves has; 1 at least.
 
     Returns of one wall err alike; the sweeps then scatter by more than each one's returns let
-    expect.
+    expect. The motion is given by features (B, F) and their coefficients (F, 6).
     """
-    parts = len(found.motion)
+    parts = len(features)
     group = np.arange(parts) * min(GROUPS, parts) // parts
     own = (group[:, None] == np.arange(group[-1] + 1)).astype(np.float64)
-    features, coefficients = found.best
     left, pull = observed.about(np.concatenate([own, features], axis=1))
     size = 6 * own.shape[1]
     rest = pull[:size] - left[:size, size:] @ coefficients.reshape(-1)
@@ -133,6 +132,66 @@ def noise_of(observed: Observed, found: Motion) -> float:
     told = value > 1e-6 * value[-1]
     square = (way.T @ rest)[told] ** 2 / value[told]
     return max(1.0, float(np.median(square)) / MEDIAN_SQUARE)
+
+
+class Velocity(NamedTuple):
+    """What the sweeps say of a steady motion: (6, 6) information and (6,) gradient at rest of its
+    turn and shift per second, rad/s and m/s in the LiDAR's frame, the shift that of the beams'
+    origin."""
+
+    information: Array
+    pull: Array
+
+
+def velocity_of(cloud: PointCloud, prior: Array) -> Velocity | None:
+    """Ask the sweeps of a recording how their LiDAR moved on steadily; None where they do not tell.
+
+    Parameters
+    ----------
+    cloud
+        Without what moved in the scene.
+    prior
+        (6, 6) covariance of the turn and shift per second that there may be.
+    """
+    if cloud.frame is None or len(np.unique(cloud.frame)) < 2:
+        return None
+    when = timed(cloud)
+    features = (when.times - when.times.mean())[:, None]
+    xyz, most, noise = cloud.xyz[when.index], np.asarray(np.linalg.inv(prior)), 1.0
+    rate: Array = np.zeros((1, 6))
+    found = None
+    for _ in range(PASSES):
+        observed = observe(xyz, cloud.origin, when, features @ rate)
+        if not len(observed.plane):
+            return None
+        left, pull = observed.about(features)
+        after = np.asarray(np.linalg.solve(left / noise + most, pull / noise)[None])
+        change = float(np.abs(features @ (after - rate))[:, :3].max())
+        rate, noise = after, noise_of(observed, features, after)
+        found = Velocity(left / noise, pull / noise)
+        if change < AT_REST:
+            break
+    return found
+
+
+def without_velocity(cloud: PointCloud, rate: Array, later: float) -> PointCloud:
+    """Bring the returns of a LiDAR that moves on steadily to where they were at one moment.
+
+    Parameters
+    ----------
+    cloud
+        The recording.
+    rate
+        (6,) turn and shift per second, as of `velocity_of`.
+    later
+        Seconds from the moment to the middle of the recording.
+    """
+    if cloud.frame is None:
+        after = np.full(len(cloud), later)
+    else:
+        when = timed(cloud)
+        after = (when.times - when.times.mean() + later)[when.of_all]
+    return replace(cloud, xyz=without(cloud.xyz, cloud.origin, after[:, None] * rate))
 
 
 def _stated(found: Motion, when: Timed) -> Sway:

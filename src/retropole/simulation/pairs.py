@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..base import se3
@@ -76,7 +78,8 @@ def simulate_pair(
     sensor_target, sensor_source
         Names of sensors; None takes the scene's own.
     poles
-        How many taped poles.
+        How many taped poles. 0 leaves those away that 2 would stand there: the same place, recorded
+        before the poles are set up.
     radius
         Of the poles, metres.
     min_pole_angle, max_pole_angle
@@ -99,6 +102,8 @@ def simulate_pair(
     """
     if scene not in SCENES:
         raise UsageError(f"no scene is called {scene!r}; there are {', '.join(SCENES)}")
+    if poles == 0 and scene == "paper":
+        raise UsageError("in the set-up of the paper nothing stands but its poles")
     names = DEFAULT_SENSORS[scene]
     sensors = (find_sensor(sensor_target or names[0]), find_sensor(sensor_source or names[1]))
     if noise is None:
@@ -113,13 +118,15 @@ def simulate_pair(
         at = (
             Arrangement([], paper.draw_poles(rng, radius), paper.lidar_poses(), (0.0, 0.0))
             if scene == "paper"
-            else _draw(scene, rng, poles, (min_pole_angle, max_pole_angle), radius, symmetric)
+            else _draw(scene, rng, poles or 2, (min_pole_angle, max_pole_angle), radius, symmetric)
         )
         if at is not None and are_in_view(at, recorders, rng):
+            if poles == 0:
+                return record(replace(at, poles=()), recorders, for_recording)
             return record_every_pole(at, recorders, for_recording)
     raise SimulationError(
         f"{MAX_DRAWS} draws of {scene!r} gave none where {sensors[0].name} and {sensors[1].name} "
-        f"both see {poles} poles with {MIN_RETURNS} returns on {MIN_RINGS} rings"
+        f"both see {poles or 2} poles with {MIN_RETURNS} returns on {MIN_RINGS} rings"
     )
 
 

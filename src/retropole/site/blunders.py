@@ -68,7 +68,12 @@ def worst_test(tests: Sequence[Test], above: float = SIGNIFICANT) -> Test | None
 
 def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]:
     """Tests of what does not fit: whose w is above a limit."""
-    return [test for test in tests if test.w > above and test.chi2 > PER_FREEDOM * test.freedom]
+    return [test for test in tests if is_poor(test.w, test.chi2, test.freedom, above)]
+
+
+def is_poor(w: float, chi2: float, freedom: int, above: float = POOR) -> bool:
+    """Whether a test with so much χ² says that something does not fit, by a limit of its w."""
+    return w > above and chi2 > PER_FREEDOM * freedom
 
 
 def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:

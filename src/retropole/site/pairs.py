@@ -17,6 +17,7 @@ from ..base.errors import Reason, Refusal
 from ..matching.correspondence import match_poles
 from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
 from ..scene.choice import MIN_OVERLAP, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
+from ..scene.scans import why_few_poles
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
 
@@ -164,9 +165,18 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
             if match.exact:
                 _add(found, match, placement, at)
     if not found:
-        few = Reason("too_few_poles", "no placement shows both LiDARs two poles in common", {})
-        return Pair((first, second), (), False, reason or few)
+        return Pair((first, second), (), False, reason or _too_few_poles(scans, (first, second)))
     return _scored((first, second), found, views.first(first), views.first(second))
+
+
+def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
+    """Say that two LiDARs have no two poles in common, and why where a recording tells."""
+    words = "no placement shows both LiDARs two poles in common"
+    for which, i in zip(("first", "second"), lidars, strict=True):
+        whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
+        if any(whys):
+            words += f"; of the {which} of them, {next(filter(None, whys))}"
+    return Reason("too_few_poles", words, {})
 
 
 def _add(

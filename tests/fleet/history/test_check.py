@@ -44,7 +44,8 @@ def test_the_stored_result_may_lie_beside_the_target(beside: FleetSite, answer: 
     told: list[Hashed] = []
     one = check_site(beside, CHECK, told.append)
     assert one is not None
-    assert (one.status, one.codes) == ("same", ())
+    # Nothing was recorded since.
+    assert (one.status, one.codes) == ("same", ("recordings_of_result",))
     assert one.is_usable
     # Recorded when its files were written.
     assert one.time.timestamp() == int(Path(beside.target).stat().st_mtime)

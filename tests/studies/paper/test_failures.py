@@ -1,4 +1,4 @@
-"""Sec. V: each trouble does what it says, and an answer is judged on both sides of the limit."""
+"""Each trouble does what it says, and an answer is judged on both sides of the limit."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_tape_fades_with_its_distance(pair: SimulatedPair) -> None:
 
 @pytest.mark.full
 def test_every_trouble_is_counted_for_both_methods() -> None:
-    rows = all_exhibits()["section5_failures"].rows
+    rows = all_exhibits()["weaknesses"].rows
     assert len(rows) == 2 * len(TROUBLES)
     for _, _, _, success, wrong, refused, error in rows:
         assert number(success) + number(wrong) + number(refused) == 1

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from studies.paper import experiments, reproduce, write_exhibit
-from studies.paper.__main__ import paper
+from studies.paper.__main__ import fewer, paper
 from studies.paper.exhibit import Exhibit
 from tests.paths import ROOT
 from tests.studies.paper.exhibits import all_exhibits
@@ -49,7 +49,15 @@ def test_the_command_writes_an_index_of_everything(
     done = CliRunner().invoke(paper, ["--seeds", "1", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     index = (tmp_path / "index.md").read_text()
-    for words in ("Table I:", "Table II:", "Fig. 4", "Table III:", "Table IV:", "Simulated e_rt"):
+    for words in (
+        "Table I:",
+        "Table II:",
+        "Fig. 4",
+        "Fig. 5",
+        "Table III and Fig. 6:",
+        "Fig. 7:",
+        "Simulated e_rt",
+    ):
         assert words in index
     for name in index.split("](")[1:]:
         assert (tmp_path / name.split(")")[0]).is_file()
@@ -58,6 +66,18 @@ def test_the_command_writes_an_index_of_everything(
 @pytest.mark.full
 def test_experiments_make_what_they_say() -> None:
     assert list(all_exhibits()) == names_of()
+
+
+@pytest.mark.parametrize(("seeds", "scenes"), [(1, 1), (5, 5), (20, 20), (100, 20), (200, 40)])
+def test_each_experiment_runs_as_many_scenes_as_asked_for_or_says_how_many(
+    seeds: int, scenes: int
+) -> None:
+    listed = experiments(seeds, None)
+    said = fewer(listed, names_of(), seeds)
+    assert {each.scenes for each in listed} == ({None} if scenes == seeds else {None, scenes})
+    assert len(said) == (0 if scenes == seeds else 3)
+    assert all(f": {scenes} of {seeds} scenes" in line for line in said)
+    assert fewer(listed, ["table1_sensors"], seeds) == []
 
 
 def test_only_what_is_asked_for_is_run() -> None:
