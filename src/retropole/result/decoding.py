@@ -147,6 +147,8 @@ def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> No
     for name in ("predicted_error", "alone"):
         if tuple(one.range_m for one in getattr(each, name)) != ranges:
             raise ReadError(f"{field}.{name}: expected the ranges of predicted[0].predicted_error")
+        if not all(one.sigma_m > 0 for one in getattr(each, name)):
+            raise ReadError(f"{field}.{name}: sigma_m is 0, expected more")
     if len(each.bounds_m) != len(ranges):
         raise ReadError(f"{field}.bounds_m: expected one for each range")
     for one, other in zip(

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from .. import se3
-from ..bounded import Number, PartCovariance, Share, Sigma, Size, Text, Vector
+from ..bounded import Number, PartCovariance, Share, Size, Text, Vector
 from ..quantities import error
 from ..se3 import Array
 
@@ -63,7 +63,7 @@ class ErrorAtRange(msgspec.Struct, frozen=True):
     """Predicted error of a point at a range, 1 σ, both metres."""
 
     range_m: Size
-    sigma_m: Sigma
+    sigma_m: Size
 
 
 class Uncertainty(msgspec.Struct, frozen=True, eq=False, omit_defaults=True):
