@@ -217,8 +217,9 @@ def test_of_two_senders_the_first_is_taken(
     velodyne: tuple[VelodyneSource, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, port = velodyne
-    # On a busy machine the first one sends less often than a sensor would.
+    # On a busy machine the first one sends less often than a sensor would, and with pauses.
     monkeypatch.setattr("retropole.io.live.udp.FEWEST", 0)
+    monkeypatch.setattr("retropole.io.live.udp.PAUSE", 60.0)
     path = shared(VLP16)
     first, other = payloads(path), payloads(shared(HDL32))
     read = list(read_frames(path))
