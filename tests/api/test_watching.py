@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.api import watching
+from retropole.api.calibration import calibrate_with
 from retropole.api.checking import read_stored
 from retropole.api.result import CalibrationResult
 from retropole.api.watching import Watch, Wish, names_of, open_sources
@@ -87,7 +87,7 @@ def watch_of(
 def answer(sweeps: list[list[PointCloud]]) -> CalibrationResult:
     """The answer of one sweep each."""
     target, source = (own[0] for own in sweeps)
-    return watching.calibrate_with(target, source, RunConfig())
+    return calibrate_with(target, source, RunConfig())
 
 
 @pytest.fixture
