@@ -62,7 +62,6 @@ def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path:
         (("check", "r", "a", "b"), "--tolerance-m"),
         (("detect", "a"), "--threshold"),
         (("evaluate", "a", "b"), "--sigma"),
-        (("simulate", "street"), "--poles"),
         (("simulate", "street"), "--radius"),
     ],
 )

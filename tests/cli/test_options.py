@@ -15,9 +15,7 @@ ABSURD = "nan", "inf", "-inf", "1e400", "-1e400", "9" * 20, "-" + "9" * 20, "9" 
 NUMBERS = (click.types.IntParamType, click.types.FloatParamType)
 
 
-def numbers() -> list[
-    tuple[str, click.Option, click.types.IntParamType | click.types.FloatParamType]
-]:
+def numbers() -> list[tuple[str, click.Option, Any]]:
     """Every number that a command takes: the command, the option and the type."""
     return [
         (name, option, kind)

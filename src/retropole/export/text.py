@@ -55,7 +55,7 @@ def write_cloudcompare(transform: Transform) -> str:
     return f"{_rows(transform.T_parent_child)}[ {'; '.join(transform.notes)} ]\n"
 
 
-_TERMINAL = re.compile(r"^T_target_source\b.*\n((?:.*\n?){4})", re.M)
+_TERMINAL = re.compile(r"^T_target_source\b.*\n(?:[ ]+[^ \[].*\n){0,9}((?:\s*\[.*\n?){4})", re.M)
 """The matrix as `retropole calibrate` prints it, in the middle of its other lines."""
 
 _WRAPPING = re.compile(r"\b(?:(?:np|numpy)\.)?(?:array|matrix)\s*\(|,?\s*dtype\s*=\s*[\w.]+|\)")
