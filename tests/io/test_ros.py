@@ -23,6 +23,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.export.transform import LONGEST_NAME as LONGEST_EXPORTED
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
+from retropole.io.live.files import BagSource
 from retropole.io.live.replay import ReplaySource
 from retropole.io.ros import columns_of, frame_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
@@ -475,6 +476,10 @@ class TestLivox:
         with closing(ReplaySource(path)) as source:
             played = source.newest(5)
         assert_same(required(played).cloud, clouds[0])
+        if kind != "bag":
+            with closing(BagSource(path)) as growing:
+                newest = required(growing.newest(5))
+            assert (newest.number, newest.frame_id, len(newest.cloud)) == (3, "livox_frame", 0)
 
     def test_an_older_package_and_a_topic_that_is_none(self, tmp_path: Path) -> None:
         cloud = random_cloud()

@@ -37,6 +37,11 @@ def is_of_livox(kind: str) -> bool:
     return kind.startswith("livox_") and kind.endswith("/msg/CustomMsg")
 
 
+def holds_clouds(kind: str) -> bool:
+    """Whether messages of a type are point clouds that are read."""
+    return kind == CLOUDS or is_of_livox(kind)
+
+
 class FrameHeader(NamedTuple):
     """What is known of a frame apart from its points.
 
@@ -92,7 +97,7 @@ class Topic:
     @property
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
-        return self.kind == CLOUDS or is_of_livox(self.kind)
+        return holds_clouds(self.kind)
 
 
 MAX_MESSAGES = 2**22

@@ -236,8 +236,8 @@ class BagSource(_Looking):
             taken = self._recorded.take()
             if taken is None:
                 return None
-            topic, number, (stamp, data, encoding) = taken
-            return frame_of(f"{self._path}: ", topic, number, stamp, data, encoding)
+            topic, kind, number, (stamp, data, encoding) = taken
+            return frame_of(f"{self._path}: ", topic, number, stamp, data, encoding, kind)
 
     def _find_parts(self) -> None:
         """Find the last file of the bag, or those that follow the one that is read."""

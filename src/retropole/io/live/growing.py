@@ -18,7 +18,7 @@ from ...base.errors import ReadError
 from ...base.files import check_is_file
 from ..bag_files import MAX_TOPICS, open_database, topics_in
 from ..bag_mcap import entries_of
-from ..recordings import CLOUDS
+from ..recordings import CLOUDS, holds_clouds
 from ..ros import MAX_LISTED
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
 
@@ -67,7 +67,7 @@ class Recorded:
     def wants(self, topic: str, kind: str) -> bool:
         """Keep the type of a topic in mind, and tell whether its messages are wanted."""
         self._kinds[topic] = kind
-        return kind == CLOUDS and self._topic in (None, topic)
+        return holds_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
         """Take the last of so many messages that came."""
@@ -86,10 +86,10 @@ class Recorded:
 
     @property
     def _clouds(self) -> list[str]:
-        return sorted(name for name, kind in self._kinds.items() if kind == CLOUDS)
+        return sorted(name for name, kind in self._kinds.items() if holds_clouds(kind))
 
-    def take(self) -> tuple[str, int, Message] | None:
-        """Give topic, number and message of the newest cloud, and stay with that topic.
+    def take(self) -> tuple[str, str, int, Message] | None:
+        """Give topic, type, number and message of the newest cloud, and stay with that topic.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Recorded:
         if self._topic is None and len(clouds) > 1:
             raise ReadError(f"has {len(clouds)} topics of point clouds, name one of them: {listed}")
         kind = self._kinds.get(self._topic or "", CLOUDS)
-        if kind != CLOUDS:
+        if not holds_clouds(kind):
             other = f"topic {self._topic} is of {kind}, expected {CLOUDS}"
             raise ReadError(f"{other}; topics of that are: {listed}")
         chosen = self._topic or next(iter(self._newest), "")
@@ -109,7 +109,7 @@ class Recorded:
         if message is None:
             return None
         self._topic = chosen
-        return chosen, self._counts[chosen] - 1, message
+        return chosen, self._kinds[chosen], self._counts[chosen] - 1, message
 
 
 class Part(Protocol):
