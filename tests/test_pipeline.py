@@ -170,6 +170,7 @@ def test_the_order_of_the_points_does_not_matter(corridor: SimulatedPair) -> Non
     assert metres < 1e-4
 
 
+@pytest.mark.full
 def test_three_poles_are_solved_together() -> None:
     pair = simulate_pair("harbor", np.random.default_rng(2), poles=3)
     answer = calibrate(pair.target, pair.source)
@@ -232,7 +233,8 @@ def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
         assert metres < 0.1
 
 
-@pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.full
 def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
     one = simulate_pair("street", np.random.default_rng(seed))
     other = simulate_pair("harbor", np.random.default_rng(seed + 50))
@@ -275,6 +277,7 @@ def test_a_registration_that_fails_is_no_choice(
 
 
 @pytest.mark.parametrize("poles", [2, 1])
+@pytest.mark.full
 def test_every_second_is_in_a_step(poles: int) -> None:
     """Of an answer, and of a refusal after which candidate poles were looked for."""
     pair = simulate_pair("harbor", np.random.default_rng(3))

@@ -317,6 +317,7 @@ def test_a_page_without_clouds_works(browser: Browser, tmp_path: Path) -> None:
     assert browser.root("theme") == "dark"
 
 
+@pytest.mark.full
 def test_paper_shows_every_pose_in_light_colours(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, page_of("site", count=300))
     browser.find("#theme").click()

@@ -131,6 +131,7 @@ def test_an_answer_is_refused_beyond_one_per_cent_of_scale(pair: SimulatedPair) 
     assert float(found.values["factor"]) == pytest.approx(1 / 1.02, abs=0.003)
 
 
+@pytest.mark.full
 def test_a_mirrored_cloud_gets_no_answer() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(1))
     answer = calibrate(pair.target, times(pair.source, 1, -1, 1))

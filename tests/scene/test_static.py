@@ -156,6 +156,7 @@ def test_a_sparse_lidar_that_turned_is_refused(sparse: SimulatedPair, degrees: f
             check_still("target", moved)
 
 
+@pytest.mark.full
 def test_a_bumped_lidar_gives_no_answer(street: SimulatedPair) -> None:
     answer = calibrate(bumped(street.target, np.radians(1.0)), street.source)
     assert answer.status == "refused"

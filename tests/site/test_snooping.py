@@ -126,6 +126,7 @@ def cases(at: Solved) -> list[tuple[Bias, Frees]]:
     return found
 
 
+@pytest.mark.full
 def test_a_test_is_the_gain_of_another_fit(at: Solved) -> None:
     """With a pole, a placement, a LiDAR of its own, everything is solved anew."""
     for error, frees in cases(at):

@@ -89,6 +89,7 @@ def test_a_need_is_answered_yes_no_or_not_shown() -> None:
 
 
 @given(st.floats(0.001, 1.0), st.floats(0.5, 100.0), st.sampled_from(range(3)), st.floats(0.0, 0.2))
+@pytest.mark.full
 def test_an_answer_is_never_surer_than_its_probability(
     within: float, at: float, seed: int, wrong: float
 ) -> None:
