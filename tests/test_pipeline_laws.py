@@ -1,7 +1,7 @@
 """Laws of the whole method: what changes the clouds and not the place, changes no answer.
 
-Of every law a few examples run with every test run, the same ones; `pytest -m full` draws 500 new
-ones each. An answer may always be refused, but not all may be, or the law would say nothing.
+Of every law a few examples run by default, some more in the full tier, always the same ones;
+`pytest -m nightly` draws 500 new ones each. An answer may always be refused, but not all may be, or the law would say nothing.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from retropole.simulation import FIELD, SimulatedPair, place_again, simulate_pai
 
 SCENES = ("corridor", "street", "harbor")
 
-FEW, MANY, PARTS = 2, 500, 4
-"""Examples of each law with every run, and of the slow one, which comes in parts."""
+FEW, MORE, MANY, PARTS = 2, 6, 500, 4
+"""Examples of each law by default, in the full tier, and nightly, which comes in parts."""
 
 FEW_SEEDS, MANY_SEEDS = 3, 1000
 """From so many seeds of each scene they are drawn: few, so that they share their scenes."""
@@ -151,7 +151,7 @@ def obey(laws: Sequence[Law], examples: int, seeds: int) -> None:
         max_examples=examples,
         deadline=None,
         database=None,
-        derandomize=examples == FEW,
+        derandomize=examples <= MORE,
         suppress_health_check=list(HealthCheck),
     )
     @given(st.sampled_from(SCENES), st.integers(0, seeds - 1), st.integers(0, 2**32 - 1))
@@ -373,9 +373,14 @@ def test_laws(law: Law) -> None:
 
 
 @pytest.mark.full
+def test_laws_of_more_scenes() -> None:
+    """All laws on one scene: it is simulated, and answered as it is, once for all of them."""
+    obey(list(LAWS), MORE, MANY_SEEDS)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("part", range(PARTS))
 def test_laws_of_many_scenes(part: int) -> None:
-    """All laws on one scene: it is simulated, and answered as it is, once for all of them."""
     obey(list(LAWS), MANY // PARTS, MANY_SEEDS)
 
 

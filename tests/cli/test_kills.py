@@ -155,7 +155,12 @@ def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("seed", range(100, 400))
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(seed, marks=pytest.mark.full if seed < 120 else pytest.mark.nightly)
+        for seed in range(100, 400)
+    ],
+)
 def test_ended_at_many_moments(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)

@@ -347,7 +347,13 @@ def test_a_damaged_document_is_an_error_or_what_it_says(
     hold_many(kind, range(30), tmp_path, whole)
 
 
-@pytest.mark.full
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        pytest.param(range(100, 150), marks=pytest.mark.full),
+        pytest.param(range(150, 600), marks=pytest.mark.nightly),
+    ],
+)
 @pytest.mark.parametrize("kind", KINDS)
-def test_many_damaged_documents(kind: str, tmp_path: Path, whole: Whole) -> None:
-    hold_many(kind, range(100, 600), tmp_path, whole)
+def test_many_damaged_documents(kind: str, seeds: range, tmp_path: Path, whole: Whole) -> None:
+    hold_many(kind, seeds, tmp_path, whole)

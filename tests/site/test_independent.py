@@ -27,8 +27,6 @@ gtsam_adjustment = pytest.importorskip("tests.site.gtsam_adjustment")
 AGREE = 1e-6
 """Of 1 σ: far below anything that an adjustment is used for, far above rounding."""
 
-SITES = 100
-
 SURVEYS = (None, Survey((0,)), Survey(points=4), Survey((1,), points=2))
 UP_SIGMA = np.radians(0.2)
 
@@ -101,11 +99,15 @@ def test_another_adjustment_agrees(seed: int) -> None:
     assert max(disagreement(simulated(seed), seed)) < AGREE
 
 
-@pytest.mark.full
-def test_another_adjustment_agrees_on_a_hundred_sites(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "sites", [pytest.param(8, marks=pytest.mark.full), pytest.param(100, marks=pytest.mark.nightly)]
+)
+def test_another_adjustment_agrees_on_many_sites(
+    sites: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     found: list[tuple[float, float]] = []
     refused, seed = [], 0
-    while len(found) < SITES:
+    while len(found) < sites:
         try:
             adjusted = simulated(seed)
         except (Refusal, SimulationError):
@@ -117,7 +119,7 @@ def test_another_adjustment_agrees_on_a_hundred_sites(capsys: pytest.CaptureFixt
     means, covariances = np.max(found, axis=0)
     with capsys.disabled():
         print(
-            f"\n{SITES} sites, seeds {refused} not simulated or refused; largest difference: "
+            f"\n{sites} sites, seeds {refused} not simulated or refused; largest difference: "
             f"means {means:.1e} σ, covariances {covariances:.1e} σσ"
         )
     assert max(means, covariances) < AGREE
