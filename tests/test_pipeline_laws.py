@@ -1,7 +1,8 @@
 """Laws of the whole method: what changes the clouds and not the place, changes no answer.
 
 Of every law a few examples run by default, some more in the full tier, always the same ones;
-`pytest -m nightly` draws 500 new ones each. An answer may always be refused, but not all may be, or the law would say nothing.
+`pytest -m nightly` draws 500 new ones each. An answer may always be refused, but not all may be,
+or the law would hold of nothing.
 """
 
 from __future__ import annotations
