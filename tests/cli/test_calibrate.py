@@ -255,7 +255,8 @@ def test_a_need_is_answered_and_the_next_commands_can_be_typed(scene: Path, tmp_
     for command, word in zip(commands, ("export", "check"), strict=True):
         name, *words = shlex.split(command)
         assert (name, words[0]) == ("retropole", word)
-        assert retropole_here(*words).returncode == 0
+        given = dict(zip(("TARGET", "SOURCE"), files, strict=True))
+        assert retropole_here(*(given.get(each, each) for each in words)).returncode == 0
 
 
 @pytest.mark.full

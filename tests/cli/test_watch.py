@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 from importlib import import_module
 from pathlib import Path
@@ -148,10 +147,8 @@ def test_one_signal_breaks_off_what_never_ends(
     monkeypatch.setattr(watch, "GRACE", 0.1)
     monkeypatch.setattr(Watch, "step", blocked)
     sources = f"folder:{tmp_path / 'a'}", f"folder:{tmp_path / 'b'}"
-    begun = time.monotonic()
     ended = retropole_here("watch", *sources, "--no-page", "--out", tmp_path / "out")
     assert ended.returncode == code
-    assert time.monotonic() - begun < 30
     assert signal.getsignal(signal.SIGALRM) == signal.SIG_DFL
 
 

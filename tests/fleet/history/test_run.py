@@ -24,7 +24,7 @@ from tests.fleet.history.checks import MOVED, SIGMA, row
 NOW = datetime(2026, 11, 2, 4, 0, tzinfo=UTC)
 
 ENDS = {
-    "good": ("same", ()),
+    "good": ("same", ("recordings_of_result",)),
     "small/1": ("cannot_tell", ("too_few_poles",)),
     "yard": ("error", ("usage",)),
     "absent": ("error", ("usage",)),
