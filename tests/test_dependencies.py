@@ -45,6 +45,7 @@ def core_alone(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.full
 def test_the_core_needs_no_extra(tmp_path: Path) -> None:
     clouds = ("s/lidar0.pcd", "s/lidar1.pcd")
     ways = (
@@ -77,6 +78,7 @@ def test_the_core_needs_no_extra(tmp_path: Path) -> None:
         2,
     ),
 )
+@pytest.mark.full
 def test_what_is_absent_is_named(name: str, extra: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"\x00" * 1000)
     done = core_alone(tmp_path, "info", name)
@@ -84,6 +86,7 @@ def test_what_is_absent_is_named(name: str, extra: str, tmp_path: Path) -> None:
     assert f"pip install 'retropole[{extra}]'" in done.stderr
 
 
+@pytest.mark.full
 def test_no_licence_forbids_ours() -> None:
     for extra in (None, *extras()):
         for name, package in brought_by(extra)[0].items():

@@ -55,6 +55,7 @@ def test_finds_the_truth(scene: str, seed: int) -> None:
     assert answer.margin > 0
 
 
+@pytest.mark.full
 def test_an_answer_carries_what_the_scene_says(corridor: SimulatedPair) -> None:
     answer = calibrate(corridor.target, corridor.source)
     assert answer.confirmation is not None
@@ -62,6 +63,7 @@ def test_an_answer_carries_what_the_scene_says(corridor: SimulatedPair) -> None:
     assert answer.confirmation.contradicted < 0.05
 
 
+@pytest.mark.full
 def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
     pair = simulate_pair("harbor", np.random.default_rng(1))
     on_poles = pair.labels[1] >= len(pair.surfaces) - len(pair.poles)
@@ -104,6 +106,7 @@ def test_the_smaller_errors_were_measured_the_less_is_stated(corridor: Simulated
     assert stated_with(corridor, of) == pytest.approx(whole, rel=1e-9)
 
 
+@pytest.mark.full
 def test_moving_both_clouds_moves_the_answer(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(0)
     A, B = se3.random(rng), se3.random(rng)
@@ -134,6 +137,7 @@ def sigmas_apart(answer: Calibration, T: Array, stage: str) -> float:
     return float(np.sqrt(step @ np.linalg.solve(pose.covariance, step)))
 
 
+@pytest.mark.full
 def test_frames_and_order_of_the_clouds_move_the_answer_by_less_than_its_uncertainty(
     corridor: SimulatedPair,
 ) -> None:
@@ -157,6 +161,7 @@ def test_frames_and_order_of_the_clouds_move_the_answer_by_less_than_its_uncerta
         assert sigmas_apart(plain, inverse, stage) < most
 
 
+@pytest.mark.full
 def test_the_order_of_the_points_does_not_matter(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(1)
     shuffled = [
@@ -189,6 +194,7 @@ def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
 
 
 @pytest.mark.parametrize("which", [(0,), pytest.param((0, 1), marks=pytest.mark.full)])
+@pytest.mark.full
 def test_a_hidden_pole_is_refused_where_two_are_asked_for(
     corridor: SimulatedPair, which: tuple[int, ...]
 ) -> None:
@@ -214,6 +220,7 @@ def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.full
 def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
     pair = simulate_pair(
         "street",
@@ -243,6 +250,7 @@ def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
 
 
 @pytest.mark.parametrize("scene", first_of(["corridor", "harbor", "bare"]))
+@pytest.mark.full
 def test_symmetric_surroundings_are_refused_as_ambiguous(scene: str) -> None:
     pair = simulate_pair(scene, np.random.default_rng(5), symmetric=True)
     assert_refused(calibrate(pair.target, pair.source), "ambiguous")
@@ -253,6 +261,7 @@ def test_an_empty_cloud_is_refused(corridor: SimulatedPair) -> None:
     assert_refused(calibrate(corridor.target, nothing), "no_intensity")
 
 
+@pytest.mark.full
 def test_progress_names_the_steps(corridor: SimulatedPair) -> None:
     steps: list[str] = []
     answer = calibrate(corridor.target, corridor.source, progress=steps.append)
@@ -260,6 +269,7 @@ def test_progress_names_the_steps(corridor: SimulatedPair) -> None:
     assert set(answer.seconds) == set(steps)
 
 
+@pytest.mark.full
 def test_a_registration_that_fails_is_no_choice(
     corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -26,7 +26,7 @@ from retropole.simulation import FIELD, SimulatedPair, place_again, simulate_pai
 
 SCENES = ("corridor", "street", "harbor")
 
-FEW, MORE, MANY, PARTS = 2, 6, 500, 4
+FEW, MORE, MANY, PARTS = 1, 6, 500, 4
 """Examples of each law by default, in the full tier, and nightly, which comes in parts."""
 
 FEW_SEEDS, MANY_SEEDS = 3, 1000

@@ -90,6 +90,7 @@ def test_the_default_tier_fails_beyond_its_budget_and_lists_what_cost_most(
     done.stdout.no_fnmatch_line("*may take*")
 
 
+@pytest.mark.full
 def test_processes_of_workers_count(
     suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def test_jacobian_of_the_beam_geometry() -> None:
         np.testing.assert_allclose(here.jacobian, derivative, atol=1e-5)
 
 
+@pytest.mark.full
 def test_more_accurate_than_lines_at_the_papers_set_up() -> None:
     from studies.paper.estimator import align_poles
 

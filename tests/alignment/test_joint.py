@@ -36,6 +36,7 @@ def evaluated(
 
 
 @pytest.mark.parametrize("which", first_of(["pair_steps", "steps", "surveyed"]))
+@pytest.mark.full
 def test_gradient_and_information_are_those_of_finite_differences(
     which: str, request: pytest.FixtureRequest
 ) -> None:

@@ -13,6 +13,7 @@ from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
 
+@pytest.mark.full
 def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Steps) -> None:
     network, poles = surveyed.adjusted.network, surveyed.datum.poles
     found = {}
@@ -72,6 +73,7 @@ def test_eliminating_axes_changes_no_answer(surveyed: Steps) -> None:
     np.testing.assert_allclose(alone, step[:kept], rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.full
 def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
     network = steps.adjusted.network
     whole, gradient = network.total()
@@ -111,6 +113,7 @@ def test_bands_are_those_of_poles_and_surfaces(steps: Steps) -> None:
 
 
 @pytest.mark.parametrize("first_held", first_of([False, True]))
+@pytest.mark.full
 def test_the_covariance_is_that_of_drawn_observations(first_held: bool) -> None:
     network = geodetic.network(first_held=first_held)
     rng = np.random.default_rng(0)

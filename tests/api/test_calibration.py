@@ -35,6 +35,7 @@ def test_finds_the_truth() -> None:
     assert apart.translation < 0.05
 
 
+@pytest.mark.full
 def test_paths_arrays_and_clouds_give_the_same_answer(tmp_path: Path) -> None:
     target, source = tables().target, tables().source
     np.save(tmp_path / "target.npy", target)
@@ -52,6 +53,7 @@ def test_paths_arrays_and_clouds_give_the_same_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.full
 def test_points_that_are_not_returns_change_nothing(kind: type[np.floating]) -> None:
     rng = np.random.default_rng(0)
 
@@ -110,6 +112,7 @@ def test_options_reach_the_run_and_its_document() -> None:
     assert result.document.stages.refined is None
 
 
+@pytest.mark.full
 def test_a_hypothesis_that_is_taken_by_hand_is_recorded() -> None:
     by_scene = rp.calibrate(tables().target, tables().source, refine=False)
     by_hand = rp.calibrate(tables().target, tables().source, refine=False, hypothesis="a")
@@ -128,6 +131,7 @@ def test_steps_are_named_as_they_start() -> None:
     assert set(steps) == set(result.document.seconds)
 
 
+@pytest.mark.full
 def test_several_placements_give_one_answer() -> None:
     other = place_again(pair(), np.random.default_rng(3))
     targets = [tables().target, table_of(other.target)]
@@ -194,6 +198,7 @@ def test_options_that_make_no_sense(options: dict[str, object], message: str) ->
         rp.calibrate(tables().target, tables().source, **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.full
 def test_numbers_of_numpy_are_as_good(tmp_path: Path) -> None:
     options = {"radius": 0.02, "poles": 2, "threshold_target": 150.0}
     expected = rp.calibrate(tables().target, tables().source, refine=False, **options)  # type: ignore[arg-type]
@@ -256,6 +261,7 @@ def test_the_file_of_a_sensor_is_found_from_elsewhere_too(
     assert config.sensor_source == "VLP-16"
 
 
+@pytest.mark.full
 def test_a_stated_sway_widens_what_is_stated_and_is_told() -> None:
     both = tables()
     still = rp.calibrate(both.target, both.source)

@@ -125,6 +125,7 @@ def test_unknown_rather_than_a_wild_guess(cloud: PointCloud) -> None:
         ("pandaset/pandaset002_00_pandargt.pcd", []),
     ],
 )
+@pytest.mark.full
 def test_sensors_of_real_recordings(name: str, sensors: list[str]) -> None:
     path = SHARED / name
     if not path.exists():

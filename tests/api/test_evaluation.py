@@ -11,6 +11,8 @@ from retropole.base import se3
 from retropole.export import export_lines
 from tests.api.clouds import calibrated, pair, refused, tables
 
+pytestmark = pytest.mark.full
+
 
 def test_the_truth_scores_better_than_an_error() -> None:
     T = pair().T_target_source

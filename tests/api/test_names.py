@@ -57,6 +57,7 @@ def test_reading_does_not_load_the_method(tmp_path: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.full
 def test_the_interface_leaves_heavy_parts_alone() -> None:
     heavy = ["matplotlib", "laspy", "rich", "pandas", "scipy.stats", "viser", "rosbags", "yaml"]
     code = (

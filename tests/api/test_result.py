@@ -143,6 +143,7 @@ def test_what_is_saved_is_loaded_again(tmp_path: Path, result: object) -> None:
         assert repr(loaded) == repr(saved)
 
 
+@pytest.mark.full
 def test_a_report_is_the_one_that_was_saved(recordings: Path, tmp_path: Path) -> None:
     loaded = rp.load_result(recordings / "r")
     page = (recordings / "r" / "report.html").read_text()
@@ -173,6 +174,7 @@ def test_a_report_takes_files_that_lie_elsewhere(recordings: Path, tmp_path: Pat
         loaded.report(tmp_path / "page.html", clouds=files[:1])
 
 
+@pytest.mark.full
 def test_plot_draws_both_clouds_and_every_pole(recordings: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'figures')")
     for result in (calibrated(), rp.load_result(recordings / "r")):
@@ -182,6 +184,7 @@ def test_plot_draws_both_clouds_and_every_pole(recordings: Path) -> None:
         assert len(figure.axes) == 4 + len(chosen.pairs)
 
 
+@pytest.mark.full
 def test_a_notebook_shows_the_plot() -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'figures')")
     picture = getattr(calibrated().plot(), "_repr_png_")()  # noqa: B009

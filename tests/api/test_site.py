@@ -120,6 +120,7 @@ def test_a_notebook_shows_where_each_lidar_is(result: rp.SiteResult) -> None:
         assert name in page
 
 
+@pytest.mark.full
 def test_plot_draws_every_lidar_with_the_clouds_that_are_found(
     result: rp.SiteResult, tmp_path: Path
 ) -> None:

@@ -17,6 +17,8 @@ from retropole.result.site import RecordingDoc, SiteConfig
 from tests.api.clouds import calibrated, pair
 from tests.export.sites import free
 
+pytestmark = pytest.mark.full
+
 FILES = ("target.pcd", "source.pcd")
 SENSOR = 'like = "VLP-16"\n'
 

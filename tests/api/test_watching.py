@@ -185,6 +185,7 @@ def test_a_need_that_is_not_met_asks_for_another_placement(
     assert len(watch.result.document.inputs) == 4
 
 
+@pytest.mark.full
 def test_what_is_wrong_is_said_and_it_goes_on(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
@@ -246,6 +247,7 @@ def test_a_rig_is_checked_against_its_result(
     assert again.checked is not None
 
 
+@pytest.mark.full
 def test_recordings_of_a_watch_before_are_kept(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
@@ -257,6 +259,7 @@ def test_recordings_of_a_watch_before_are_kept(
     assert (tmp_path / "placement1.mcap").read_bytes() == b"before"
 
 
+@pytest.mark.full
 def test_where_there_is_no_room_sweeps_stay_and_are_written_when_there_is(
     sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
 ) -> None:
@@ -281,6 +284,7 @@ def test_where_there_is_no_room_sweeps_stay_and_are_written_when_there_is(
     assert watch.result.status == "ok"
 
 
+@pytest.mark.full
 def test_a_result_that_cannot_be_written_is_written_later(
     sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
 ) -> None:
@@ -294,6 +298,7 @@ def test_a_result_that_cannot_be_written_is_written_later(
     assert (tmp_path / "result.json").is_file()
 
 
+@pytest.mark.full
 def test_what_can_never_be_written_is_an_error_that_says_what_is_lost(
     sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
 ) -> None:
@@ -305,6 +310,7 @@ def test_what_can_never_be_written_is_an_error_that_says_what_is_lost(
     assert all(each.closed for each in sources)
 
 
+@pytest.mark.full
 def test_another_recording_in_the_place_of_what_was_captured_is_left_out(
     sweeps: list[list[PointCloud]],
     tmp_path: Path,
@@ -336,6 +342,7 @@ def test_another_recording_in_the_place_of_what_was_captured_is_left_out(
     assert [each.name for each in used] == ["placement2.mcap"]
 
 
+@pytest.mark.full
 def test_sweeps_of_another_origin_join_no_placement_that_is_kept(
     sweeps: list[list[PointCloud]], tmp_path: Path, answered: None
 ) -> None:

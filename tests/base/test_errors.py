@@ -83,6 +83,7 @@ def quotes_bare(text: ast.FormattedValue, name: str) -> bool:
     return ast.unparse(value) == name or f"str({name})" in ast.unparse(value)
 
 
+@pytest.mark.full
 def test_no_reason_is_empty() -> None:
     """MemoryError and many errors of libraries have no words: ``said`` gives their kind then."""
     bare = [

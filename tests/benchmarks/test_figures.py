@@ -166,6 +166,7 @@ def test_shares_of_things_that_hang_together_are_not_counted() -> None:
     assert [cell.column for cell in cells] == ["answered"]
 
 
+@pytest.mark.full
 def test_draws_of_the_same_process_are_rarely_beyond_chance() -> None:
     """The probabilities are such: below p no more often than p."""
     rng = np.random.default_rng(0)

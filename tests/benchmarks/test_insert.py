@@ -12,6 +12,8 @@ from retropole.io import read_cloud
 from retropole.simulation import SimulatedPair, simulate_pair, write_pair
 from tests.paths import ROOT
 
+pytestmark = pytest.mark.full
+
 
 def insert(*words: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "benchmarks" / "insert.py"), *map(str, words)]

@@ -29,6 +29,8 @@ from retropole.simulation.recording import MIN_RINGS
 from retropole.simulation.scenes import TAPE
 from tests.paths import SHARED
 
+pytestmark = pytest.mark.full
+
 WALL = Material(0.5)
 ROOM: list[Surface] = [
     Rectangle(np.array([0, 0, z]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), (15, 15), WALL)

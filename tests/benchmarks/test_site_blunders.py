@@ -19,6 +19,8 @@ from tests.paths import ROOT
 from tests.simulation.sites import everything, largest_distance
 from tests.simulation.surfaces import distance_from
 
+pytestmark = pytest.mark.full
+
 FEW = {"lidars": 3, "noise": EXACT, "sensors": ("VLP-16",)}
 
 

@@ -21,6 +21,7 @@ def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 
     assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < metres
 
 
+@pytest.mark.full
 def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Path) -> None:
     done = retropole_here(
         "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path / "r"
@@ -33,6 +34,7 @@ def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Pat
     assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["report.html", "result.json"]
 
 
+@pytest.mark.full
 def test_result_document_is_whole(scene: Path, tmp_path: Path) -> None:
     done = retropole_here(
         "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path, "--json"
@@ -187,6 +189,7 @@ def test_poles_that_the_user_trusts_are_recorded(tmp_path: Path) -> None:
     assert list(config.values()) == [(False, False), (True, True)]
 
 
+@pytest.mark.full
 def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
     pair = simulate_pair("harbor", np.random.default_rng(5), symmetric=True)
     write_pair(pair, tmp_path)
@@ -225,6 +228,7 @@ def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
     assert "--source-topic" in done.stdout + done.stderr
 
 
+@pytest.mark.full
 def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     words = "--radius", 0.021, "--poles", 2, "--no-refine", "--sensor-target", "Pandar64"
@@ -242,6 +246,7 @@ def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> No
     assert json.loads(done.stdout)["inputs"] == ours["inputs"]
 
 
+@pytest.mark.full
 def test_a_need_is_answered_and_the_next_commands_can_be_typed(scene: Path, tmp_path: Path) -> None:
     files, out = (scene / "lidar0.pcd", scene / "lidar1.pcd"), tmp_path / "it's here"
     done = retropole_here("calibrate", *files, "--need-cm", 5, "--strict", "--out", out)
@@ -275,6 +280,7 @@ def test_a_need_that_is_not_met_warns_also_when_quiet(scene: Path, tmp_path: Pat
         assert (process.stdout == "") == (quietly == "-q")
 
 
+@pytest.mark.full
 def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     asked = "calibrate", *files, "--poles", 7, "--strict", "--out", tmp_path
@@ -287,6 +293,7 @@ def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: P
         assert "next: " not in said
 
 
+@pytest.mark.full
 def test_without_poles_the_place_gives_the_pose(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     done = retropole_here("calibrate", *files, "--poles", 0, "-q", "--out", tmp_path)

@@ -99,6 +99,7 @@ def test_a_tolerance_that_was_asked_for_is_held_to(site: Path) -> None:
     assert (code, answer["status"], answer["tolerance_m"]) == (0, "same", 0.09)
 
 
+@pytest.mark.full
 def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
     words = ("--parent", "front", "--child", "rear", "--out", "r.urdf")
     assert retropole_here("export", "r", "--to", "urdf", *words, cwd=site).returncode == 0

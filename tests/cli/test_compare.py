@@ -13,6 +13,8 @@ from retropole.evaluation.rivals import ALL_METHODS, OURS, RIVALS, missing_extra
 from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from retropole.fleet.sites import find_sites
 from tests.cli.commands import retropole_here
 from tests.fleet.fleets import bytes_of, here, write_fleet
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
 

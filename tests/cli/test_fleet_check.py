@@ -21,7 +21,7 @@ from tests.fleet.history.checks import MOVED
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
-pytestmark = pytest.mark.usefixtures("in_this_process")
+pytestmark = [pytest.mark.usefixtures("in_this_process"), pytest.mark.full]
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,7 @@ def shell(command: str, folder: Path, **env: str) -> subprocess.CompletedProcess
         ),
     ],
 )
+@pytest.mark.full
 def test_an_output_that_takes_nothing_is_one_line_and_what_to_do(command: str, scene: Path) -> None:
     if "/dev/full" in command and not Path("/dev/full").exists():
         pytest.skip("this system has no full device")
@@ -64,22 +65,26 @@ def test_a_folder_that_is_read_only_is_one_line_and_what_to_do(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("command", first_of(["info lidar0.pcd", "info lidar0.pcd --json"]))
+@pytest.mark.full
 def test_a_reader_that_has_gone_ends_it_without_a_word(command: str, scene: Path) -> None:
     done = shell(f"retropole {command} | true", scene)
     assert (done.returncode, done.stdout, done.stderr) == (141, b"", b"")
 
 
 @pytest.mark.parametrize("closed", first_of(["<&- >&- 2>&-", "2>&-", "2>/dev/full"]))
+@pytest.mark.full
 def test_an_error_that_nobody_can_hear_keeps_its_exit_code(closed: str, scene: Path) -> None:
     assert shell(f"retropole info missing.pcd {closed}", scene).returncode == 2
 
 
+@pytest.mark.full
 def test_what_prints_nothing_needs_no_output(scene: Path, tmp_path: Path) -> None:
     done = shell(f"retropole simulate bare -q --out '{tmp_path}' >&-", scene)
     assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize("encoding", first_of(["cp1252", "ascii"]))
+@pytest.mark.full
 def test_any_encoding_can_show_an_answer(encoding: str, scene: Path) -> None:
     done = shell("retropole info lidar0.pcd", scene, PYTHONIOENCODING=encoding)
     assert (done.returncode, done.stderr) == (0, b"")
@@ -89,6 +94,7 @@ def test_any_encoding_can_show_an_answer(encoding: str, scene: Path) -> None:
         assert b"<- threshold" in done.stdout
 
 
+@pytest.mark.full
 def test_the_plainest_locale_can_show_an_error(tmp_path: Path) -> None:
     env = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     done = shell("retropole info 'é '$'\\xff\\n''.pcd'", tmp_path, **env)

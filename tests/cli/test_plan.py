@@ -25,6 +25,7 @@ DRAWN += ("--lidar", "b", "VLP-16", 1, 2, 1.5, 0, 5, 20)
 SMALL = ("--allow", 4.6, -1.5, 5.0, -1.1, "--allow", 4.6, 0.6, 5.0, 1.0)
 
 
+@pytest.mark.full
 def test_a_plan_is_a_document_and_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,8 @@ from retropole.simulation.writing import write_site
 from tests.cli.commands import retropole_here
 from tests.site.adjusting import made
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

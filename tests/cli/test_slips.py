@@ -14,6 +14,8 @@ from retropole.result.decoding import decode
 from retropole.simulation import simulate_pair
 from tests.cli.commands import Done, retropole_here, transform_of
 
+pytestmark = pytest.mark.full
+
 Clouds = tuple[PointCloud, PointCloud]
 
 

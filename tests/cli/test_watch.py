@@ -59,6 +59,7 @@ def sources(recorded: Path) -> tuple[str, str]:
     return f"replay:{recorded / 'target'}", f"replay:{recorded / 'source'}"
 
 
+@pytest.mark.full
 def test_it_says_what_to_do_and_ends_with_the_answer(
     pair: SimulatedPair, recorded: Path, tmp_path: Path
 ) -> None:
@@ -82,6 +83,7 @@ def test_sweeps_without_a_frame_are_not_published(recorded: Path, tmp_path: Path
     assert not (out / "result.json").exists()
 
 
+@pytest.mark.full
 def test_the_page_shows_the_state_and_an_interrupt_ends_it(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

@@ -12,6 +12,8 @@ from retropole.evaluation.metrics import e_rt, errors_of, evaluate
 from retropole.simulation import simulate_pair
 from tests.evaluation.surfaces import floor_and_wall
 
+pytestmark = pytest.mark.full
+
 
 def rotation(axis: int, angle: float) -> Array:
     """Rotate about an axis (4, 4)."""

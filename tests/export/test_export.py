@@ -82,6 +82,7 @@ names = st.one_of(st.sampled_from(NAMES), st.text(min_size=1, max_size=12)).filt
 @pytest.mark.parametrize("fmt", FORMATS)
 @settings(max_examples=60, deadline=None)
 @given(T=poses, parent=names, child=names)
+@pytest.mark.full
 def test_every_export_reads_back_in_both_directions(
     fmt: str, T: Array, parent: str, child: str
 ) -> None:
@@ -118,6 +119,7 @@ def test_every_output_says_in_words_what_it_maps(fmt: str) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(R=st.one_of(any_turn, half_turn, gimbal_lock))
+@pytest.mark.full
 def test_rpy_is_about_fixed_axes_x_y_z_also_in_gimbal_lock(R: Array) -> None:
     rpy = se3.rpy_from_rotation(R)
     np.testing.assert_allclose(product_of_axes(rpy), R, rtol=0, atol=1e-14)

@@ -128,6 +128,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_a_calibration_from_the_export_gives_the_same_answer(saved: Path) -> None:
     path = saved / "aligned.mcap"
     done = retropole_here("export", saved / "out", "--to", "mcap", "--out", path)

@@ -156,6 +156,7 @@ def test_a_joint_without_origin_gets_one() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(rng=st.integers(0, 2**32 - 1).map(np.random.default_rng))
+@pytest.mark.full
 def test_what_was_put_in_is_read_and_putting_it_again_changes_nothing(
     rng: np.random.Generator,
 ) -> None:

@@ -193,6 +193,7 @@ def same_poles(a: Detection, b: Detection, T: Array, order: IntArray | None = No
 @pytest.mark.parametrize("origin", ["moved along", "false"])
 @pytest.mark.parametrize("with_rings", [True, False])
 @pytest.mark.parametrize("scene", first_of(["corridor", "street", "harbor"]))
+@pytest.mark.full
 def test_rigid_motion_changes_nothing(scene: str, with_rings: bool, origin: str) -> None:
     pair = simulate_pair(scene, np.random.default_rng(2))
     for k, cloud in enumerate((pair.target, pair.source)):
@@ -235,6 +236,7 @@ def test_detection_accounts_for_every_point_once() -> None:
 
 
 @pytest.mark.parametrize("scene", ["corridor", "street", "harbor", "bare"])
+@pytest.mark.full
 def test_more_rounds_of_fitting_give_the_same_poles(
     scene: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,6 +279,7 @@ def test_bright_surfaces_are_left_out_of_the_search(width: float, is_saturated: 
     assert (failure is not None) is is_saturated
 
 
+@pytest.mark.full
 def test_a_large_sign_is_rejected_as_a_surface() -> None:
     cloud, _ = seen([Rectangle(np.array([4.0, 0, 0]), Y, Z, (1.0, 1.0), TAPE)], "OS1")
     (sign,) = extract_poles(cloud).rejected

@@ -21,6 +21,8 @@ from retropole.fleet.work import Outcome, Task, answer
 from retropole.result.decoding import decode
 from tests.fleet.fleets import ENDS, bytes_of, here, in_disorder, shuffled
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def out(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -11,6 +11,8 @@ from retropole.fleet.process import ATTEMPTS, Reader
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Outcome, Task, answer, environment
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def reader() -> Iterator[Reader]:

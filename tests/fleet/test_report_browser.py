@@ -16,7 +16,7 @@ from tests.report.browser import Browser, needs_browser
 from tests.report.test_accessibility import AUDIT, AXE, serious
 from tests.report.test_phone import LEAST_TARGET
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.full]
 
 
 @pytest.fixture(scope="module")

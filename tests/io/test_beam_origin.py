@@ -70,6 +70,7 @@ def test_noise_of_the_angles_moves_the_apex_little() -> None:
     assert np.degrees(np.arccos(abs(found.axis[2]))) < 0.01
 
 
+@pytest.mark.full
 def test_poses_of_moved_clouds_follow() -> None:
     """Both clouds moved by a program that forgets the origin: the poles' pose moves along."""
     pair = simulate_pair("street", np.random.default_rng(1), noise=FIELD)

@@ -184,7 +184,7 @@ def test_no_number_of_a_file_is_cast_unchecked(tmp_path: Path, kind: str) -> Non
 
 @pytest.mark.parametrize("suffix", WRITERS)
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
 def test_damage_gives_an_error_or_a_cloud(tmp_path: Path, suffix: str, data: st.DataObject) -> None:

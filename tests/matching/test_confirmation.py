@@ -33,6 +33,7 @@ from tests.tiers import first_of
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
+@pytest.mark.full
 def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> None:
     answer = answer_of(recorded([FREE, AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -46,6 +47,7 @@ def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> No
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
+@pytest.mark.full
 def test_sure_poles_need_no_doubtful_ones(seed: int) -> None:
     answer = answer_of(recorded([FREE, pole((3.2, -1.2), -0.2 * X), AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -63,6 +65,7 @@ def test_the_bands_of_a_vest_are_no_second_pole(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.full
 def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     target, source = recorded([FREE, AT_THE_WALL], seed)
     elsewhere = replace(AT_THE_WALL, centre=AT_THE_WALL.centre + np.array([0, 0.9, 0]))
@@ -89,6 +92,7 @@ def confirmed() -> Confirmed:
     return confirmed_answer()
 
 
+@pytest.mark.full
 def test_every_condition_is_needed(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
@@ -271,6 +275,7 @@ def dimmed(cloud: PointCloud) -> PointCloud:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.full
 def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user(
     seed: int,
 ) -> None:

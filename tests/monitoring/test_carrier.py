@@ -140,6 +140,7 @@ def creeps(street: SimulatedPair) -> Callable[[float, int, float], CheckResult]:
         pytest.param(0.0, 3, 0.03, {"moved"}, marks=pytest.mark.full),
     ],
 )
+@pytest.mark.full
 def test_a_creep_is_no_movement_and_hides_none(
     creeps: Callable[[float, int, float], CheckResult],
     speed: float,

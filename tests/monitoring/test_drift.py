@@ -66,6 +66,7 @@ def test_small_movements_are_found(
     assert off @ np.linalg.solve(answer.covariance, off) < 25.0
 
 
+@pytest.mark.full
 def test_the_recording_itself_is_the_same(street: SimulatedPair, stored: PoseEstimate) -> None:
     answer = check(stored, street.target, street.source)
     assert answer.status == "same"
@@ -74,6 +75,7 @@ def test_the_recording_itself_is_the_same(street: SimulatedPair, stored: PoseEst
     np.testing.assert_allclose(answer.step, 0.0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_clouds_without_intensity_are_checked_by_the_scene(
     street: SimulatedPair, stored: PoseEstimate
 ) -> None:
@@ -136,6 +138,7 @@ def test_poles_that_moved_between_the_recordings_do_not_make_a_movement(
     assert answer.status in ("same", "cannot_tell")
 
 
+@pytest.mark.full
 def test_several_minima_cannot_tell(
     street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +182,7 @@ def with_strangers(pair: SimulatedPair, count: int) -> PointCloud:
 
 
 @pytest.mark.parametrize(("count", "status"), first_of([(1800, "cannot_tell"), (40, "same")]))
+@pytest.mark.full
 def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
     street: SimulatedPair, stored: PoseEstimate, count: int, status: str
 ) -> None:
@@ -218,6 +222,7 @@ def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
     assert check(stored, bare.target, bare.source).status != "same"
 
 
+@pytest.mark.full
 def test_a_mast_that_sways_has_not_moved(street: SimulatedPair, stored: PoseEstimate) -> None:
     """One sweep is taken at some phase of the sway: what is stated of it is no movement."""
     again = record_again(street, np.random.default_rng(11), moved=SMALL_ROTATION)

@@ -112,6 +112,7 @@ def test_exchanging_the_lidars_changes_nothing_to_first_order() -> None:
     assert back.chi2 == pytest.approx(forth.chi2, rel=0.02)
 
 
+@pytest.mark.full
 def test_the_false_alarm_rate_is_as_stated() -> None:
     rng = np.random.default_rng(4)
     T, C, D = se3.random(rng), covariance(rng), covariance(rng)

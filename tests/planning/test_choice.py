@@ -108,6 +108,7 @@ def test_more_poles_never_harm() -> None:
     assert errors == sorted(errors, reverse=True)
 
 
+@pytest.mark.full
 def test_rules_are_kept() -> None:
     design = planned().design
     for placements in (1, 2):

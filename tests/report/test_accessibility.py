@@ -22,6 +22,7 @@ from tests.report.test_missing import lacking
 AXE = Path(os.environ.get("AXE_CORE", ""))
 
 pytestmark = [
+    pytest.mark.full,
     needs_browser,
     pytest.mark.skipif(
         not AXE.is_file(),

@@ -12,7 +12,7 @@ from tests.report.browser import Browser, needs_browser
 from tests.report.made_up import made_up
 from tests.report.pages import of_each_kind, page_of, with_each_verdict
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.full]
 
 LEAST_TARGET = 44
 """CSS pixels of a target's height and width (WCAG 2.2, 2.5.5)."""

@@ -340,6 +340,7 @@ def test_a_finger_drags_a_pole_and_scrolls_beside_it(phone: Browser, tmp_path: P
 
 @needs_browser
 @pytest.mark.parametrize(("placements", "lidars"), [(1, 2), (2, 3)])
+@pytest.mark.full
 def test_a_moved_plan_is_saved_as_a_plan(
     browser: Browser, tmp_path: Path, placements: int, lidars: int
 ) -> None:

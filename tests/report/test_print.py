@@ -22,6 +22,7 @@ from tests.report.made_up import made_up
 from tests.tiers import first_of
 
 pytestmark = [
+    pytest.mark.full,
     needs_browser,
     pytest.mark.skipif(
         not shutil.which("pdftotext") or not shutil.which("pdftoppm"),

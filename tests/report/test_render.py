@@ -165,6 +165,7 @@ def random_cloud(count: int) -> PointCloud:
     return PointCloud(rng.uniform(-80, 80, (count, 3)), rng.uniform(0, 255, count))
 
 
+@pytest.mark.full
 def test_a_page_stays_small_and_says_how_much_it_shows(tmp_path: Path) -> None:
     result = made_up(count=500).result
     path = tmp_path / "new" / "report.html"

@@ -63,6 +63,7 @@ def test_every_notation_of_a_transform_is_the_same(seed: int) -> None:
     np.testing.assert_allclose(z @ y @ x, T[:3, :3], atol=1e-5)
 
 
+@pytest.mark.full
 def test_it_names_what_a_person_looks_for() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     answer = calibrate(pair.target, pair.source)

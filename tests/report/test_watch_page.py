@@ -431,6 +431,7 @@ DOUBTFUL = msgspec.structs.replace(DONE, status="warn")
 @pytest.mark.parametrize(
     "doc", [PLACING, CAPTURING, DONE, DOUBTFUL], ids=["to do", "good", "done", "doubtful"]
 )
+@pytest.mark.full
 def test_it_is_read_in_the_sun_and_by_all(
     page: Browser, watch: Watch, doc: WatchDoc, scheme: str
 ) -> None:

@@ -40,6 +40,7 @@ def document(calibration: Calibration) -> ResultDoc:
     )
 
 
+@pytest.mark.full
 def test_it_reads_back_as_it_was_written(answer: Calibration) -> None:
     written = document(answer)
     assert encode(decode(encode(written))) == encode(written)

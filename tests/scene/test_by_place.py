@@ -51,6 +51,7 @@ def answer(pair: SimulatedPair) -> Calibration:
     return calibrate(pair.target, pair.source)
 
 
+@pytest.mark.full
 def test_one_pole_gives_the_truth_where_the_place_tells(
     pair: SimulatedPair, answer: Calibration
 ) -> None:
@@ -79,6 +80,7 @@ def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
     assert_near(moved.T_target_source, MOVED @ one_pole.T_target_source @ se3.inverse(MOVED))
 
 
+@pytest.mark.full
 def test_bare_ground_gives_no_answer() -> None:
     bare = simulated_with_one_pole("bare", 0)
     answer = calibrate(bare.target, bare.source)
@@ -99,11 +101,13 @@ def half_turned_quay() -> SimulatedPair:
     return pair
 
 
+@pytest.mark.full
 def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer() -> None:
     pair = half_turned_quay()
     assert calibrate(pair.target, pair.source).status == "refused"
 
 
+@pytest.mark.full
 def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
     other = simulated_with_one_pole("harbor", 2)
     assert calibrate(one_pole.target, other.source).status == "refused"
@@ -122,6 +126,7 @@ def test_without_the_scene_two_poles_are_needed(one_pole: SimulatedPair) -> None
     assert refused.reasons[0].code == "too_few_poles"
 
 
+@pytest.mark.full
 def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     one_pole: SimulatedPair,
 ) -> None:
@@ -165,6 +170,7 @@ def test_what_nothing_about_the_poles_gives_is_laid_from_above(
     assert choose_by_place([placement], 0.02) is None
 
 
+@pytest.mark.full
 def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> None:
     """A half turn maps a quay onto itself, and nothing of the street."""
     for pair, expected in ((half_turned_quay(), True), (one_pole, False)):

@@ -95,6 +95,7 @@ def is_true(hypothesis: Hypothesis, T_true: Array) -> bool:
     return bool(se3.rotation_angle(turn) < np.radians(5.0))
 
 
+@pytest.mark.full
 def test_the_refusal_says_which_stand_and_where_the_vertical_is(
     symmetric: tuple[SimulatedPair, Calibration],
 ) -> None:
@@ -104,6 +105,7 @@ def test_the_refusal_says_which_stand_and_where_the_vertical_is(
     assert refused.vertical @ pair.T_world_target[2, :3] > np.cos(np.radians(3.0))
 
 
+@pytest.mark.full
 def test_the_letter_of_the_true_one_gives_the_true_pose_with_a_warning(
     symmetric: tuple[SimulatedPair, Calibration],
 ) -> None:
@@ -140,6 +142,7 @@ def test_a_wrong_letter_is_refused_or_warned_of(
                 assert answer.reasons[0].code == "no_overlap" or each.stands
 
 
+@pytest.mark.full
 def test_a_letter_that_no_exact_hypothesis_has_is_an_error(
     symmetric: tuple[SimulatedPair, Calibration],
 ) -> None:

@@ -28,6 +28,7 @@ def elsewhere(T: np.ndarray, angle: float, distance: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
+@pytest.mark.full
 def test_the_right_pose_is_confirmed_and_others_are_conflicting(scene: str) -> None:
     for seed in range(3):
         pair = simulate_pair(scene, np.random.default_rng(seed))
@@ -58,6 +59,7 @@ def test_bare_ground_confirms_nothing() -> None:
 
 
 @pytest.mark.parametrize("scene", ["corridor", "street", "harbor", "bare"])
+@pytest.mark.full
 def test_the_ground_is_no_wall(scene: str) -> None:
     for seed in range(4):
         pair = simulate_pair(scene, np.random.default_rng(seed))

@@ -41,6 +41,7 @@ def assert_near(T: Array | None, T_true: Array, degrees: float = 0.3, metres: fl
     assert off.translation < metres
 
 
+@pytest.mark.full
 def test_the_sign_of_a_pole_does_not_matter(one_pole: SimulatedPair) -> None:
     placement = found_in(one_pole)
     for scan in placement.scans:

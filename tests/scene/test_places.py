@@ -18,6 +18,7 @@ from retropole.simulation.sites import SimulatedSite
 from tests.site.adjusting import Steps
 
 
+@pytest.mark.full
 def test_it_is_the_sum_of_all_parts(steps: Steps) -> None:
     adjusted = steps.adjusted
     found = joint_covariance(adjusted.parts)
@@ -28,6 +29,7 @@ def test_it_is_the_sum_of_all_parts(steps: Steps) -> None:
     assert np.linalg.eigvalsh(found)[0] > -1e-15
 
 
+@pytest.mark.full
 def test_shares_of_a_budget_are_those_of_the_variance(surveyed: Steps) -> None:
     names = [each.name for each in surveyed.site.lidars]
     for lidar in range(3):
@@ -53,6 +55,7 @@ def part_at(parts: Sequence[Part], name: str, lidar: int | None) -> float:
     return predicted_error(root @ root.T, (30.0,))[0].sigma_m
 
 
+@pytest.mark.full
 def test_parts_of_two_lidars_are_those_of_the_pair(
     pair_site: SimulatedSite, pair_steps: Steps
 ) -> None:

@@ -63,6 +63,7 @@ def test_jacobian_equals_finite_differences() -> None:
 
 
 @pytest.mark.parametrize("scene", ["street", "harbor"])
+@pytest.mark.full
 def test_the_scene_sharpens_the_poles(scene: str) -> None:
     pair = simulate_pair(scene, np.random.default_rng(21))
     start = off_pose(pair.T_target_source)
@@ -75,6 +76,7 @@ def test_the_scene_sharpens_the_poles(scene: str) -> None:
     assert refined.mahalanobis_sq < 40
 
 
+@pytest.mark.full
 def test_what_the_scene_does_not_hold_stays_where_the_poles_put_it() -> None:
     """Flat ground fixes height, roll and pitch; it knows nothing of x, y and yaw."""
     rng = np.random.default_rng(3)
@@ -128,6 +130,7 @@ def poles_of(pair: SimulatedPair) -> BeamAlignment:
 
 
 @pytest.mark.parametrize("scene", first_of(["street", "corridor", "harbor"]))
+@pytest.mark.full
 def test_other_starts_within_the_poles_uncertainty_end_at_the_same_pose(scene: str) -> None:
     pair = simulate_pair(
         scene, np.random.default_rng(32), sensor_target="VLP-16", sensor_source="VLP-16"
@@ -151,6 +154,7 @@ def test_other_starts_within_the_poles_uncertainty_end_at_the_same_pose(scene: s
         assert np.abs(se3.local(ends[0], end)).max() < 1e-6
 
 
+@pytest.mark.full
 def test_swapping_and_moving_give_the_same_pose() -> None:
     pair = simulate_pair("street", np.random.default_rng(22))
     T = pair.T_target_source
@@ -191,6 +195,7 @@ def test_patches_without_errors_lie_where_the_residuals_by_error_say() -> None:
     assert np.median(np.abs(step)) > 0.1 * np.abs(step).max()
 
 
+@pytest.mark.full
 def test_scene_and_poles_that_disagree_are_warned_of() -> None:
     pair = simulate_pair("street", np.random.default_rng(23))
     tight = 1e-6 * np.eye(6)
@@ -239,6 +244,7 @@ def test_swapped_clouds_give_the_inverse_pose() -> None:
     assert apart.translation < 0.005
 
 
+@pytest.mark.full
 def test_the_pipeline_reports_both_stages() -> None:
     pair = simulate_pair("street", np.random.default_rng(24))
     answer = calibrate(pair.target, pair.source)
@@ -278,6 +284,7 @@ def test_the_covariance_is_neither_too_small_nor_too_wide() -> None:
     assert 1.5 < np.median(squares) < 10.0
 
 
+@pytest.mark.full
 def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = simulate_pair("street", np.random.default_rng(21))
     start = off_pose(pair.T_target_source)
@@ -351,6 +358,7 @@ def test_surfaces_without_noise_are_never_thinner_than_nothing() -> None:
 
 
 @pytest.mark.parametrize("scene", first_of(["square", "camber", "kerb"]))
+@pytest.mark.full
 def test_sparse_ground_leads_nowhere(scene: str) -> None:
     """Little stands near, and rings on the ground lie metres apart."""
     squares = []

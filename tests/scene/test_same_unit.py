@@ -14,6 +14,8 @@ from retropole.scene.same_unit import beyond_sensors, common_unit, unit_of_one
 from retropole.scene.scans import find_poles
 from retropole.simulation import record_again, simulate_pair
 
+pytestmark = pytest.mark.full
+
 RADIUS = 0.02
 NO_THRESHOLDS = None, None
 

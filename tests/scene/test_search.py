@@ -29,6 +29,7 @@ def untimed(step: str) -> Any:
     return nullcontext()
 
 
+@pytest.mark.full
 def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
     confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,7 @@ def pair() -> SimulatedPair:
 
 
 @pytest.mark.parametrize("factor", [1.05, 0.3048, 1000.0])
+@pytest.mark.full
 def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
     pair: SimulatedPair, factor: float
 ) -> None:
@@ -72,6 +73,7 @@ def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
         ((1.0, 1.0, -1.0), "vertical"),
     ],
 )
+@pytest.mark.full
 def test_a_mirrored_cloud_is_named_whichever_it_is(
     pair: SimulatedPair, flip: tuple[float, float, float], axis: str
 ) -> None:
@@ -85,6 +87,7 @@ def test_a_mirrored_cloud_is_named_whichever_it_is(
         assert int(found.values["agreeing"]) > int(found.values["rigid_agreeing"])
 
 
+@pytest.mark.full
 def test_moving_a_cloud_changes_nothing(pair: SimulatedPair) -> None:
     T = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, 0.7])), np.array([2.0, -1.0, 0.5]))
     for change in ((1.05, 1.05, 1.05), (1.0, -1.0, 1.0)):
@@ -98,11 +101,13 @@ def test_moving_a_cloud_changes_nothing(pair: SimulatedPair) -> None:
 
 @pytest.mark.parametrize("scene", ["street", "corridor", "harbor", "bare"])
 @pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.full
 def test_honest_recordings_are_not_accused(scene: str, seed: int) -> None:
     pair = simulate_pair(scene, np.random.default_rng(seed))
     assert reason(pair.target, pair.source) is REFUSED
 
 
+@pytest.mark.full
 def test_both_mirrored_or_both_scaled_lie_on_each_other_as_before(pair: SimulatedPair) -> None:
     for of_target, of_source in (((-1, 1, 1), (1, -1, 1)), ((1.05, 1.05, 1.05),) * 2):
         both = times(pair.target, *of_target), times(pair.source, *of_source)

@@ -47,6 +47,7 @@ def with_walker(cloud: PointCloud) -> tuple[PointCloud, BoolArray]:
     return joined, np.arange(len(joined)) >= len(cloud)
 
 
+@pytest.mark.full
 def test_a_walker_goes_and_the_scene_stays(street: SimulatedPair) -> None:
     cloud, walks = with_walker(street.target)
     left = remove_dynamic_points(cloud)
@@ -113,6 +114,7 @@ def bumped(cloud: PointCloud, angle: float, frames: int = FRAMES) -> PointCloud:
 
 
 @pytest.mark.parametrize("degrees", [0.6, 2.0, 5.0])
+@pytest.mark.full
 def test_a_lidar_that_turned_while_it_recorded_is_refused(
     street: SimulatedPair, degrees: float
 ) -> None:

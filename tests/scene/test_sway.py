@@ -17,6 +17,7 @@ DATA = SHARED / "pandaset"
 SIGMA = float(np.radians(0.05))
 
 
+@pytest.mark.full
 def test_a_lidar_that_stands_is_left_as_it_is() -> None:
     for seed in range(3):
         cloud = recorded(np.zeros((80, 6)), np.random.default_rng(seed))
@@ -26,6 +27,7 @@ def test_a_lidar_that_stands_is_left_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("times", first_of([True, False]))
+@pytest.mark.full
 def test_what_sways_is_brought_to_rest(times: bool) -> None:
     rng = np.random.default_rng(0)
     motion = swaying(30, SIGMA, 1.0, rng)
@@ -48,6 +50,7 @@ def test_what_sways_is_brought_to_rest(times: bool) -> None:
 
 
 @pytest.mark.parametrize(("second", "runs"), first_of([(0.25, 2), (0.0, 8), (0.25, 8)]))
+@pytest.mark.full
 def test_the_rest_is_within_what_is_stated_also_of_a_third_of_a_period(
     second: float, runs: int
 ) -> None:

@@ -53,6 +53,7 @@ def test_people_walk_and_keep_off_the_lidars() -> None:
             assert np.linalg.norm((path - at)[:, :2], axis=1).min() > KEPT_FREE
 
 
+@pytest.mark.full
 def test_movers_differ_between_recordings_and_nothing_else_does() -> None:
     noise = replace(EXACT, movers=6)
     rng = np.random.default_rng(2)
@@ -108,6 +109,7 @@ def test_a_mast_sways_about_its_pose() -> None:
     np.testing.assert_allclose(off.max(axis=0), 1e-3 * across, rtol=1e-3)
 
 
+@pytest.mark.full
 def test_sway_has_no_mean_over_recordings_and_its_amplitude_in_each() -> None:
     amplitude = 1e-3
     noise = replace(EXACT, sway=amplitude)

@@ -26,6 +26,8 @@ from retropole.simulation.scenes import SURROUNDINGS
 from tests.simulation.surfaces import distance_from
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def assert_exact(pair: SimulatedPair) -> None:
     """Check that the points of an exact pair lie on the surfaces of their labels."""

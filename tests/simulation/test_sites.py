@@ -20,6 +20,8 @@ from tests.simulation.sites import everything, largest_distance
 from tests.simulation.surfaces import distance_from
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def made(kind: str = "truck", seed: int = 1, **given: object) -> SimulatedSite:
     given = {"lidars": 3, "noise": EXACT, "sensors": ("VLP-16",), **given}

@@ -89,6 +89,7 @@ def test_a_control_point_that_is_off_is_named_and_left_out(
         assert step @ np.linalg.solve(own, step) < 6.0
 
 
+@pytest.mark.full
 def test_one_lidars_wrong_recording_of_a_placement_is_left_out(steps: Steps) -> None:
     """All of its poles elsewhere. Which of two it is that differ, poles alone do not tell."""
     tilt = se3.from_rt(se3.exp_so3(np.radians([1.2, -1.2, 1.2])), np.array([0.06, 0.06, 0.0]))

@@ -74,6 +74,7 @@ def test_the_answer_is_near_the_truth_and_says_how_near(
 
 
 @pytest.mark.parametrize("lidar", first_of([0, 1]))
+@pytest.mark.full
 def test_a_lidar_may_have_any_frame(
     simulated: SimulatedSite, found: SiteCalibration, lidar: int
 ) -> None:
@@ -100,6 +101,7 @@ def test_a_lidar_may_have_any_frame(
     ("lidars", "placements"),
     first_of([((2, 0, 1), (0, 1)), ((0, 1, 2), (1, 0)), ((1, 0, 2), (1, 0))]),
 )
+@pytest.mark.full
 def test_the_order_makes_no_difference(
     simulated: SimulatedSite,
     found: SiteCalibration,
@@ -140,6 +142,7 @@ def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: Simula
         assert off(before, true) < FIVE_SIGMA
 
 
+@pytest.mark.full
 def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
     """The same pose, and nearly the covariance of `pipeline.calibrate`."""
     (target,), (source,) = pair_site.clouds
@@ -201,6 +204,7 @@ def test_a_recording_without_intensity_is_done_without(
         assert off(between(again, i, j), between(found, i, j).T_i_j) < THOUSANDTH
 
 
+@pytest.mark.full
 def test_a_ring_of_ambiguous_pairs_is_never_wrong() -> None:
     """Two poles that a half turn exchanges, between every two; the loop may decide."""
     simulated = made(kind="ring", placements=None)
@@ -235,6 +239,7 @@ def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None
     assert found.reasons[0].code == "survey_too_weak"
 
 
+@pytest.mark.full
 def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedSite) -> None:
     told: list[str] = []
     again = calibrate_site(pair_site.as_site(), progress=told.append)
@@ -242,6 +247,7 @@ def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedS
     assert list(found.seconds) == told
 
 
+@pytest.mark.full
 def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
     found: SiteCalibration, pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +271,7 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
     assert better < 0.003 < rough
 
 
+@pytest.mark.full
 def test_a_refusal_says_what_was_left_out_before_it(
     pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

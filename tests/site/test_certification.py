@@ -20,6 +20,8 @@ from retropole.site.description import Site, SiteLidar
 from retropole.site.distances import Measured
 from tests.site.certifying import RADIUS, found_in, four_poles
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def pair() -> SimulatedPair:

@@ -52,6 +52,7 @@ def test_where_nothing_links_the_reference_another_lidar_is_it(steps: Steps) -> 
     assert not datum.free.reshape(-1, 6)[0].any()
 
 
+@pytest.mark.full
 def test_inertial_sensors_level_it(simulated: SimulatedSite, steps: Steps) -> None:
     site = with_up(simulated)
     datum = find_datum(site, steps.scans.origins, steps.choices.best.poses, steps.poles)
@@ -71,6 +72,7 @@ def test_inertial_sensors_level_it(simulated: SimulatedSite, steps: Steps) -> No
     assert "2 inertial sensors" in datum.words
 
 
+@pytest.mark.full
 def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps) -> None:
     for i, true in enumerate(simulated_survey.T_world_lidar):
         apart = se3.difference(surveyed.datum.poses[i], true)

@@ -87,6 +87,7 @@ def answer(hidden: SimulatedSite) -> SiteCalibration:
     return calibrate_site(hidden.as_site())
 
 
+@pytest.mark.full
 def test_the_place_links_a_lidar_that_shares_one_pole(
     hidden: SimulatedSite, answer: SiteCalibration
 ) -> None:
@@ -101,6 +102,7 @@ def test_the_place_links_a_lidar_that_shares_one_pole(
     assert all("the place" not in test.name for test in answer.tests)
 
 
+@pytest.mark.full
 def test_without_surroundings_it_is_linked_to_nothing() -> None:
     bare = keeping(made(seed=101, placements=1), (2,), bare=True)
     refused = calibrate_site(bare.as_site())
@@ -134,6 +136,7 @@ def test_the_frame_of_the_lidar_that_hangs_may_be_that_of_the_site(
     assert note.values["lidars"] == f"{hidden.names[0]}, {hidden.names[1]}"
 
 
+@pytest.mark.full
 def test_a_pole_that_moved_links_nothing(hidden: SimulatedSite) -> None:
     moved = with_pole_moved(hidden, 2, np.array([0.3, 0.2, 0.0]))
     assert calibrate_site(moved.as_site()).status == "refused"
@@ -146,6 +149,7 @@ def test_a_pole_that_was_pushed_a_little_is_told(hidden: SimulatedSite) -> None:
     assert calibrate_site(pushed.as_site()).status != "ok"
 
 
+@pytest.mark.full
 def test_what_the_surroundings_alone_do_not_hold_is_not_checked(
     steps: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,6 +200,7 @@ def test_what_was_surveyed_holds_the_frame_and_the_place_what_hangs() -> None:
         assert step @ np.linalg.solve(pose.covariance, step) < THOUSANDTH
 
 
+@pytest.mark.full
 def test_two_lidars_of_one_pole_are_a_pair(hidden: SimulatedSite) -> None:
     site = hidden.as_site()
     two = replace(site, lidars=(site.lidars[0], site.lidars[2]))
@@ -227,6 +232,7 @@ def test_where_poles_link_all_the_place_is_not_asked(
     assert datum.surveyed.poses == ()
 
 
+@pytest.mark.full
 def test_a_pose_that_the_scene_does_not_confirm_links_nothing(
     hidden: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

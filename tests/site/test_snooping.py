@@ -158,6 +158,7 @@ def test_redundancies_add_up_to_observations_more_than_unknowns() -> None:
     assert total == pytest.approx(count - 6 * (geodetic.LIDARS - 1) - 3 * geodetic.POINTS)
 
 
+@pytest.mark.full
 def test_sound_observations_are_tested_as_chance_has_it() -> None:
     network = geodetic.network()
     rng = np.random.default_rng(0)

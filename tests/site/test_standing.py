@@ -24,6 +24,8 @@ from retropole.site.standing import (
 from retropole.site.swapped import check_places
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 
 def view(cloud: PointCloud | None, T: Array | None = None) -> View:
     assert cloud is not None

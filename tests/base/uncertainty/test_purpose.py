@@ -120,6 +120,7 @@ def test_what_is_hardly_not_enough_is_not_said_to_be_95_percent_sure() -> None:
     assert fitness(covariance, hardly).words.endswith("not shown, 94 % sure")
 
 
+@pytest.mark.full
 def test_what_is_surely_met_is_met_and_not_only_what_could_hardly_be_missed() -> None:
     sure = 0
     for seed in range(20):

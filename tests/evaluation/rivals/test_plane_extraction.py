@@ -15,6 +15,8 @@ from retropole.evaluation.rivals.plane_extraction import (
 )
 from tests.evaluation.rivals.staged import ROOM, box, transformed, walls
 
+pytestmark = pytest.mark.full
+
 
 def strips(rng: np.random.Generator, count: int) -> PointCloud:
     """Scan skew strips, each half as wide as a plane must be: no two share a plane."""

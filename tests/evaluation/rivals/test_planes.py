@@ -14,6 +14,8 @@ from tests.evaluation.rivals.staged import ROOM, assert_close, box
 from tests.paths import SHARED
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 DATA = SHARED / "planes_top_front"
 
 

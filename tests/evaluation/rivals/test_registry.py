@@ -13,6 +13,8 @@ from retropole.base.errors import MissingExtraError, Refusal
 from retropole.evaluation.rivals import RIVALS, load_rival, missing_extra
 from retropole.simulation import simulate_pair
 
+pytestmark = pytest.mark.full
+
 
 def available(name: str) -> ParameterSet:
     """Skip a rival whose extra is not installed."""

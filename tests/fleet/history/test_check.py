@@ -14,6 +14,8 @@ from retropole.fleet.process import Reader
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Check, Hashed, Task, environment, failed
 
+pytestmark = pytest.mark.full
+
 TRIED = datetime(2026, 11, 2, 4, 0, tzinfo=UTC)
 CHECK = Check(tolerance=(0.005, 0.03), tried=TRIED)
 

@@ -15,6 +15,8 @@ from retropole.fleet.history.watch import watch_all
 from tests.fleet.history.checks import MOVED, SIGMA, checks, row
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 WEEKS = 90
 
 

@@ -12,6 +12,8 @@ from retropole.fleet.history.reading import contents, files_of, read, tables
 from retropole.fleet.history.store import append
 from tests.fleet.history.checks import row
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
 NAMES = ("lamp-1", "lamp-2", "lamp-3")

@@ -21,6 +21,8 @@ from retropole.fleet.work import Outcome, Task, lost
 from tests.fleet.fleets import here, in_disorder
 from tests.fleet.history.checks import MOVED, SIGMA, row
 
+pytestmark = pytest.mark.full
+
 NOW = datetime(2026, 11, 2, 4, 0, tzinfo=UTC)
 
 ENDS = {

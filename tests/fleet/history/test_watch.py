@@ -10,6 +10,8 @@ from retropole.fleet.history.model import SLOPE, YEAR, together
 from retropole.fleet.history.watch import MOST_WAITING, watch, watch_all
 from tests.fleet.history.checks import MOVED, SIGMA, checks
 
+pytestmark = pytest.mark.full
+
 ROTATED = np.array([0.0, np.radians(0.3), 0, 0, 0, 0])
 
 

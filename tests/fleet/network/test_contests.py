@@ -14,6 +14,8 @@ from retropole.fleet.network.network import NetworkAdjustment, adjust_network
 from tests.fleet.network.networks import in_sigma, network_of
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 SIGMA = 1e-3
 AWAY = np.array([2.0, 0.0, 0.0])
 

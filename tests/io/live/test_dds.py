@@ -21,6 +21,8 @@ pytest.importorskip("cyclonedds")
 
 from retropole.io.live.dds import DdsSource, dds_name, domain_or_default
 
+pytestmark = pytest.mark.full
+
 DOMAIN = 10 + os.getpid() % 200
 """Tests that run at once do not hear each other."""
 

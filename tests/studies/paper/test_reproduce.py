@@ -89,6 +89,7 @@ def test_only_what_is_asked_for_is_run() -> None:
     assert names_of(Path()) == [*names_of(), "table4_recorded"]
 
 
+@pytest.mark.full
 def test_the_command_makes_those_asked_for(tmp_path: Path) -> None:
     words = ["-m", "studies.paper", "--only", "table1", "--out", str(tmp_path)]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
