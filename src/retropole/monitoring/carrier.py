@@ -96,7 +96,7 @@ class CarrierMotion:
             f"the recordings are {1e3 * abs(self.apart):.0f} ms apart by their timestamps: a "
             f"carrier that creeps at {moved / abs(self.apart):.2f} m/s makes such a pose of LiDARs "
             "that did not move on it, and single sweeps do not show whether it did; record some "
-            "seconds, or while it surely stands",
+            "seconds, or while it is at rest",
             {"apart_s": self.apart, "speed_m_s": moved / abs(self.apart)},
         )
 

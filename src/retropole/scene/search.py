@@ -101,7 +101,7 @@ def choose_with_candidates(
 
 
 def explained(refusal: Refusal, placements: Sequence[Placement]) -> Refusal:
-    """Say why a LiDAR sees too few poles, where its recordings tell: no threshold helps then."""
+    """Say why a LiDAR sees too few poles, if its recordings show it: no threshold helps then."""
     name = refusal.values.get("lidar")
     if refusal.code != "too_few_poles" or name not in ("target", "source"):
         return refusal

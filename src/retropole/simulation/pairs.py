@@ -103,7 +103,7 @@ def simulate_pair(
     if scene not in SCENES:
         raise UsageError(f"no scene is called {scene!r}; there are {', '.join(SCENES)}")
     if poles == 0 and scene == "paper":
-        raise UsageError("in the set-up of the paper nothing stands but its poles")
+        raise UsageError("the paper's set-up has nothing but its poles")
     names = DEFAULT_SENSORS[scene]
     sensors = (find_sensor(sensor_target or names[0]), find_sensor(sensor_source or names[1]))
     if noise is None:
