@@ -39,10 +39,10 @@ shows how certain it is."""
 
 TURN_SIGMAS = 5.0
 """A turn must also exceed this multiple of its own σ. Single sweeps of a LiDAR that does not repeat
-its pattern show other points of the same surfaces: of 96 still Mid-360 recordings the turn was up to
-0.48°, and 3.6 σ at most; of VLP-16 and XT32 that were turned by 0.35 and 0.5° it was 16 σ and more
-(streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ are exceeded by chance once in
-a thousand times (Student's t)."""
+its pattern show other points of the same surfaces: of 96 still Mid-360 recordings the turn was up
+to 0.48°, and 3.6 σ at most; of VLP-16 and XT32 that were turned by 0.35 and 0.5° it was 16 σ and
+more (streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ are exceeded by chance
+once in a thousand times (Student's t)."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
