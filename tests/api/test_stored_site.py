@@ -17,6 +17,8 @@ from retropole.io import read_cloud, write_pcd
 from retropole.simulation.writing import write_site
 from tests.site.adjusting import made
 
+pytestmark = pytest.mark.full
+
 FILES = tuple(f"posts-{k}_1.pcd" for k in (1, 2, 3))
 GONE = ("not found (looked for", "the page does not show it")
 

@@ -12,6 +12,8 @@ from retropole.base import se3
 from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 NAMES = ("posts-1", "posts-2", "posts-3")
 
 

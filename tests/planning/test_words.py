@@ -28,6 +28,7 @@ from tests.planning.places import planned, pose, stations
 RECORDINGS = [("front.pcd", "0" * 64), ("rear.pcd", "1" * 64)]
 
 
+@pytest.mark.full
 def test_a_plan_is_read_back_as_it_was_written() -> None:
     document = plan_document(planned(), RECORDINGS, Need(0.02, 30.0))
     data = encode(document)

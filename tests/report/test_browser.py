@@ -56,6 +56,7 @@ def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.full
 def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     result = browser.picture()
@@ -78,6 +79,7 @@ def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), result) < 0.001
 
 
+@pytest.mark.full
 @pytest.mark.full
 def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
@@ -102,6 +104,7 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     assert browser.picture().mean() < seen.mean() - 100
 
 
+@pytest.mark.full
 @pytest.mark.full
 def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path) -> None:
     def red(picture: Picture) -> float:
@@ -129,6 +132,7 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     assert "Red" not in browser.find("#state").text
 
 
+@pytest.mark.full
 def test_lines_have_the_frames_of_the_recordings(browser: Browser, tmp_path: Path) -> None:
     run = made_up(count=500)
     inputs = [
@@ -141,6 +145,7 @@ def test_lines_have_the_frames_of_the_recordings(browser: Browser, tmp_path: Pat
     assert line.endswith("--frame-id front/lidar --child-frame-id rear")
 
 
+@pytest.mark.full
 def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=500)))
     field = browser.find('[name="target"]')
@@ -177,6 +182,7 @@ def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("empty", [False, True])
+@pytest.mark.full
 def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty: bool) -> None:
     result, placements = made_up("refused", 6000)
     if empty:
@@ -197,6 +203,7 @@ def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty:
 @pytest.mark.parametrize("width", first_of([320, 390]))
 @pytest.mark.parametrize("status", ["warn", "refused"])
 @of_each_kind
+@pytest.mark.full
 def test_fits_a_phone(
     browser: Browser, tmp_path: Path, kind: str, width: int, status: Status
 ) -> None:
@@ -209,6 +216,7 @@ def test_fits_a_phone(
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+@pytest.mark.full
 def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up("warn", 500)))
     reached = set()
@@ -220,6 +228,7 @@ def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     assert {"theme", "marks", "pose", "size", "panel", "copy-button", "scroll"} <= reached
 
 
+@pytest.mark.full
 @pytest.mark.full
 def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     result, (placement,) = made_up(count=6000)
@@ -238,6 +247,7 @@ def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), first) < 0.001
 
 
+@pytest.mark.full
 def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path) -> None:
     media = {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
     browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
@@ -258,6 +268,7 @@ def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path
 
 
 @pytest.mark.full
+@pytest.mark.full
 def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
     browser = Browser(tmp_path / "profile", "--disable-3d-apis")
     try:
@@ -273,6 +284,7 @@ def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
         browser.driver.quit()
 
 
+@pytest.mark.full
 def test_keys_switch_lidars_and_placements(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, page_of("site", count=3000))
     assert browser.root("view") == "webgl"
@@ -298,6 +310,7 @@ def test_keys_switch_lidars_and_placements(browser: Browser, tmp_path: Path) -> 
     assert browser.find('[data-layer="poles"]').get_attribute("aria-pressed") == "false"
 
 
+@pytest.mark.full
 def test_a_refused_site_shows_one_lidar_at_a_time(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, page_of("site", "refused", 3000))
     assert browser.root("lidars") == "1000"
@@ -311,6 +324,7 @@ def test_a_refused_site_shows_one_lidar_at_a_time(browser: Browser, tmp_path: Pa
     assert "nothing" not in browser.find("#state").text
 
 
+@pytest.mark.full
 def test_a_page_without_clouds_works(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_site(document_of(made_up_site(lidars=2, count=20))))
     browser.find("#theme").click()

@@ -161,6 +161,7 @@ def expected(picture: PlanPicture, plan: PolePlanDoc, chosen: list[int]) -> list
 
 
 @needs_browser
+@pytest.mark.full
 def test_a_pole_goes_where_the_arrow_key_points_and_the_error_follows(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -189,6 +190,7 @@ def test_a_pole_goes_where_the_arrow_key_points_and_the_error_follows(
 
 
 @needs_browser
+@pytest.mark.full
 def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> None:
     picture = made_picture()
     browser.open(tmp_path, made_page())
@@ -219,6 +221,7 @@ def test_a_pole_is_dragged_and_warned_of(browser: Browser, tmp_path: Path) -> No
 
 
 @needs_browser
+@pytest.mark.full
 def test_two_that_lean_alike_are_warned_of(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, made_page())
     options = "return [...document.querySelector('[data-lean=\"0\"]')].map((o) => o.textContent)"
@@ -231,6 +234,7 @@ def test_two_that_lean_alike_are_warned_of(browser: Browser, tmp_path: Path) -> 
 
 
 @needs_browser
+@pytest.mark.full
 def test_a_phone_shows_it_whole_and_a_finger_hits(phone: Browser, tmp_path: Path) -> None:
     phone.open(tmp_path, made_page(2))
     assert phone.run("return document.documentElement.scrollWidth") <= 390
@@ -249,6 +253,7 @@ def test_a_phone_shows_it_whole_and_a_finger_hits(phone: Browser, tmp_path: Path
 
 
 @needs_browser
+@pytest.mark.full
 @pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_serious_is_found(browser: Browser, tmp_path: Path, scheme: str) -> None:
@@ -266,6 +271,7 @@ def test_nothing_serious_is_found(browser: Browser, tmp_path: Path, scheme: str)
 
 
 @needs_browser
+@pytest.mark.full
 @pytest.mark.skipif(not shutil.which("pdftotext"), reason="poppler-utils is not installed")
 @pytest.mark.parametrize("placements", first_of([1, 2]))
 def test_the_cards_are_printed_first_a_sheet_each(
@@ -316,6 +322,7 @@ SCROLLED = "return document.scrollingElement.scrollTop"
 
 
 @needs_browser
+@pytest.mark.full
 def test_a_finger_drags_a_pole_and_scrolls_beside_it(phone: Browser, tmp_path: Path) -> None:
     phone.open(tmp_path, made_page())
     phone.run("document.querySelector('#picture').scrollIntoView({block: 'center'})")

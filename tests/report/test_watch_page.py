@@ -226,6 +226,7 @@ def test_the_page_is_one_file_that_runs_its_own_code_alone() -> None:
 
 
 @needs_browser
+@pytest.mark.full
 def test_it_shows_the_next_thing_and_follows(page: Browser, watch: Watch) -> None:
     open_page(page, watch, PLACING)
     assert said(page) == ("todo", "To do", "Hold pole B still")
@@ -270,6 +271,7 @@ def test_it_shows_the_next_thing_and_follows(page: Browser, watch: Watch) -> Non
 
 
 @needs_browser
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("status", "tone", "word"),
     [
@@ -288,6 +290,7 @@ def test_the_end_has_the_colour_of_its_verdict(
 
 
 @needs_browser
+@pytest.mark.full
 def test_before_anything_comes(page: Browser, watch: Watch) -> None:
     silent = LidarNow(
         name="front",
@@ -316,6 +319,7 @@ def test_before_anything_comes(page: Browser, watch: Watch) -> None:
 
 
 @needs_browser
+@pytest.mark.full
 def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) -> None:
     open_page(page, watch, CAPTURING)
     port, token = int(re.findall(r":(\d+)/", watch.server.url)[0]), watch.server._token
@@ -340,6 +344,7 @@ def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) 
 
 
 @needs_browser
+@pytest.mark.full
 def test_what_was_said_at_the_end_stands(page: Browser, watch: Watch) -> None:
     open_page(page, watch, DONE)
     watch.server.stop()
@@ -348,6 +353,7 @@ def test_what_was_said_at_the_end_stands(page: Browser, watch: Watch) -> None:
 
 
 @needs_browser
+@pytest.mark.full
 def test_sounds_tell_what_changes(page: Browser, watch: Watch) -> None:
     command = page.driver.execute_cdp_cmd
     added = command("Page.addScriptToEvaluateOnNewDocument", {"source": HEARD})
@@ -398,6 +404,7 @@ LONG = "Turn pole A by the width of a hand towards the rear LiDAR, so that it le
 
 
 @needs_browser
+@pytest.mark.full
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_nothing_is_cut_off(page: Browser, watch: Watch, size: tuple[int, int]) -> None:
     see(page, size, "light")
