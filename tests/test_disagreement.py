@@ -24,6 +24,7 @@ def small(scene: str, seed: int) -> SimulatedPair:
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
 def test_a_diameter_given_for_the_radius_is_told_and_does_no_harm(scene: str) -> None:
     pair = small(scene, 0)
     wrong = calibrate(pair.target, pair.source, sensors=pair.sensors, radius=0.04)
@@ -52,6 +53,7 @@ def with_a_moved_pole(scene: str, seed: int) -> tuple[SimulatedPair, SimulatedPa
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
 @pytest.mark.parametrize("seed", first_of(range(50, 55)))
+@pytest.mark.full
 def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     scene: str, seed: int
 ) -> None:
@@ -66,6 +68,7 @@ def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     "distance",
     first_of([0.0, 0.05, 0.3]),
 )
+@pytest.mark.full
 def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
     """Or the answer is refused: moved by little, it may be any of them. Never is it wrong."""
     left_out = 0

@@ -37,6 +37,7 @@ def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Ste
     assert found == {key: own for key, own in expected.items() if own}
 
 
+@pytest.mark.full
 def test_what_was_surveyed_is_said_of_its_own_axis_or_point(surveyed: Steps) -> None:
     network = surveyed.adjusted.network
     unknowns, known = network.unknowns, surveyed.datum.surveyed
@@ -86,6 +87,7 @@ def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
     np.testing.assert_allclose(by, gradient, atol=1e-6 * np.abs(gradient).max())
 
 
+@pytest.mark.full
 def test_axes_of_which_nothing_is_said_need_a_ridge(steps: Steps) -> None:
     network = steps.adjusted.network
     left = network.without({k for k, one in enumerate(network.observations) if one.placement == 0})

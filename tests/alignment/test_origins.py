@@ -1,6 +1,7 @@
 """An answer about the beam origins, moved back: the same motion of the same points."""
 
 import numpy as np
+import pytest
 
 from retropole.alignment.origins import BeamOrigins, beam_origins
 from retropole.base import se3
@@ -65,6 +66,7 @@ def test_the_poles_lie_where_the_clouds_have_them() -> None:
     assert np.linalg.norm(far.placements[0].target.cloud.origin - ORIGINS.target) < 1e-6
 
 
+@pytest.mark.full
 def test_an_offset_of_kilometres_changes_nothing_but_the_frame() -> None:
     near = calibrated(np.zeros(3), np.zeros(3))
     by = np.array([6000.0, -3000.0, 50.0])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from retropole.alignment.likelihood import arc_likelihood
 from retropole.alignment.observations import Beams
@@ -98,6 +99,7 @@ def test_many_returns_leave_a_parabola() -> None:
     assert np.sqrt(np.diag(view.covariance[0])).max() < 0.005
 
 
+@pytest.mark.full
 def test_what_few_returns_of_wide_beams_leave_open_is_neither_too_little_nor_too_much() -> None:
     """χ² of the true axis, 4 degrees of freedom, over pencils of beams of 8 mrad 10 mrad apart."""
     squares = []

@@ -234,6 +234,7 @@ def test_a_sensor_that_does_not_see_so_much_is_doubted() -> None:
     assert reason.values["lidar"] == "target"
 
 
+@pytest.mark.full
 def test_arrays_of_any_unit() -> None:
     per_metre = np.array([1000.0, 1000.0, 1000.0, 1.0])
     given = per_metre * tables().target, tables().source

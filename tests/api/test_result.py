@@ -163,6 +163,7 @@ def test_a_report_of_what_never_was_a_file_says_so(tmp_path: Path) -> None:
     assert not (tmp_path / "page.html").exists()
 
 
+@pytest.mark.full
 def test_a_report_takes_files_that_lie_elsewhere(recordings: Path, tmp_path: Path) -> None:
     loaded = rp.load_result(recordings / "r")
     files = [recordings / "target.pcd", recordings / "source.pcd"]

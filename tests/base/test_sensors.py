@@ -62,6 +62,7 @@ def test_an_unknown_name_lists_those_known() -> None:
 
 
 @given(st.floats(1e-3, 1e3), st.integers(0, 10))
+@pytest.mark.full
 def test_auto_threshold_scales_with_the_intensity(scale: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     intensity = np.concatenate([rng.uniform(0, 60, 5000), rng.uniform(150, 255, 60)])

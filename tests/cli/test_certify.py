@@ -24,6 +24,7 @@ def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_four_poles_are_tested(four: Path) -> None:
     files = four / "lidar0.pcd", four / "lidar1.pcd"
     named = "--sensor-target", "XT32", "--sensor-source", "XT32"
@@ -58,6 +59,7 @@ def test_recordings_are_given_one_way(scene: Path) -> None:
     assert retropole_here("certify", file, file, "--placement", file, file).returncode == 2
 
 
+@pytest.mark.full
 def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
     (four / "site.toml").write_text(
         'name = "quay"\nplacements = ["one"]\n'

@@ -18,6 +18,7 @@ from tests.tiers import first_of
 Clouds = tuple[PointCloud, PointCloud]
 
 
+@pytest.mark.full
 def test_below_the_limit_nothing_changes(clouds: Clouds) -> None:
     expected = rp.calibrate(*clouds)
     same = rp.calibrate(*clouds, max_points=max(map(len, clouds)))
@@ -26,6 +27,7 @@ def test_below_the_limit_nothing_changes(clouds: Clouds) -> None:
 
 
 @pytest.mark.parametrize("part", first_of([0.5, 0.25]))
+@pytest.mark.full
 def test_a_thinned_cloud_gives_the_same_pose(clouds: Clouds, part: float) -> None:
     expected = rp.calibrate(*clouds)
     most = int(part * min(map(len, clouds)))
@@ -46,6 +48,7 @@ def test_a_thinned_cloud_gives_the_same_pose(clouds: Clouds, part: float) -> Non
         assert min(0.9, 2 * part) * sum(before) <= sum(after) <= sum(before)
 
 
+@pytest.mark.full
 def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_path: Path) -> None:
     words = ["calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path]
     done = retropole_here(*words, "--max-points", 20_000, "-v")
@@ -78,6 +81,7 @@ def test_frames_that_are_left_out_are_said(clouds: Clouds, tmp_path: Path) -> No
     assert "frames" not in retropole_here(*words).stderr
 
 
+@pytest.mark.full
 def test_a_stored_run_with_no_limit_named_has_the_default(scene: Path, tmp_path: Path) -> None:
     words = ["calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path, "-q"]
     assert retropole_here(*words, "--no-refine").returncode == 0

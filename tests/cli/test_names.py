@@ -42,6 +42,7 @@ def place(
     return name
 
 
+@pytest.mark.full
 def test_all_commands_take_any_name(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # What is drawn on a canvas takes seconds, and is tested below.
     monkeypatch.setattr("retropole.report.figures.draw_detection", lambda *args, **named: None)
@@ -66,6 +67,7 @@ def test_all_commands_take_any_name(place: str, monkeypatch: pytest.MonkeyPatch)
     assert "<script>alert" not in page
 
 
+@pytest.mark.full
 def test_json_is_utf8_whatever_a_file_is_called(place: str) -> None:
     done = retropole("info", f"./{place}0.pcd", "--json")
     assert json.loads(done.stdout)["clouds"][0]["points"] > 0
@@ -88,6 +90,7 @@ def test_errors_name_the_file_as_text(place: str) -> None:
         assert len(said) <= 320
 
 
+@pytest.mark.full
 def test_a_picture_has_a_name_and_no_formula(place: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     from retropole.base.errors import printable

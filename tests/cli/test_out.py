@@ -74,6 +74,7 @@ def test_without_out_it_is_the_default_folder(
     assert contents(tmp_path / DEFAULT_OUT) == SET_ASIDE
 
 
+@pytest.mark.full
 def test_a_run_that_answers_replaces_the_older_result(scene: Path, out: Path) -> None:
     clouds = (scene / "lidar0.pcd", scene / "lidar1.pcd")
     assert retropole_here("calibrate", *clouds, "--no-refine", "--out", out).returncode == 0

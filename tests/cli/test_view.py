@@ -22,6 +22,7 @@ HAS_VISER = importlib.util.find_spec("viser") is not None
 
 
 @pytest.mark.skipif(not HAS_VISER, reason="viser is not installed (extra 'view')")
+@pytest.mark.full
 def test_prints_its_address_answers_and_ends_by_interrupt(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", two_poles())
     process = subprocess.Popen(

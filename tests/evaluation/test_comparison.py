@@ -23,6 +23,7 @@ def pair() -> SimulatedPair:
     return record_again(anywhere, rng, moved=se3.local(anywhere.T_target_source, beside))
 
 
+@pytest.mark.full
 def test_answers_and_scores_are_those_of_the_methods(pair: SimulatedPair) -> None:
     names = ["gicp", "poles+scene", "poles"]
     seen: list[str] = []

@@ -127,6 +127,7 @@ def test_rpy_is_about_fixed_axes_x_y_z_also_in_gimbal_lock(R: Array) -> None:
 
 
 @given(value=st.floats(allow_nan=False, allow_infinity=False))
+@pytest.mark.full
 def test_numbers_read_back_the_same_in_yaml_too(value: float) -> None:
     yaml = pytest.importorskip("yaml")
     assert float(number(value)) == value
@@ -463,6 +464,7 @@ def test_files_that_hold_no_transform_are_refused(
 @pytest.mark.parametrize("fmt", FORMATS)
 @settings(max_examples=60, deadline=None)
 @given(data=st.one_of(st.binary(max_size=80), st.text(max_size=80).map(str.encode)))
+@pytest.mark.full
 def test_readers_fail_with_a_reason_only(fmt: str, data: bytes) -> None:
     hold_reason(fmt, data)
 

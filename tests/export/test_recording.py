@@ -149,6 +149,7 @@ def test_a_calibration_from_the_export_gives_the_same_answer(saved: Path) -> Non
         (("--to", "mcap", "--out", "a.mcap", "one.pcd"), "1 clouds are given"),
     ],
 )
+@pytest.mark.full
 def test_bad_usage_says_why(saved: Path, words: tuple[str, ...], reason: str) -> None:
     done = retropole_here("export", saved / "out", *words)
     assert done.returncode == 2

@@ -133,6 +133,7 @@ def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files")
+@pytest.mark.full
 def test_dask_imports_from_no_folder_that_others_write_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -302,6 +302,7 @@ def test_without_answers_or_places_it_says_so() -> None:
     assert not [tag for tag, _ in page.tags if tag == "svg"]
 
 
+@pytest.mark.full
 def test_ten_thousand_sites_stay_small() -> None:
     rng = np.random.default_rng(1)
     sites = [

@@ -232,6 +232,7 @@ class TestMemory:
     [b"\n" * 2_000_000, b"# x\n" * 500_000, b" " * 2_000_000, b"1 " * 1_000_000 + b"\n1 2 3 4\n"],
     ids=["blank lines", "comments", "blanks", "one line"],
 )
+@pytest.mark.full
 def test_a_text_of_endless_heads_or_lines_is_refused(body: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_bytes(body)

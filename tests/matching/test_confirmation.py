@@ -126,6 +126,7 @@ def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
     return replace(hypothesis, match=replace(hypothesis.match, icp_refined=True, **changes))
 
 
+@pytest.mark.full
 def test_a_settled_hypothesis_needs_no_icp_that_stays(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses

@@ -89,6 +89,7 @@ def test_it_decides_where_the_scene_does_not() -> None:
     assert np.linalg.norm(off[:3]) < np.radians(1.5)
 
 
+@pytest.mark.full
 def test_a_wrong_one_is_refused() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     wrong = se3.exp_so3(np.array([0, 0, np.radians(70)])) @ pair.T_target_source[:3, :3]

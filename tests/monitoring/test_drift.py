@@ -51,6 +51,7 @@ def stored(calibration: Calibration) -> PoseEstimate:
         2,
     ),
 )
+@pytest.mark.full
 def test_small_movements_are_found(
     street: SimulatedPair, stored: PoseEstimate, moved: Array, status: str, poles: bool
 ) -> None:

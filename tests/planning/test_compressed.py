@@ -16,6 +16,7 @@ def made(kind: str) -> Design:
 
 
 @pytest.mark.parametrize("kind", ["0", "1", "yard"])
+@pytest.mark.full
 def test_any_set_is_predicted_as_by_the_design(kind: str) -> None:
     design, rng = made(kind), np.random.default_rng(0)
     both = compress(design)

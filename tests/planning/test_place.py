@@ -67,6 +67,7 @@ def test_a_plan_does_not_move_with_the_drawing() -> None:
         np.testing.assert_allclose(one.T, other.T, atol=5e-3)
 
 
+@pytest.mark.full
 def test_planned_poles_stand_in_the_area() -> None:
     found = planned()
     assert in_areas(found.candidates.foot[found.numbers]).all()

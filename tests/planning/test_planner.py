@@ -73,6 +73,7 @@ drawn_inputs = st.fixed_dictionaries(
 
 @given(drawn_inputs)
 @settings(max_examples=8)
+@pytest.mark.full
 def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> None:
     """Masts of any height, one LiDAR that sees nothing, tiny places: no other error comes."""
     height = given["height"]

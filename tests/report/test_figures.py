@@ -39,6 +39,7 @@ BLUE, ORANGE, GREEN = (0, 114, 178), (230, 159, 0), (0, 158, 115)
 RED = (213, 94, 0)
 
 
+@pytest.mark.full
 def test_detection_shows_poles_and_what_was_rejected(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     assert found.poles
@@ -78,6 +79,7 @@ def test_many_poles_are_drawn(pair: SimulatedPair, tmp_path: Path) -> None:
     assert pixels(tmp_path / "d.png").std() > 5
 
 
+@pytest.mark.full
 def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: Path) -> None:
     ours, theirs = extract_poles(pair.target).poles, extract_poles(pair.source).poles
     count = min(len(ours), len(theirs))
@@ -117,6 +119,7 @@ def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) 
     np.testing.assert_array_equal(pixels(tmp_path / "a.png"), pixels(tmp_path / "b.png"))
 
 
+@pytest.mark.full
 def test_matplotlib_is_imported_late_and_its_state_left_alone() -> None:
     code = (
         "import sys, retropole.report.figures as f; assert 'matplotlib' not in sys.modules; "

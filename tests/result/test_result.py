@@ -49,6 +49,7 @@ def test_it_reads_back_as_it_was_written(answer: Calibration) -> None:
     np.testing.assert_array_equal(written.T_target_source, answer.T_target_source)
 
 
+@pytest.mark.full
 def test_names_that_others_rely_on(answer: Calibration) -> None:
     plain = json.loads(encode(document(answer)))
     assert plain["schema"] == "retropole/result/1"

@@ -33,6 +33,7 @@ def held(answer: Calibration, T: np.ndarray) -> Confirmation:
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
 def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
     for seed in range(2):
         answer = answered(simulate_pair(scene, np.random.default_rng(seed)))
@@ -47,6 +48,7 @@ def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
 def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene: str) -> None:
     """Walls that slide along themselves do not hide a shift."""
     for seed in range(2):
@@ -63,6 +65,7 @@ def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene:
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
 def test_a_pose_that_lifts_the_grounds_off_each_other_is_found(scene: str) -> None:
     """Walls agree with it however high it is."""
     pair = simulate_pair(scene, np.random.default_rng(1))
@@ -105,6 +108,7 @@ def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
         assert trusted.confirmation == structs.replace(answer.confirmation, trusted=True)
 
 
+@pytest.mark.full
 def test_a_cloud_in_which_nothing_stands_gives_finite_figures() -> None:
     pair = simulate_pair("street", np.random.default_rng(4))
     answer = answered(pair)

@@ -30,6 +30,7 @@ def sigma_of(steps: Steps) -> Array:
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
+@pytest.mark.full
 def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -> None:
     network, end = steps.adjusted.network, steps.adjusted.end
     rng = np.random.default_rng(seed)
@@ -48,6 +49,7 @@ def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -
     assert not off[~free].any()
 
 
+@pytest.mark.full
 def test_what_the_datum_holds_stays(steps: Steps, surveyed: Steps) -> None:
     np.testing.assert_array_equal(steps.adjusted.end.T[0], steps.adjusted.network.state.T[0])
     assert not steps.adjusted.end.inverse[:6].any()

@@ -42,6 +42,7 @@ def answer(pair: SimulatedPair) -> Calibration:
     return by_the_place(pair)
 
 
+@pytest.mark.full
 def test_the_place_gives_the_truth(pair: SimulatedPair, answer: Calibration) -> None:
     assert answer.status != "refused", answer.reasons
     assert_near(answer.T_target_source, pair.T_target_source)
@@ -56,6 +57,7 @@ def test_the_place_gives_the_truth(pair: SimulatedPair, answer: Calibration) -> 
     assert "without_poles" in {reason.code for reason in answer.reasons}
 
 
+@pytest.mark.full
 def test_frames_and_order_of_the_lidars_do_not_matter(
     pair: SimulatedPair, answer: Calibration
 ) -> None:
@@ -65,12 +67,14 @@ def test_frames_and_order_of_the_lidars_do_not_matter(
     assert_near(back.T_target_source, there, 0.05, 0.02)
 
 
+@pytest.mark.full
 def test_the_ground_of_a_steep_lidar_is_not_taken_for_a_wall(pair: SimulatedPair) -> None:
     steep = replace(pair.source.transformed(STEEP), axis=pair.source.axis)
     answer = calibrate(bare(pair.target), bare(steep), poles=0)
     assert_near(answer.T_target_source, pair.T_target_source @ se3.inverse(STEEP))
 
 
+@pytest.mark.full
 def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
     ground = simulated_with_one_pole("bare", 0)
     refused = by_the_place(replace(pair, source=ground.source))

@@ -42,6 +42,7 @@ def test_shares_of_a_budget_are_those_of_the_variance(surveyed: Steps) -> None:
         assert any(share > 0 for share in others)
 
 
+@pytest.mark.full
 def test_the_lidar_whose_frame_it_is_has_no_budget(steps: Steps) -> None:
     names = [each.name for each in steps.site.lidars]
     assert budget_of(steps.adjusted.parts, 0, names) == ()
@@ -152,6 +153,7 @@ def test_residuals_are_freed_of_the_errors_that_were_found(steps: Steps) -> None
     assert after < before
 
 
+@pytest.mark.full
 def test_what_no_model_names_is_each_lidars_own(steps: Steps, surveyed: Steps) -> None:
     """Between two LiDARs it is that of a pair, whatever the datum is."""
     own = [

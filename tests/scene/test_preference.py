@@ -27,6 +27,7 @@ def street() -> SimulatedPair:
 
 
 @pytest.mark.parametrize("off", [TILT, LIFT])
+@pytest.mark.full
 def test_the_truth_is_preferred_to_a_movement_that_matters(
     street: SimulatedPair, off: Array
 ) -> None:
@@ -67,6 +68,7 @@ def answers(
 
 
 @pytest.mark.parametrize("scene", first_of(["street", "square", "kerb"]))
+@pytest.mark.full
 def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None:
     pair = simulate_pair(scene, np.random.default_rng(1))
     T = pair.T_target_source

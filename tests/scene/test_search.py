@@ -68,6 +68,7 @@ def nothing_bright(of: Scan) -> Scan:
     return replace(of, cloud=cloud, detection=detection)
 
 
+@pytest.mark.full
 def test_without_doubtful_poles_what_was_matched_settles(
     confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,7 @@ def test_a_walker_goes_and_the_scene_stays(street: SimulatedPair) -> None:
     assert np.mean(kept[~walks]) > 0.97
 
 
+@pytest.mark.full
 def test_poles_stay_whole(street: SimulatedPair) -> None:
     first = len(street.surfaces) - len(street.poles)
     on_poles = street.target.xyz[street.labels[0] >= first]

@@ -102,6 +102,7 @@ def test_one_sweep_takes_what_is_stated() -> None:
     assert "does not show where it rests" in sway.words
 
 
+@pytest.mark.full
 def test_sweeps_that_show_no_sway_narrow_what_is_stated() -> None:
     cloud = recorded(np.zeros((240, 6)), np.random.default_rng(0))
     _, sway, _ = steadied(cloud, SIGMA)

@@ -46,6 +46,7 @@ def test_a_survey_gives_poses_in_its_own_frame(
         assert np.linalg.norm(step[3:]) < 0.05
 
 
+@pytest.mark.full
 def test_more_that_is_observed_leaves_less_open(steps: Steps) -> None:
     """Without a placement no pose is surer of the poles' and surfaces' information."""
     gone = {k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1}
@@ -57,6 +58,7 @@ def test_more_that_is_observed_leaves_less_open(steps: Steps) -> None:
         assert np.median(wide / narrow) > 1.0
 
 
+@pytest.mark.full
 def test_leaving_out_what_one_lidar_saw_leaves_what_the_others_saw(steps: Steps) -> None:
     left = without_observations(steps.datum, 1, 0)
     for before, after in zip(steps.datum.poles, left.poles, strict=True):

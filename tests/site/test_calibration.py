@@ -54,6 +54,7 @@ def check_same(one: RelativePose, other: RelativePose) -> None:
     assert sigma_at(other) == pytest.approx(sigma_at(one), rel=0.15)
 
 
+@pytest.mark.full
 def test_the_answer_is_near_the_truth_and_says_how_near(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.scene.places import labels_of_places
@@ -61,6 +62,7 @@ def test_pairs_alone_differ_from_the_joint_answer_within_what_they_state(steps: 
         assert loop.freedom == 6
 
 
+@pytest.mark.full
 def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None:
     """All of a place are off together, more than their patches' noise."""
     at, end = steps.adjusted.solved, steps.adjusted.end

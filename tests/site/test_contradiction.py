@@ -35,6 +35,7 @@ def displaced(datum: Datum, which: int, by: float) -> Datum:
     return replace(datum, poles=poles)
 
 
+@pytest.mark.full
 def test_of_a_sound_site_no_pole_is_conflicting(
     own: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,6 +84,7 @@ def test_three_poles_check_each_other(own: Steps, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("which", "gone", "by"), first_of([(0, 2, 0.8), (0, 0, 0.4), (1, 0, 0.8), (1, 1, 0.4)])
 )
+@pytest.mark.full
 def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     own: Steps, which: int, gone: int, by: float
 ) -> None:
@@ -101,6 +103,7 @@ def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     assert off(pose, se3.inverse(left.end.T[0]) @ left.end.T[1]) < 12.6
 
 
+@pytest.mark.full
 def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
     own: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:

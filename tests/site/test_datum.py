@@ -85,6 +85,7 @@ def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps)
     assert "6 surveyed ends of poles and 4 control points" in surveyed.datum.words
 
 
+@pytest.mark.full
 def test_ends_stay_at_their_poles_when_others_are_left_out(surveyed: Steps) -> None:
     datum = surveyed.datum
     name = {k: pole.name(surveyed.site) for k, pole in enumerate(datum.poles)}

@@ -138,6 +138,7 @@ def test_what_most_is_met_by_well_comes_first() -> None:
     assert order(fit(10, NEAR))[0] == order(fit(0, 0.0))[0] == 0.0
 
 
+@pytest.mark.full
 def test_a_pole_in_another_frame_and_back(steps: Steps) -> None:
     T = se3.random(np.random.default_rng(0))
     for pole in steps.poles:

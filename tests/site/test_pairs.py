@@ -1,6 +1,7 @@
 """What each pair says by itself: the true pose is among it, and placements are put together."""
 
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.simulation import FIELD
@@ -45,6 +46,7 @@ def test_a_placement_that_only_one_recorded_says_nothing(steps: Steps) -> None:
     assert all(set(each.placements) == {0} for each in pairs[2].hypotheses)
 
 
+@pytest.mark.full
 def test_a_ring_closes_with_what_the_scene_speaks_against_a_little() -> None:
     """20 returns leave a pose 2.5° off, under which the scenes of bare ground hardly agree."""
     rng = np.random.default_rng(29)

@@ -135,6 +135,7 @@ def test_a_test_is_the_gain_of_another_fit(at: Solved) -> None:
         assert 0.0 <= found.redundancy <= 1.0
 
 
+@pytest.mark.full
 def test_a_value_is_tested_by_leaving_it_out(at: Solved) -> None:
     prior = precision_of(at)
     whole = cost_of(at.network.observations, at, 0, prior)
@@ -222,6 +223,7 @@ def test_what_nothing_checks_has_no_redundancy() -> None:
     assert found.minimal_detectable is None or found.minimal_detectable > 10.0
 
 
+@pytest.mark.full
 def test_what_nothing_checks_is_no_test(steps: Steps) -> None:
     """In one placement without scenes nobody knows where a LiDAR would have stood in another."""
     gone = {k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1}

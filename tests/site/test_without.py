@@ -12,6 +12,7 @@ from retropole.site.without import without_placements
 from tests.site.adjusting import Steps
 
 
+@pytest.mark.full
 def test_it_is_what_leaving_a_placement_out_does(steps: Steps) -> None:
     adjusted = steps.adjusted
     found = list(without_placements(adjusted.network, adjusted.end, 2))
@@ -32,11 +33,13 @@ def test_it_is_what_leaving_a_placement_out_does(steps: Steps) -> None:
         assert abs(one.translation - shifted) < 0.5 * sigma[:, 3:].max()
 
 
+@pytest.mark.full
 def test_a_site_with_one_placement_has_none_to_leave_out(pair_steps: Steps) -> None:
     adjusted = pair_steps.adjusted
     assert not list(without_placements(adjusted.network, adjusted.end, 1))
 
 
+@pytest.mark.full
 def test_what_rests_on_one_placement_alone_is_told(steps: Steps) -> None:
     """Without it there is no pose: neither scenes nor other poles hold it."""
     poles = [k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1]
@@ -48,6 +51,7 @@ def test_what_rests_on_one_placement_alone_is_told(steps: Steps) -> None:
     assert second.translation == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.full
 def test_one_surveyed_end_of_a_pole_that_no_return_is_left_of(steps: Steps) -> None:
     """A line of which one point alone is known keeps the equations solvable."""
     k = next(k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1)

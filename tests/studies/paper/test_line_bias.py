@@ -46,6 +46,7 @@ def test_the_error_tends_to_the_expected_where_many_beams_hit(orientation: str) 
     assert near > far, "a near pole shows less than half of itself, which lies further in front"
 
 
+@pytest.mark.full
 def test_the_table_is_that_of_the_paper() -> None:
     rows = line_bias().rows
     assert len(rows) == len(PAPER_TABLE_II) * len(PAPER_ORIENTATIONS)

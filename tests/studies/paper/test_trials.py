@@ -45,6 +45,7 @@ def test_the_first_trials_are_those_of_fewer() -> None:
     np.testing.assert_array_equal(two[0, 0], [errors.rotation, errors.translation, errors.e_rt])
 
 
+@pytest.mark.full
 def test_mean_and_standard_deviation_are_over_ten_trials() -> None:
     errors = trial_errors(set_up(0, TRIAL_LENGTH), 0, TRIALS)
     rows = {row[:2]: row[2:] for row in ten_trials(1).rows}
