@@ -21,6 +21,8 @@ from retropole.base.systematic import (
 )
 from tests.alignment.beams import beams_with_surroundings, state_near
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def network() -> Network:

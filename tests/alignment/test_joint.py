@@ -14,6 +14,8 @@ from tests.numeric import numeric_jacobian
 from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def at_answer(steps: Steps) -> tuple[JointState, Array, JointPriors]:
     """A state a little off the answer, where no derivative vanishes; noise, and priors."""
@@ -36,7 +38,6 @@ def evaluated(
 
 
 @pytest.mark.parametrize("which", first_of(["pair_steps", "steps", "surveyed"]))
-@pytest.mark.full
 def test_gradient_and_information_are_those_of_finite_differences(
     which: str, request: pytest.FixtureRequest
 ) -> None:

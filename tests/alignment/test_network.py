@@ -12,8 +12,9 @@ from tests.site import geodetic
 from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Steps) -> None:
     network, poles = surveyed.adjusted.network, surveyed.datum.poles
     found = {}
@@ -37,7 +38,6 @@ def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Ste
     assert found == {key: own for key, own in expected.items() if own}
 
 
-@pytest.mark.full
 def test_what_was_surveyed_is_said_of_its_own_axis_or_point(surveyed: Steps) -> None:
     network = surveyed.adjusted.network
     unknowns, known = network.unknowns, surveyed.datum.surveyed
@@ -74,7 +74,6 @@ def test_eliminating_axes_changes_no_answer(surveyed: Steps) -> None:
     np.testing.assert_allclose(alone, step[:kept], rtol=1e-4, atol=1e-9)
 
 
-@pytest.mark.full
 def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
     network = steps.adjusted.network
     whole, gradient = network.total()
@@ -87,7 +86,6 @@ def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
     np.testing.assert_allclose(by, gradient, atol=1e-6 * np.abs(gradient).max())
 
 
-@pytest.mark.full
 def test_axes_of_which_nothing_is_said_need_a_ridge(steps: Steps) -> None:
     network = steps.adjusted.network
     left = network.without({k for k, one in enumerate(network.observations) if one.placement == 0})
@@ -115,7 +113,6 @@ def test_bands_are_those_of_poles_and_surfaces(steps: Steps) -> None:
 
 
 @pytest.mark.parametrize("first_held", first_of([False, True]))
-@pytest.mark.full
 def test_the_covariance_is_that_of_drawn_observations(first_held: bool) -> None:
     network = geodetic.network(first_held=first_held)
     rng = np.random.default_rng(0)

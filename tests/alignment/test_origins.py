@@ -10,6 +10,8 @@ from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 from tests.numeric import numeric_jacobian
 
+pytestmark = pytest.mark.full
+
 ORIGINS = BeamOrigins(np.array([200.0, -30.0, 4.0]), np.array([-70.0, 500.0, 2.0]))
 
 
@@ -66,7 +68,6 @@ def test_the_poles_lie_where_the_clouds_have_them() -> None:
     assert np.linalg.norm(far.placements[0].target.cloud.origin - ORIGINS.target) < 1e-6
 
 
-@pytest.mark.full
 def test_an_offset_of_kilometres_changes_nothing_but_the_frame() -> None:
     near = calibrated(np.zeros(3), np.zeros(3))
     by = np.array([6000.0, -3000.0, 50.0])

@@ -120,6 +120,7 @@ def go_on(
 WISH = Wish(RunConfig(), ("front", "rear"), sweeps=5)
 
 
+@pytest.mark.full
 def test_good_poles_are_kept_and_calibrated(
     pair: SimulatedPair, sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:

@@ -14,6 +14,8 @@ from retropole.site.description import Site
 from tests.api.site_files import answer_to, write_recordings, write_site
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:

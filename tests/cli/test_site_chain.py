@@ -10,6 +10,8 @@ import pytest
 
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 
 def named(output: str) -> list[list[str]]:
     """The commands that an output names, as typed."""
@@ -17,7 +19,6 @@ def named(output: str) -> list[list[str]]:
     return [shlex.split(typed) for _, sign, typed in lines if sign]
 
 
-@pytest.mark.full
 def test_four_recordings_become_a_site_in_four_commands(tmp_path: Path) -> None:
     words = "simulate", "site", "posts", "--lidars", 4, "--placements", 1, "--poles", 4
     done = retropole_here(*words, "--seed", 5, "--out", "made", "-q", cwd=tmp_path)

@@ -18,6 +18,8 @@ from retropole.export.recording import TOPICS, frames_of, write_mcap
 from retropole.io import Frame, read_cloud, read_recording, write_pcd
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'retropole[ros]'")
 T = se3.random(np.random.default_rng(1))
 
@@ -128,7 +130,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.full
 def test_a_calibration_from_the_export_gives_the_same_answer(saved: Path) -> None:
     path = saved / "aligned.mcap"
     done = retropole_here("export", saved / "out", "--to", "mcap", "--out", path)
@@ -149,7 +150,6 @@ def test_a_calibration_from_the_export_gives_the_same_answer(saved: Path) -> Non
         (("--to", "mcap", "--out", "a.mcap", "one.pcd"), "1 clouds are given"),
     ],
 )
-@pytest.mark.full
 def test_bad_usage_says_why(saved: Path, words: tuple[str, ...], reason: str) -> None:
     done = retropole_here("export", saved / "out", *words)
     assert done.returncode == 2

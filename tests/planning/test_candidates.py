@@ -1,9 +1,12 @@
 import numpy as np
+import pytest
 
 from retropole.planning.candidates import MIN_RETURNS, Candidates, beams_met, is_seen, thinned
 from retropole.planning.information import divergences_of
 from retropole.simulation.raycast import cast
 from tests.planning.places import BOXES, planned, stations
+
+pytestmark = pytest.mark.full
 
 
 def test_what_stands_before_a_pole_hides_it() -> None:

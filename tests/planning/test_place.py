@@ -8,6 +8,8 @@ from retropole.planning.place import CELL, CLEARANCE, Area, survey
 from retropole.planning.stations import stand_drawn
 from tests.planning.places import AREAS, BOXES, planned, pose, stations
 
+pytestmark = pytest.mark.full
+
 
 def in_areas(feet: Array) -> BoolArray:
     return np.asarray(np.any([area.holds(feet[:, :2]) for area in AREAS], axis=0))
@@ -67,7 +69,6 @@ def test_a_plan_does_not_move_with_the_drawing() -> None:
         np.testing.assert_allclose(one.T, other.T, atol=5e-3)
 
 
-@pytest.mark.full
 def test_planned_poles_stand_in_the_area() -> None:
     found = planned()
     assert in_areas(found.candidates.foot[found.numbers]).all()

@@ -16,8 +16,9 @@ from retropole.planning.stations import stand_drawn
 from retropole.result.pole_plan import LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
 from tests.planning.places import AREAS, planned, pose, stations
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_swapped_lidars_are_planned_alike() -> None:
     """The place turns with its frame: the error is the same but for the grid that feet stand on."""
     swapped = plan(stations()[::-1], allowed=AREAS)
@@ -73,7 +74,6 @@ drawn_inputs = st.fixed_dictionaries(
 
 @given(drawn_inputs)
 @settings(max_examples=8)
-@pytest.mark.full
 def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> None:
     """Masts of any height, one LiDAR that sees nothing, tiny places: no other error comes."""
     height = given["height"]

@@ -39,6 +39,7 @@ def test_a_plan_is_read_back_as_it_was_written() -> None:
     assert [pole.name for pole in again.placements[0].poles] == ["A", "B"]
 
 
+@pytest.mark.full
 def test_lengths_to_measure_fix_the_feet() -> None:
     document = plan_document(planned(), RECORDINGS, None)
     feet = {pole.name: pole.foot_m for pole in document.placements[0].poles}

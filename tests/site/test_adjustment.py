@@ -14,6 +14,8 @@ from retropole.site.datum import without_poles
 from tests.site.adjusting import Steps, off
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 THOUSANDTH = 22.5
 """χ² with 6 degrees of freedom is above this once in a thousand times."""
 
@@ -46,7 +48,6 @@ def test_a_survey_gives_poses_in_its_own_frame(
         assert np.linalg.norm(step[3:]) < 0.05
 
 
-@pytest.mark.full
 def test_more_that_is_observed_leaves_less_open(steps: Steps) -> None:
     """Without a placement no pose is surer of the poles' and surfaces' information."""
     gone = {k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1}
@@ -58,7 +59,6 @@ def test_more_that_is_observed_leaves_less_open(steps: Steps) -> None:
         assert np.median(wide / narrow) > 1.0
 
 
-@pytest.mark.full
 def test_leaving_out_what_one_lidar_saw_leaves_what_the_others_saw(steps: Steps) -> None:
     left = without_observations(steps.datum, 1, 0)
     for before, after in zip(steps.datum.poles, left.poles, strict=True):

@@ -11,6 +11,8 @@ from retropole.simulation import SimulatedPair
 from retropole.site.axes import OwnAxes, find_axes
 from tests.site.certifying import RADIUS, found_in, four_poles
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def pair() -> SimulatedPair:

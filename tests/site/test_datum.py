@@ -14,6 +14,8 @@ from tests.alignment.test_state import drawn
 from tests.alignment.test_survey import everything
 from tests.site.adjusting import Steps, with_lidar
 
+pytestmark = pytest.mark.full
+
 
 def with_up(simulated: SimulatedSite, *, off: float = 0.0) -> Site:
     """Inertial sensors on two of the LiDARs, off by a rotation about the world's x axis."""
@@ -52,7 +54,6 @@ def test_where_nothing_links_the_reference_another_lidar_is_it(steps: Steps) -> 
     assert not datum.free.reshape(-1, 6)[0].any()
 
 
-@pytest.mark.full
 def test_inertial_sensors_level_it(simulated: SimulatedSite, steps: Steps) -> None:
     site = with_up(simulated)
     datum = find_datum(site, steps.scans.origins, steps.choices.best.poses, steps.poles)
@@ -72,7 +73,6 @@ def test_inertial_sensors_level_it(simulated: SimulatedSite, steps: Steps) -> No
     assert "2 inertial sensors" in datum.words
 
 
-@pytest.mark.full
 def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps) -> None:
     for i, true in enumerate(simulated_survey.T_world_lidar):
         apart = se3.difference(surveyed.datum.poses[i], true)
@@ -85,7 +85,6 @@ def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps)
     assert "6 surveyed ends of poles and 4 control points" in surveyed.datum.words
 
 
-@pytest.mark.full
 def test_ends_stay_at_their_poles_when_others_are_left_out(surveyed: Steps) -> None:
     datum = surveyed.datum
     name = {k: pole.name(surveyed.site) for k, pole in enumerate(datum.poles)}

@@ -8,6 +8,8 @@ from retropole.alignment.posterior import State
 from retropole.base.datatypes import Array
 from retropole.site.distances import Targets, distances, distances_of, places
 
+pytestmark = pytest.mark.full
+
 
 def lines(count: int, seed: int = 0) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)

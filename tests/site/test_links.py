@@ -2,8 +2,12 @@
 
 from dataclasses import replace
 
+import pytest
+
 from retropole.site.links import find_links
 from tests.site.adjusting import Steps
+
+pytestmark = pytest.mark.full
 
 
 def test_links_are_told_with_the_poles_that_both_their_sides_see(steps: Steps) -> None:

@@ -13,6 +13,8 @@ from retropole.site.shared import SharedPole
 from retropole.site.survey_check import lay_on_survey
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 FEET = np.array([[3.0, 0.0, 0.0], [-1.0, 3.0, 0.0], [1.0, -4.0, 0.0]])
 LEANS = np.radians([[8.0, 0.0], [0.0, 25.0], [-15.0, 10.0]])
 
@@ -138,7 +140,6 @@ def test_what_most_is_met_by_well_comes_first() -> None:
     assert order(fit(10, NEAR))[0] == order(fit(0, 0.0))[0] == 0.0
 
 
-@pytest.mark.full
 def test_a_pole_in_another_frame_and_back(steps: Steps) -> None:
     T = se3.random(np.random.default_rng(0))
     for pole in steps.poles:

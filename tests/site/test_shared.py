@@ -8,6 +8,8 @@ from retropole.simulation.sites import SimulatedSite
 from retropole.site.shared import same_poles, shared_poles, sights_of
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 
 def test_shared_poles_are_those_that_stood_there(simulated: SimulatedSite, steps: Steps) -> None:
     T = se3.inverse(simulated.T_world_lidar[0])

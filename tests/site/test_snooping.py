@@ -26,6 +26,8 @@ from retropole.site.solved import Solved
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 Frees = Mapping[int, Sequence[int] | IntArray]
 """Of observations, by number: which of their unknowns become unknowns of their own."""
 
@@ -126,7 +128,6 @@ def cases(at: Solved) -> list[tuple[Bias, Frees]]:
     return found
 
 
-@pytest.mark.full
 def test_a_test_is_the_gain_of_another_fit(at: Solved) -> None:
     """With a pole, a placement, a LiDAR of its own, everything is solved anew."""
     for error, frees in cases(at):
@@ -135,7 +136,6 @@ def test_a_test_is_the_gain_of_another_fit(at: Solved) -> None:
         assert 0.0 <= found.redundancy <= 1.0
 
 
-@pytest.mark.full
 def test_a_value_is_tested_by_leaving_it_out(at: Solved) -> None:
     prior = precision_of(at)
     whole = cost_of(at.network.observations, at, 0, prior)
@@ -159,7 +159,6 @@ def test_redundancies_add_up_to_observations_more_than_unknowns() -> None:
     assert total == pytest.approx(count - 6 * (geodetic.LIDARS - 1) - 3 * geodetic.POINTS)
 
 
-@pytest.mark.full
 def test_sound_observations_are_tested_as_chance_has_it() -> None:
     network = geodetic.network()
     rng = np.random.default_rng(0)
@@ -223,7 +222,6 @@ def test_what_nothing_checks_has_no_redundancy() -> None:
     assert found.minimal_detectable is None or found.minimal_detectable > 10.0
 
 
-@pytest.mark.full
 def test_what_nothing_checks_is_no_test(steps: Steps) -> None:
     """In one placement without scenes nobody knows where a LiDAR would have stood in another."""
     gone = {k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1}
