@@ -17,6 +17,8 @@ from retropole.export.recording import TOPICS
 from tests.paths import ROOT
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 EXAMPLES = ROOT / "examples"
 LAUNCH_FILES = sorted(EXAMPLES.glob("*.launch.py"))
 SCRIPTS = sorted(set(EXAMPLES.glob("*.py")) - set(LAUNCH_FILES))
@@ -92,7 +94,6 @@ def cells_of(notebook: Path) -> list[dict[str, Any]]:
     return cells
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs_cell_by_cell(notebook: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")

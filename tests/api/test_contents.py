@@ -16,6 +16,7 @@ from retropole.report.contents_text import describe_info
 from retropole.simulation import simulate_pair
 from tests.io.files import required
 from tests.paths import SHARED
+from tests.tiers import first_of
 
 
 def scan_of(name: str) -> PointCloud:
@@ -86,7 +87,7 @@ def test_no_intensity_and_one_for_all(tmp_path: Path, cloud: PointCloud) -> None
 
 
 @pytest.mark.parametrize("name", [name for name, own in SENSORS.items() if len(own.elevations)])
-@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("direction", first_of([1, -1]))
 def test_a_sensor_is_among_those_its_rings_fit(name: str, direction: int) -> None:
     scan = scan_of(name)
     assert scan.ring is not None

@@ -19,6 +19,8 @@ from retropole.io import only_returns
 from retropole.monitoring.drift import check
 from retropole.simulation import simulate_pair
 
+pytestmark = pytest.mark.full
+
 pair = simulate_pair(
     "corridor", np.random.default_rng(3), sensor_target="VLP-16", sensor_source="VLP-16"
 )

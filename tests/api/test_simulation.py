@@ -7,6 +7,8 @@ import retropole as rp
 from retropole.evaluation.metrics import e_rt
 from tests.api.clouds import pair
 
+pytestmark = pytest.mark.full
+
 
 def test_equal_seeds_give_equal_pairs() -> None:
     again = rp.simulate("harbor", seed=1, sensor_target="VLP-16", sensor_source="VLP-16")

@@ -8,6 +8,8 @@ import pytest
 from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 
 def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
     done = retropole_here("detect", scene / "lidar0.pcd", "--out", tmp_path)
@@ -34,7 +36,6 @@ def test_detect_and_info_take_a_topic(
     assert [cloud["topic"] for cloud in document["clouds"]] == ["/rear"]
 
 
-@pytest.mark.full
 def test_what_is_left_out_of_a_long_recording_is_said(dense: Path, tmp_path: Path) -> None:
     cloud = read_cloud(dense / "lidar0.pcd")
     for k in range(24):

@@ -8,6 +8,8 @@ import pytest
 
 from tests.cli.commands import retropole_here
 
+pytestmark = pytest.mark.full
+
 
 def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     truth = scene / "truth.json"

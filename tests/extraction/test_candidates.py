@@ -25,6 +25,7 @@ from tests.extraction.scenes import (
     without_rings,
 )
 from tests.extraction.synthetic import line_with
+from tests.tiers import first_of
 
 WALL = Rectangle(np.array([5.2, 0, 0]), Y, Z, (4, 2), PAINT)
 SHORT_AT_A_WALL: list[Surface] = [pole((5, 0), length=0.7), WALL]
@@ -101,7 +102,7 @@ def test_a_pole_close_to_a_large_bright_plate_is_doubtful() -> None:
     assert [*sure, *doubtful] == [0]
 
 
-@pytest.mark.parametrize("sensor", ["VLP-16", "XT32", "OS1", "Pandar64"])
+@pytest.mark.parametrize("sensor", first_of(["VLP-16", "XT32", "OS1", "Pandar64"]))
 @pytest.mark.parametrize(
     "name",
     ["vest", "sign seen obliquely", "stripe on a wall", "number plate", "bright ground", "cone"],

@@ -31,9 +31,10 @@ from tests.matching.walls import (
 )
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
-@pytest.mark.full
 def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> None:
     answer = answer_of(recorded([FREE, AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -47,7 +48,6 @@ def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> No
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
-@pytest.mark.full
 def test_sure_poles_need_no_doubtful_ones(seed: int) -> None:
     answer = answer_of(recorded([FREE, pole((3.2, -1.2), -0.2 * X), AT_THE_WALL], seed))
     assert_right(answer.T_target_source)
@@ -65,7 +65,6 @@ def test_the_bands_of_a_vest_are_no_second_pole(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
-@pytest.mark.full
 def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     target, source = recorded([FREE, AT_THE_WALL], seed)
     elsewhere = replace(AT_THE_WALL, centre=AT_THE_WALL.centre + np.array([0, 0.9, 0]))
@@ -74,7 +73,6 @@ def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
     assert answer_of((target, source)).status == "ok"
 
 
-@pytest.mark.full
 def test_a_constant_ring_gives_the_answer_of_none() -> None:
     clouds = recorded([FREE, AT_THE_WALL])
     none, constant = (
@@ -92,7 +90,6 @@ def confirmed() -> Confirmed:
     return confirmed_answer()
 
 
-@pytest.mark.full
 def test_every_condition_is_needed(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
@@ -126,7 +123,6 @@ def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
     return replace(hypothesis, match=replace(hypothesis.match, icp_refined=True, **changes))
 
 
-@pytest.mark.full
 def test_a_settled_hypothesis_needs_no_icp_that_stays(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
@@ -276,7 +272,6 @@ def dimmed(cloud: PointCloud) -> PointCloud:
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
-@pytest.mark.full
 def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user(
     seed: int,
 ) -> None:

@@ -11,6 +11,8 @@ from retropole.planning.stations import stand_drawn
 from retropole.site.answer import SiteCalibration
 from tests.planning.places import BOXES, POSES, planned, pose
 
+pytestmark = pytest.mark.full
+
 
 def test_the_rehearsal_finds_the_poses_that_it_was_made_with() -> None:
     found = planned()

@@ -16,6 +16,8 @@ from retropole.report.figures import draw_detection, draw_result
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 matplotlib = pytest.importorskip("matplotlib")
 
 
@@ -39,7 +41,6 @@ BLUE, ORANGE, GREEN = (0, 114, 178), (230, 159, 0), (0, 158, 115)
 RED = (213, 94, 0)
 
 
-@pytest.mark.full
 def test_detection_shows_poles_and_what_was_rejected(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     assert found.poles
@@ -70,7 +71,6 @@ def test_any_detection_can_be_drawn(case: str, pair: SimulatedPair, tmp_path: Pa
     assert pixels(tmp_path / "d.png").std() > 5
 
 
-@pytest.mark.full
 def test_many_poles_are_drawn(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     draw_detection(
@@ -79,7 +79,6 @@ def test_many_poles_are_drawn(pair: SimulatedPair, tmp_path: Path) -> None:
     assert pixels(tmp_path / "d.png").std() > 5
 
 
-@pytest.mark.full
 def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: Path) -> None:
     ours, theirs = extract_poles(pair.target).poles, extract_poles(pair.source).poles
     count = min(len(ours), len(theirs))
@@ -97,7 +96,6 @@ def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: P
     assert pixels(tmp_path / "none.png").std() > 5
 
 
-@pytest.mark.full
 def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path) -> None:
     line = np.c_[np.linspace(-9, 9, 200), np.zeros((200, 2))]
     nothing, poles = np.zeros((0, 3)), ((), ())
@@ -111,7 +109,6 @@ def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path)
     assert max(seen[1:]) < 50
 
 
-@pytest.mark.full
 def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) -> None:
     found = extract_poles(pair.target)
     for name in ("a.png", "b.png"):
@@ -119,7 +116,6 @@ def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) 
     np.testing.assert_array_equal(pixels(tmp_path / "a.png"), pixels(tmp_path / "b.png"))
 
 
-@pytest.mark.full
 def test_matplotlib_is_imported_late_and_its_state_left_alone() -> None:
     code = (
         "import sys, retropole.report.figures as f; assert 'matplotlib' not in sys.modules; "

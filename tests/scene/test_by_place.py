@@ -38,6 +38,8 @@ from tests.scene.conftest import simulated_with_one_pole
 from tests.scene.test_one_pole import MOVED, assert_near, found_in, poses_in
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 SCENES = {"corridor": 3, "street": 1, "harbor": 2}
 
 
@@ -51,7 +53,6 @@ def answer(pair: SimulatedPair) -> Calibration:
     return calibrate(pair.target, pair.source)
 
 
-@pytest.mark.full
 def test_one_pole_gives_the_truth_where_the_place_tells(
     pair: SimulatedPair, answer: Calibration
 ) -> None:
@@ -73,14 +74,12 @@ def test_swapping_the_clouds_inverts_the_answer(pair: SimulatedPair, answer: Cal
     assert_near(back.T_target_source, se3.inverse(answer.T_target_source), 0.05, 0.02)
 
 
-@pytest.mark.full
 def test_moving_both_clouds_moves_the_answer(one_pole: SimulatedPair) -> None:
     both = one_pole.target.transformed(MOVED), one_pole.source.transformed(MOVED)
     moved = calibrate(*both)
     assert_near(moved.T_target_source, MOVED @ one_pole.T_target_source @ se3.inverse(MOVED))
 
 
-@pytest.mark.full
 def test_bare_ground_gives_no_answer() -> None:
     bare = simulated_with_one_pole("bare", 0)
     answer = calibrate(bare.target, bare.source)
@@ -101,19 +100,16 @@ def half_turned_quay() -> SimulatedPair:
     return pair
 
 
-@pytest.mark.full
 def test_a_place_that_a_half_turn_about_the_pole_changes_nothing_of_gives_no_answer() -> None:
     pair = half_turned_quay()
     assert calibrate(pair.target, pair.source).status == "refused"
 
 
-@pytest.mark.full
 def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
     other = simulated_with_one_pole("harbor", 2)
     assert calibrate(one_pole.target, other.source).status == "refused"
 
 
-@pytest.mark.full
 def test_the_number_of_poles_that_was_asked_for_counts(one_pole: SimulatedPair) -> None:
     assert calibrate(one_pole.target, one_pole.source, poles=1).status == "ok"
     refused = calibrate(one_pole.target, one_pole.source, poles=2)
@@ -126,7 +122,6 @@ def test_without_the_scene_two_poles_are_needed(one_pole: SimulatedPair) -> None
     assert refused.reasons[0].code == "too_few_poles"
 
 
-@pytest.mark.full
 def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     one_pole: SimulatedPair,
 ) -> None:
@@ -152,7 +147,6 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     check_held([PairedPlacement(placement, two)], None)
 
 
-@pytest.mark.full
 def test_what_nothing_about_the_poles_gives_is_laid_from_above(
     one_pole: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,7 +164,6 @@ def test_what_nothing_about_the_poles_gives_is_laid_from_above(
     assert choose_by_place([placement], 0.02) is None
 
 
-@pytest.mark.full
 def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> None:
     """A half turn maps a quay onto itself, and nothing of the street."""
     for pair, expected in ((half_turned_quay(), True), (one_pole, False)):
@@ -181,7 +174,6 @@ def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> 
         assert has_rival([paired], 0.02) is expected
 
 
-@pytest.mark.full
 def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> None:
     """Of two poles both LiDARs see a hand's breadth: they fit, and tell hardly any angle."""
     pair = simulate_pair("street", np.random.default_rng(4))

@@ -13,6 +13,8 @@ from retropole.scene.places import Places
 from retropole.scene.refinement import Refinement, refine
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def plane(rng: np.random.Generator, middle: Array, u: Array, v: Array, count: int) -> Array:
     """Points (N, 3) of a rectangle with 3 mm of noise."""
@@ -57,7 +59,6 @@ def test_a_place_that_alone_holds_a_direction_is_found() -> None:
 
 
 @pytest.mark.parametrize("off", first_of([0.03, -0.06]))
-@pytest.mark.full
 def test_what_is_stated_covers_a_place_that_moved(off: float) -> None:
     """The answer follows the board; the truth is within what is stated all the same."""
     found = refined(off)

@@ -16,6 +16,8 @@ from tests.site import geodetic
 from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def problem_of(steps: Steps) -> RefinementProblem:
     network = steps.adjusted.network
@@ -30,7 +32,6 @@ def sigma_of(steps: Steps) -> Array:
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
-@pytest.mark.full
 def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -> None:
     network, end = steps.adjusted.network, steps.adjusted.end
     rng = np.random.default_rng(seed)
@@ -49,7 +50,6 @@ def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -
     assert not off[~free].any()
 
 
-@pytest.mark.full
 def test_what_the_datum_holds_stays(steps: Steps, surveyed: Steps) -> None:
     np.testing.assert_array_equal(steps.adjusted.end.T[0], steps.adjusted.network.state.T[0])
     assert not steps.adjusted.end.inverse[:6].any()

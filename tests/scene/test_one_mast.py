@@ -12,6 +12,8 @@ from retropole.scene.one_mast import on_one_mast, together
 from tests.scene.swaying import HALF, scan_on_mast, swaying
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 SIGMA = float(np.radians(0.1))
 AT = np.array([1.5, -2.0, 0.4])
 """Of the source in the hall; the target is in its middle."""
@@ -76,7 +78,6 @@ def test_lidars_on_masts_of_their_own_are_left_alone(seed: int, frequency: float
     assert on_one_mast(placements, T) is placements
 
 
-@pytest.mark.full
 def test_it_does_not_matter_which_is_the_target_and_what_was_done_before() -> None:
     alone, T = on_masts(0, one=True)
     (once,) = on_one_mast([alone], T)
@@ -89,7 +90,6 @@ def test_it_does_not_matter_which_is_the_target_and_what_was_done_before() -> No
     assert back.odds == pytest.approx(together(alone.scans, (np.eye(4), T)).odds, abs=3.0)
 
 
-@pytest.mark.full
 def test_recordings_of_other_times_do_not_sway_as_one() -> None:
     """By the clock of the recorder; a third of a period later the mast goes another way."""
     alone, T = on_masts(0, one=True, frequency=1.0)

@@ -27,6 +27,8 @@ from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
 from tests.site.adjusting import Steps, between, made, made_wrong, off, poses_of, with_lidar
 
+pytestmark = pytest.mark.full
+
 FIVE_SIGMA = 39.6
 """χ² with 6 degrees of freedom is above this as often as a normal number beyond five σ."""
 
@@ -71,7 +73,6 @@ def moved_point(site: Site, by: Array) -> Site:
     return replace(site, points=(structs.replace(first, at=first.at + by), *others))
 
 
-@pytest.mark.full
 def test_a_control_point_that_is_off_is_named_and_left_out(
     simulated_survey: SimulatedSite, surveyed: Steps
 ) -> None:
@@ -89,7 +90,6 @@ def test_a_control_point_that_is_off_is_named_and_left_out(
         assert step @ np.linalg.solve(own, step) < 6.0
 
 
-@pytest.mark.full
 def test_one_lidars_wrong_recording_of_a_placement_is_left_out(steps: Steps) -> None:
     """All of its poles elsewhere. Which of two it is that differ, poles alone do not tell."""
     tilt = se3.from_rt(se3.exp_so3(np.radians([1.2, -1.2, 1.2])), np.array([0.06, 0.06, 0.0]))
@@ -163,7 +163,6 @@ def only_seen_by(site: Site, simulated: SimulatedSite, lidar: int, pole: int) ->
     return site
 
 
-@pytest.mark.full
 def test_a_surveyed_pole_that_one_lidar_alone_sees_is_named_as_a_whole() -> None:
     """It has no test of its own as a pole, and neither end explains what both do."""
     pole, simulated = 1, made(survey=Survey((0, 1)))
@@ -182,7 +181,6 @@ def test_a_surveyed_pole_that_one_lidar_alone_sees_is_named_as_a_whole() -> None
     check_true(found, simulated)
 
 
-@pytest.mark.full
 def test_an_end_of_a_surveyed_pole_that_is_off_is_never_absorbed() -> None:
     simulated = made(survey=Survey((0,), 4))
     site = simulated.as_site()

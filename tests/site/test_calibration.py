@@ -23,6 +23,8 @@ from tests.numeric import numeric_jacobian
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 PAIRS = ((0, 1), (0, 2), (1, 2))
 
 NEAR = 2.0
@@ -54,7 +56,6 @@ def check_same(one: RelativePose, other: RelativePose) -> None:
     assert sigma_at(other) == pytest.approx(sigma_at(one), rel=0.15)
 
 
-@pytest.mark.full
 def test_the_answer_is_near_the_truth_and_says_how_near(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -75,7 +76,6 @@ def test_the_answer_is_near_the_truth_and_says_how_near(
 
 
 @pytest.mark.parametrize("lidar", first_of([0, 1]))
-@pytest.mark.full
 def test_a_lidar_may_have_any_frame(
     simulated: SimulatedSite, found: SiteCalibration, lidar: int
 ) -> None:
@@ -102,7 +102,6 @@ def test_a_lidar_may_have_any_frame(
     ("lidars", "placements"),
     first_of([((2, 0, 1), (0, 1)), ((0, 1, 2), (1, 0)), ((1, 0, 2), (1, 0))]),
 )
-@pytest.mark.full
 def test_the_order_makes_no_difference(
     simulated: SimulatedSite,
     found: SiteCalibration,
@@ -118,7 +117,6 @@ def test_the_order_makes_no_difference(
         check_same(between(found, i, j), between(again, number[i], number[j]))
 
 
-@pytest.mark.full
 def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     plain = calibrate_site(site)
@@ -143,7 +141,6 @@ def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: Simula
         assert off(before, true) < FIVE_SIGMA
 
 
-@pytest.mark.full
 def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
     """The same pose, and nearly the covariance of `pipeline.calibrate`."""
     (target,), (source,) = pair_site.clouds
@@ -159,7 +156,6 @@ def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
     assert np.all((ratios > 0.7) & (ratios < 1.4))
 
 
-@pytest.mark.full
 def test_more_poles_and_lidars_make_no_pair_less_sure(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -190,7 +186,6 @@ def test_lidars_that_share_no_poles_are_refused_with_their_names(
     assert len(found.pairs) == 3
 
 
-@pytest.mark.full
 def test_a_recording_without_intensity_is_done_without(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -205,7 +200,6 @@ def test_a_recording_without_intensity_is_done_without(
         assert off(between(again, i, j), between(found, i, j).T_i_j) < THOUSANDTH
 
 
-@pytest.mark.full
 def test_a_ring_of_ambiguous_pairs_is_never_wrong() -> None:
     """Two poles that a half turn exchanges, between every two; the loop may decide."""
     simulated = made(kind="ring", placements=None)
@@ -231,7 +225,6 @@ def test_a_ring_that_is_cut_is_refused_with_its_lidars() -> None:
     assert "ring-2" in str(found.reasons[0].values["lidars"])
 
 
-@pytest.mark.full
 def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     loose = tuple(structs.replace(each, sigma=3.0) for each in site.poles)
@@ -240,7 +233,6 @@ def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None
     assert found.reasons[0].code == "survey_too_weak"
 
 
-@pytest.mark.full
 def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedSite) -> None:
     told: list[str] = []
     again = calibrate_site(pair_site.as_site(), progress=told.append)
@@ -248,7 +240,6 @@ def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedS
     assert list(found.seconds) == told
 
 
-@pytest.mark.full
 def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
     found: SiteCalibration, pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,7 +263,6 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
     assert better < 0.003 < rough
 
 
-@pytest.mark.full
 def test_a_refusal_says_what_was_left_out_before_it(
     pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,7 +301,6 @@ def test_poles_stand_where_they_are_adjusted(
     assert max(distances + turns) < 4.0
 
 
-@pytest.mark.full
 def test_a_refusal_says_that_the_returns_deny_the_radius(
     simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,8 @@ from retropole.site.datum import Datum, without_poles
 from tests.site.adjusting import Steps, made, off, steps_of
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def own() -> Steps:
@@ -35,7 +37,6 @@ def displaced(datum: Datum, which: int, by: float) -> Datum:
     return replace(datum, poles=poles)
 
 
-@pytest.mark.full
 def test_of_a_sound_site_no_pole_is_conflicting(
     own: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,7 +85,6 @@ def test_three_poles_check_each_other(own: Steps, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("which", "gone", "by"), first_of([(0, 2, 0.8), (0, 0, 0.4), (1, 0, 0.8), (1, 1, 0.4)])
 )
-@pytest.mark.full
 def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     own: Steps, which: int, gone: int, by: float
 ) -> None:
@@ -103,7 +103,6 @@ def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     assert off(pose, se3.inverse(left.end.T[0]) @ left.end.T[1]) < 12.6
 
 
-@pytest.mark.full
 def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
     own: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,7 +117,6 @@ def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
     assert 0 in {k for k, _, _ in conflicting_poles(own.recorded, bad)}
 
 
-@pytest.mark.full
 def test_little_else_than_ground_tells() -> None:
     """Nearly all that is seen coincides as well where the pose is 0.18 m off."""
     steps = steps_of(made(seed=9, lidars=2, placements=1).as_site())
@@ -130,7 +128,6 @@ def test_little_else_than_ground_tells() -> None:
     assert off(pose, se3.inverse(left.end.T[0]) @ left.end.T[1]) < 12.6
 
 
-@pytest.mark.full
 def test_of_two_suspects_that_leave_what_fits_the_surroundings_tell(own: Steps) -> None:
     """Poles that do not fit, where without the right one the rest fits as well."""
     bad = own.again(displaced(without_poles(own.datum, {1}), 1, 0.2))

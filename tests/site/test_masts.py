@@ -1,9 +1,12 @@
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.site.masts import with_masts
 from retropole.site.scans import SiteScans
 from tests.scene.swaying import scan_on_mast, swaying
+
+pytestmark = pytest.mark.full
 
 SIGMA = float(np.radians(0.1))
 

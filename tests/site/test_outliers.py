@@ -10,6 +10,8 @@ from retropole.site.shared import SharedPole
 from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 
 def pushed(pole: SharedPole, lidar: int, by: float) -> SharedPole:
     """The pole as it is, and for one LiDAR aside by so many metres."""

@@ -13,6 +13,8 @@ from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site, SiteLidar
 from tests.paths import SHARED
 
+pytestmark = pytest.mark.full
+
 FOLDER = SHARED / "pandar_0001"
 NAMES = "top", "left", "right"
 

@@ -19,6 +19,8 @@ from retropole.site.swapped import (
 )
 from tests.site.adjusting import Steps, made, made_wrong, with_lidar
 
+pytestmark = pytest.mark.full
+
 
 def swapped(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
     clouds = [list(lidar.clouds) for lidar in site.lidars]
@@ -39,7 +41,6 @@ def test_two_lidars_files_of_one_placement_are_named(simulated: SimulatedSite) -
     assert found.covariance is None
 
 
-@pytest.mark.full
 def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) -> None:
     found = calibrate_site(swapped(simulated.as_site(), (1, 0), (1, 1)))
     assert found.status == "refused"
@@ -49,7 +50,6 @@ def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) 
     assert reason.values["second"] == "posts-2 in placement 2"
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("seed", [1])
 def test_simulated_exchanges_are_named(seed: int) -> None:
     simulated, blunder = made_wrong("files", seed)

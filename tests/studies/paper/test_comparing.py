@@ -12,8 +12,9 @@ from studies.paper.sharpness import KERNEL_WIDTHS, RELATIONS, sums_of
 from tests.paths import SHARED
 from tests.studies.paper.exhibits import all_exhibits, number
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_planes_and_poles_are_sharpest_where_icp_ends_rotated() -> None:
     rows = {row[0]: row for row in all_exhibits()["table4_comparing"].rows}
     planes, poles, icp, wrong = (
@@ -23,7 +24,6 @@ def test_planes_and_poles_are_sharpest_where_icp_ends_rotated() -> None:
     assert planes == pytest.approx(poles, rel=0.05)
 
 
-@pytest.mark.full
 def test_every_relation_is_counted() -> None:
     """One corridor: each count is a comparison of two rows of the list of corridors."""
     exhibits = all_exhibits()
@@ -44,7 +44,6 @@ def test_a_cloud_on_itself_is_sharper_than_one_beside_it() -> None:
         assert np.all(sums["on"][:3] > sums["beside"][:3])
 
 
-@pytest.mark.full
 def test_the_truth_has_no_error() -> None:
     rows = {row[0]: row for row in all_exhibits()["table4_comparing"].rows}
     assert number(rows["truth"][6]) == 0.0
@@ -54,7 +53,6 @@ def test_every_rival_of_the_table_is_registered() -> None:
     assert set(RIVAL_NAMES.values()) <= set(RIVALS)
 
 
-@pytest.mark.full
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real recordings of ../shared/data are absent")
 def test_the_reference_of_a_real_recording_is_sharper() -> None:
     rows = comparing_real(SHARED).rows
