@@ -7,6 +7,8 @@ import pytest
 
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 CODE = """
 import resource, sys, warnings
 resource.setrlimit(resource.RLIMIT_AS, (2 * 2**30, 2 * 2**30))
@@ -18,8 +20,6 @@ from retropole.base.datatypes import PoseEstimate
 from retropole.io import only_returns
 from retropole.monitoring.drift import check
 from retropole.simulation import simulate_pair
-
-pytestmark = pytest.mark.full
 
 pair = simulate_pair(
     "corridor", np.random.default_rng(3), sensor_target="VLP-16", sensor_source="VLP-16"

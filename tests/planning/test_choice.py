@@ -19,6 +19,8 @@ from retropole.planning.choice import (
 )
 from tests.planning.places import planned
 
+pytestmark = pytest.mark.full
+
 
 def drawn(seed: int, count: int = 9) -> Design:
     """A design of random poles that each say little of a few directions."""
@@ -108,7 +110,6 @@ def test_more_poles_never_harm() -> None:
     assert errors == sorted(errors, reverse=True)
 
 
-@pytest.mark.full
 def test_rules_are_kept() -> None:
     design = planned().design
     for placements in (1, 2):

@@ -9,6 +9,8 @@ from retropole.result import PoleDoc
 from retropole.result.pole_plan import PolePlanDoc
 from tests.planning.places import planned
 
+pytestmark = pytest.mark.full
+
 PLAN = [("front.pcd", ""), ("rear.pcd", "")]
 
 

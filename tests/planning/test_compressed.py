@@ -8,6 +8,8 @@ from retropole.planning.compressed import compress
 from tests.planning.places import planned
 from tests.planning.test_choice import drawn
 
+pytestmark = pytest.mark.full
+
 CLOSE = 0.1
 
 
@@ -16,7 +18,6 @@ def made(kind: str) -> Design:
 
 
 @pytest.mark.parametrize("kind", ["0", "1", "yard"])
-@pytest.mark.full
 def test_any_set_is_predicted_as_by_the_design(kind: str) -> None:
     design, rng = made(kind), np.random.default_rng(0)
     both = compress(design)

@@ -1,9 +1,12 @@
 import numpy as np
+import pytest
 
 from retropole.alignment.network import factor_of
 from retropole.base.datatypes import Array, IntArray
 from retropole.planning.information import network_of, roots_of
 from tests.planning.places import planned
+
+pytestmark = pytest.mark.full
 
 BEFORE = 1e-6
 """Precision beforehand of next to nothing: all that a pole says counts."""

@@ -6,6 +6,8 @@ from retropole.planning.choice import errors_of
 from retropole.planning.planner import worst_at
 from tests.planning.places import planned
 
+pytestmark = pytest.mark.full
+
 
 def test_the_choice_compares_what_is_predicted() -> None:
     """The search adds informations up; what is stated comes of the code of a calibration."""

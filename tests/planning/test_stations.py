@@ -7,6 +7,8 @@ from retropole.base.errors import Refusal
 from retropole.planning.stations import bare_scan, settle, stand
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def street() -> SimulatedPair:
@@ -24,7 +26,6 @@ def turned(by_deg: tuple[float, float, float], by_m: tuple[float, float, float])
     return se3.from_rt(se3.rotation_from_rpy(np.radians(by_deg)), np.array(by_m))
 
 
-@pytest.mark.full
 def test_a_rough_pose_settles_on_the_place(street: SimulatedPair, scans: tuple[Scan, Scan]) -> None:
     rough = street.T_target_source @ turned((3, -4, 8), (0.5, -0.6, 0.3))
     stood = stand(("a", "b"), scans, (np.eye(4), rough))
@@ -43,7 +44,6 @@ def test_a_rough_pose_settles_on_the_place(street: SimulatedPair, scans: tuple[S
     ("by", "words"),
     [((0, 0, 40), "looked through"), ((180, 0, 0), "upside down"), ((0, 40, 0), "tilted by")],
 )
-@pytest.mark.full
 def test_a_wrong_rough_pose_is_refused(
     street: SimulatedPair, scans: tuple[Scan, Scan], by: tuple[float, float, float], words: str
 ) -> None:

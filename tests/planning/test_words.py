@@ -25,10 +25,11 @@ from retropole.result import encode
 from retropole.result.decoding import decode_plan
 from tests.planning.places import planned, pose, stations
 
+pytestmark = pytest.mark.full
+
 RECORDINGS = [("front.pcd", "0" * 64), ("rear.pcd", "1" * 64)]
 
 
-@pytest.mark.full
 def test_a_plan_is_read_back_as_it_was_written() -> None:
     document = plan_document(planned(), RECORDINGS, Need(0.02, 30.0))
     data = encode(document)
@@ -39,7 +40,6 @@ def test_a_plan_is_read_back_as_it_was_written() -> None:
     assert [pole.name for pole in again.placements[0].poles] == ["A", "B"]
 
 
-@pytest.mark.full
 def test_lengths_to_measure_fix_the_feet() -> None:
     document = plan_document(planned(), RECORDINGS, None)
     feet = {pole.name: pole.foot_m for pole in document.placements[0].poles}

@@ -17,8 +17,9 @@ from retropole.scene.terms import SceneTerm
 from retropole.simulation.sites import SimulatedSite
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_it_is_the_sum_of_all_parts(steps: Steps) -> None:
     adjusted = steps.adjusted
     found = joint_covariance(adjusted.parts)
@@ -29,7 +30,6 @@ def test_it_is_the_sum_of_all_parts(steps: Steps) -> None:
     assert np.linalg.eigvalsh(found)[0] > -1e-15
 
 
-@pytest.mark.full
 def test_shares_of_a_budget_are_those_of_the_variance(surveyed: Steps) -> None:
     names = [each.name for each in surveyed.site.lidars]
     for lidar in range(3):
@@ -42,7 +42,6 @@ def test_shares_of_a_budget_are_those_of_the_variance(surveyed: Steps) -> None:
         assert any(share > 0 for share in others)
 
 
-@pytest.mark.full
 def test_the_lidar_whose_frame_it_is_has_no_budget(steps: Steps) -> None:
     names = [each.name for each in steps.site.lidars]
     assert budget_of(steps.adjusted.parts, 0, names) == ()
@@ -56,7 +55,6 @@ def part_at(parts: Sequence[Part], name: str, lidar: int | None) -> float:
     return predicted_error(root @ root.T, (30.0,))[0].sigma_m
 
 
-@pytest.mark.full
 def test_parts_of_two_lidars_are_those_of_the_pair(
     pair_site: SimulatedSite, pair_steps: Steps
 ) -> None:
@@ -153,7 +151,6 @@ def test_residuals_are_freed_of_the_errors_that_were_found(steps: Steps) -> None
     assert after < before
 
 
-@pytest.mark.full
 def test_what_no_model_names_is_each_lidars_own(steps: Steps, surveyed: Steps) -> None:
     """Between two LiDARs it is that of a pair, whatever the datum is."""
     own = [

@@ -11,6 +11,8 @@ from retropole.scene.places import labels_of_places
 from retropole.site.closures import _edges, _loops, close_loops
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 ALL_OF_FOUR = list(combinations(range(4), 2))
 
 
@@ -62,7 +64,6 @@ def test_pairs_alone_differ_from_the_joint_answer_within_what_they_state(steps: 
         assert loop.freedom == 6
 
 
-@pytest.mark.full
 def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None:
     """All of a place are off together, more than their patches' noise."""
     at, end = steps.adjusted.solved, steps.adjusted.end

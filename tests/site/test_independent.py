@@ -21,6 +21,8 @@ from retropole.site.scans import find_scans, patches_of
 from retropole.site.shared import shared_poles
 from tests.tiers import first_of
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("gtsam", reason="GTSAM has no wheel here")
 gtsam_adjustment = pytest.importorskip("tests.site.gtsam_adjustment")
 

@@ -10,6 +10,8 @@ from retropole.site.pairs import Pair, PairHypothesis, find_pairs, is_same_pose,
 from retropole.site.scans import find_scans, views_of
 from tests.site.adjusting import Steps, made
 
+pytestmark = pytest.mark.full
+
 
 def test_every_pair_has_its_true_pose_from_both_placements(
     simulated: SimulatedSite, steps: Steps
@@ -46,7 +48,6 @@ def test_a_placement_that_only_one_recorded_says_nothing(steps: Steps) -> None:
     assert all(set(each.placements) == {0} for each in pairs[2].hypotheses)
 
 
-@pytest.mark.full
 def test_a_ring_closes_with_what_the_scene_speaks_against_a_little() -> None:
     """20 returns leave a pose 2.5° off, under which the scenes of bare ground hardly agree."""
     rng = np.random.default_rng(29)

@@ -22,6 +22,8 @@ from retropole.site.verdict import (
 )
 from tests.site.adjusting import Steps
 
+pytestmark = pytest.mark.full
+
 
 def codes(reasons: object) -> list[str]:
     return [reason.code for reason in reasons]  # type: ignore[attr-defined]
