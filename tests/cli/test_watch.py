@@ -149,7 +149,12 @@ def test_one_signal_breaks_off_what_never_ends(
     monkeypatch.setattr(watch, "GRACE", 0.1)
     monkeypatch.setattr(Watch, "step", blocked)
     sources = f"folder:{tmp_path / 'a'}", f"folder:{tmp_path / 'b'}"
-    ended = retropole_here("watch", *sources, "--no-page", "--out", tmp_path / "out")
+    # A run in the background of a shell ignores Ctrl-C, and so would the watch.
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        ended = retropole_here("watch", *sources, "--no-page", "--out", tmp_path / "out")
+    finally:
+        signal.signal(number, before)
     assert ended.returncode == code
     assert signal.getsignal(signal.SIGALRM) == signal.SIG_DFL
 
