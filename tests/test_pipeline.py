@@ -213,6 +213,7 @@ def test_a_hidden_pole_is_refused_where_two_are_asked_for(
     assert metres < 0.1
 
 
+@pytest.mark.full
 def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
     for value in (None, np.full(len(corridor.source), 7.0)):
         answer = calibrate(corridor.target, replace(corridor.source, intensity=value))
@@ -256,6 +257,7 @@ def test_symmetric_surroundings_are_refused_as_ambiguous(scene: str) -> None:
     assert_refused(calibrate(pair.target, pair.source), "ambiguous")
 
 
+@pytest.mark.full
 def test_an_empty_cloud_is_refused(corridor: SimulatedPair) -> None:
     nothing = corridor.source.select(np.zeros(0, dtype=np.int64))
     assert_refused(calibrate(corridor.target, nothing), "no_intensity")

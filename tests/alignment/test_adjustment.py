@@ -19,6 +19,8 @@ from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
 from tests.conftest import PoleMaker
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 
+pytestmark = pytest.mark.full
+
 THIN = replace(SENSORS["VLP-16"], divergence=0.0)
 NOISY = NoiseModel(0.6, 0.0, 0.0, False, 0.0, 0.0, 0.0)
 NONE = (NO_ERRORS, NO_ERRORS)
@@ -102,7 +104,6 @@ def test_jacobian_of_the_beam_geometry() -> None:
         np.testing.assert_allclose(here.jacobian, derivative, atol=1e-5)
 
 
-@pytest.mark.full
 def test_more_accurate_than_lines_at_the_papers_set_up() -> None:
     from studies.paper.estimator import align_poles
 
@@ -194,7 +195,6 @@ def squared_distances(
     return found
 
 
-@pytest.mark.full
 def test_the_covariance_tells_the_spread() -> None:
     """The median is 4.1; half the σ would give 16, three times the σ 0.5."""
     squares = squared_distances(NOISY, 100, 60)
@@ -202,7 +202,6 @@ def test_the_covariance_tells_the_spread() -> None:
     assert 2.0 < np.median(squares) < 8.0
 
 
-@pytest.mark.full
 def test_the_covariance_counts_range_errors_of_single_rings() -> None:
     """Rings off by 6 mm: stated without them the median is 8.3; half the σ would give 13, three
     times the σ 0.4.

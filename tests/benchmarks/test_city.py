@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 
 from benchmarks.city import SURVEY, simulate_city
 from retropole.base import se3
+
+pytestmark = pytest.mark.full
 
 
 def test_edges_miss_the_truth_by_their_noise_and_by_their_gross_error() -> None:

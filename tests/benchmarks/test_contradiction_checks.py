@@ -23,6 +23,8 @@ from benchmarks.contradiction_checks import (
 from retropole.base import se3
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 
+pytestmark = pytest.mark.full
+
 
 @cache
 def made(points: int = 0, placements: tuple[int, ...] = (0, 1)) -> SimulatedSite:

@@ -19,6 +19,8 @@ from benchmarks.figures_run import runnable
 from retropole.simulation import simulate_pair, write_pair
 from tests.paths import ROOT, SHARED
 
+pytestmark = pytest.mark.full
+
 RECORDED, STREET = "data", "street"
 """Words that stand for folders: of the real recordings, and of a simulated pair."""
 
@@ -95,7 +97,6 @@ def test_every_script_has_its_smallest_run() -> None:
     assert scripts() == set(SMALLEST)
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("script", SMALLEST)
 def test_a_script_runs_to_its_end_and_prints(
     script: str, street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -143,7 +144,6 @@ def benchmark():
 """What stands for pytest-benchmark, which times each step many times."""
 
 
-@pytest.mark.full
 def test_the_steps_that_are_timed_run(tmp_path: Path) -> None:
     (tmp_path / "once.py").write_text(ONCE)
     command = (

@@ -9,6 +9,8 @@ from retropole.base.datatypes import Array
 from retropole.simulation.site_survey import Surveyed
 from retropole.site.description import ControlPoint, Sighting, SurveyedPole
 
+pytestmark = pytest.mark.full
+
 CORNERS = np.array([[10.0, 0.0, 1.0], [0.0, 12.0, 1.0], [-9.0, 1.0, 1.0], [1.0, -11.0, 1.0]])
 SIGMA, SIGHTED = 0.005, 0.003
 

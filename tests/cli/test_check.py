@@ -58,6 +58,7 @@ def test_exit_codes_and_words(site: Path) -> None:
 
 
 @pytest.mark.parametrize(("recording", "status"), first_of([("same", "same"), ("moved", "moved")]))
+@pytest.mark.full
 def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
     _, text = run(site, "r", recording, "--json")
     assert text.count("\n") == 1
@@ -114,12 +115,14 @@ def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
     assert run(site, "r.urdf", "same", "--sigma-deg", "1", "--sigma-m", "0.1", "-q")[0] == 3
 
 
+@pytest.mark.full
 def test_an_inverted_export_is_inverted_again(site: Path) -> None:
     words = ("--to", "json", "--invert", "--out", "inverted.json")
     assert retropole_here("export", "r", *words, cwd=site).returncode == 0
     assert run(site, "inverted.json", "same", "-q")[0] == 0
 
 
+@pytest.mark.full
 def test_a_refused_result_cannot_tell(site: Path) -> None:
     files = "same/lidar0.pcd", "same/lidar1.pcd"
     assert retropole_here("calibrate", *files, "--out", "refused", "-q", cwd=site).returncode == 3
@@ -128,6 +131,7 @@ def test_a_refused_result_cannot_tell(site: Path) -> None:
     assert json.loads(text)["reasons"][0]["code"].startswith("stored_")
 
 
+@pytest.mark.full
 def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
     result = json.loads((site / "r" / "result.json").read_text())
     # A topic is of bags: it is left alone where the new recordings are files.
@@ -158,6 +162,7 @@ def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> 
     assert given["sigma_m"] > 0.003
 
 
+@pytest.mark.full
 def test_help_has_worked_examples(site: Path) -> None:
     done = retropole_here("check", "--help", cwd=site)
     assert done.returncode == 0

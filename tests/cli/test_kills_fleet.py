@@ -80,6 +80,7 @@ FEW = {name: COMMANDS[name] for name in ("init", "network")}
 FEW["report"] = ("fleet", "report", "fleet", "--out", "fleet.html")
 
 
+@pytest.mark.full
 def test_ended_where_little_is_worked_out(tmp_path: Path) -> None:
     """What needs no recordings of a fleet; the others take long."""
     site, folder = tmp_path / "site", tmp_path / "run"

@@ -14,6 +14,8 @@ from retropole.base.sensors import SENSORS
 from retropole.base.systematic import SPINNING_BEND, Sizes, sizes_of
 from retropole.extraction.sensor_pattern import check_sensor, error_sizes, sensor_doubt
 
+pytestmark = pytest.mark.full
+
 WRONG = [
     ("VLP-16", "HDL-32E"),  # rings higher than it sees
     ("HDL-32E", "VLP-16"),  # more rings

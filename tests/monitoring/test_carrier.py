@@ -15,6 +15,8 @@ from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 from tests.scene import swaying
 
+pytestmark = pytest.mark.full
+
 NOON, SWEEP = 1.7e9, 0.1
 T = se3.from_rt(se3.exp_so3(np.array([0.1, -0.2, 0.9])), np.array([1.0, -0.5, 0.3]))
 """Of the source in the frame of the target, which is that of the hall."""
@@ -140,7 +142,6 @@ def creeps(street: SimulatedPair) -> Callable[[float, int, float], CheckResult]:
         pytest.param(0.0, 3, 0.03, {"moved"}, marks=pytest.mark.full),
     ],
 )
-@pytest.mark.full
 def test_a_creep_is_no_movement_and_hides_none(
     creeps: Callable[[float, int, float], CheckResult],
     speed: float,

@@ -19,6 +19,8 @@ from retropole.scene import search
 from retropole.scene.search import choose_with_candidates
 from tests.matching.walls import Confirmed, confirmed_answer
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def confirmed() -> Confirmed:
@@ -29,7 +31,6 @@ def untimed(step: str) -> Any:
     return nullcontext()
 
 
-@pytest.mark.full
 def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
     confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,7 +69,6 @@ def nothing_bright(of: Scan) -> Scan:
     return replace(of, cloud=cloud, detection=detection)
 
 
-@pytest.mark.full
 def test_without_doubtful_poles_what_was_matched_settles(
     confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

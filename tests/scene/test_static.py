@@ -65,6 +65,7 @@ def test_poles_stay_whole(street: SimulatedPair) -> None:
     assert np.mean(np.isin(on_poles[:, 0], left.xyz[:, 0])) > 0.98
 
 
+@pytest.mark.full
 def test_few_frames_are_left_alone(street: SimulatedPair) -> None:
     single = replace(street.target, frame=None)
     assert remove_dynamic_points(single) is single
@@ -72,6 +73,7 @@ def test_few_frames_are_left_alone(street: SimulatedPair) -> None:
     assert remove_dynamic_points(two) is two
 
 
+@pytest.mark.full
 def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     cloud = street.target
     poles = extract_poles(cloud).poles
@@ -127,6 +129,7 @@ def test_a_lidar_that_turned_while_it_recorded_is_refused(
     assert "target" in str(refusal.value)
 
 
+@pytest.mark.full
 def test_a_lidar_that_stood_did_not_turn(street: SimulatedPair) -> None:
     for cloud in (street.target, street.source, replace(street.target, frame=None)):
         assert turned_by(cloud) < np.radians(0.1)
@@ -151,6 +154,7 @@ def test_single_sparse_sweeps_are_no_turn(sparse: SimulatedPair, frames: int) ->
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0])
+@pytest.mark.full
 def test_a_sparse_lidar_that_turned_is_refused(sparse: SimulatedPair, degrees: float) -> None:
     again = record_again(sparse, np.random.default_rng(0), frames=8)
     for cloud in (again.target, again.source):

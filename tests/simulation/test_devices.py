@@ -23,6 +23,8 @@ from retropole.simulation.devices import MAX_SLANT
 from tests.simulation.rooms import HALF, ranges_and_rays, scan_room
 from tests.simulation.surfaces import distance_from
 
+pytestmark = pytest.mark.full
+
 OF_FAMILY = {
     "ring_bias": "ring_range",
     "retro_bias": "tape_offset",

@@ -19,6 +19,8 @@ from retropole.simulation import (
 )
 from retropole.simulation.scanning import LabelledScan, beams
 
+pytestmark = pytest.mark.full
+
 
 def scan_walls(
     noise: NoiseModel, *, sensor: str = "VLP-16", retro: bool = False, frames: int = 1

@@ -58,7 +58,7 @@ def recorded(kind: str) -> tuple[list[PointCloud], list[PointCloud], tuple[Senso
     return targets, sources, (None, None) if kind == "sensors not named" else pair.sensors
 
 
-DEFAULT = "corridor", "square", "symmetric place", "no intensity"
+DEFAULT = "corridor", "symmetric place", "no intensity"
 """A tenth of the CPU time of all."""
 
 

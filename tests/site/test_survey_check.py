@@ -15,6 +15,8 @@ from retropole.site.shared import SharedPole
 from retropole.site.survey_check import lay_on_survey, list_unmet
 from tests.site.test_onto_survey import FEET, LEANS, poles, seen, site
 
+pytestmark = pytest.mark.full
+
 POSES = {0: np.eye(4), 1: se3.random(np.random.default_rng(9))}
 PLACES = np.array(
     [[4.0, 1.0, 0.3], [-3.0, 5.0, 2.5], [-5.0, -2.0, 1.1], [2.0, -6.0, 2.9], [6.0, 6.0, 1.6]]
@@ -74,7 +76,6 @@ def test_a_point_that_is_off_is_named(off: float) -> None:
         assert unmet[0].values["gap_m"] == pytest.approx(off, rel=0.02)
 
 
-@pytest.mark.full
 def test_one_more_that_is_met_to_half_a_metre_is_no_better_than_all_others_exactly() -> None:
     """A point that is off a little more than what is met draws all of a survey along."""
     for seed in range(6):

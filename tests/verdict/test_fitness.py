@@ -17,6 +17,8 @@ from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
 from retropole.verdict.fitness import DOUBTS, judge
 
+pytestmark = pytest.mark.full
+
 GOOD = np.diag(np.square([1e-4] * 3 + [2e-3] * 3))
 
 

@@ -17,6 +17,8 @@ from retropole.base.uncertainty.purpose import (
     is_surely_met,
 )
 
+pytestmark = pytest.mark.full
+
 
 def a_covariance(seed: int) -> Array:
     rng = np.random.default_rng(seed)
@@ -89,7 +91,6 @@ def test_a_need_is_answered_yes_no_or_not_shown() -> None:
 
 
 @given(st.floats(0.001, 1.0), st.floats(0.5, 100.0), st.sampled_from(range(3)), st.floats(0.0, 0.2))
-@pytest.mark.full
 def test_an_answer_is_never_surer_than_its_probability(
     within: float, at: float, seed: int, wrong: float
 ) -> None:
@@ -120,7 +121,6 @@ def test_what_is_hardly_not_enough_is_not_said_to_be_95_percent_sure() -> None:
     assert fitness(covariance, hardly).words.endswith("not shown, 94 % sure")
 
 
-@pytest.mark.full
 def test_what_is_surely_met_is_met_and_not_only_what_could_hardly_be_missed() -> None:
     sure = 0
     for seed in range(20):

@@ -11,6 +11,8 @@ from retropole.base.errors import Refusal
 from retropole.evaluation.rivals.registration import gicp, icp, register_clouds
 from retropole.simulation import SimulatedPair, simulate_pair
 
+pytestmark = pytest.mark.full
+
 Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]
 
 RNG = np.random.default_rng(0)

@@ -13,6 +13,8 @@ from retropole.fleet.history.run import changes_of, replay
 from retropole.fleet.history.store import CheckRow, append, observed, schema
 from tests.fleet.history.checks import COMMON, MOVED, RANDOM, SIGMA, row
 
+pytestmark = pytest.mark.full
+
 pa = pytest.importorskip("pyarrow", reason="needs the extra fleet")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra fleet")
 

@@ -4,6 +4,8 @@ import pytest
 
 from retropole.fleet.history.events import CLEAR, Event, EventKind, Watched
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.parametrize(
     ("kind", "alarm"), [("step", True), ("trend", True), ("unsettled", True), ("outlier", False)]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from scipy.special import chdtrc, chdtri
 
 from retropole.api import floor
@@ -22,6 +23,8 @@ from retropole.fleet.history.model import (
 )
 from retropole.fleet.history.runs import Past, Runs, adopted, as_told_by
 from tests.fleet.history.checks import COMMON, RANDOM, checks
+
+pytestmark = pytest.mark.full
 
 SHARE = 0.5
 SHARES, SLOW_TIME = np.array([SHARE, 1.0]), np.array([30.0, 90.0])

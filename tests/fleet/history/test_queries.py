@@ -8,6 +8,8 @@ import pytest
 from retropole.fleet.history.store import append
 from tests.fleet.history.checks import MOVED, row
 
+pytestmark = pytest.mark.full
+
 duckdb = pytest.importorskip("duckdb", reason="needs the extra fleet")
 
 DOCS = Path(__file__).parents[3] / "docs/history.md"

@@ -10,6 +10,8 @@ from retropole.base.errors import ReadError
 from retropole.fleet.history.store import columns_of, observed, row_of
 from tests.fleet.history.checks import COMMON, row
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.parametrize(
     ("name", "value"),

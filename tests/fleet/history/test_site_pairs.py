@@ -12,6 +12,8 @@ from tests.api.site_files import write_site
 from tests.fleet.history.test_check import CHECK
 from tests.report.site.made_up import document_of, made_up_site
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture
 def quay(tmp_path: Path) -> FleetSite:

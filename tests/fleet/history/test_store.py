@@ -11,6 +11,8 @@ from retropole.fleet.history.reading import read as read_sites
 from retropole.fleet.history.store import EPOCH, CheckRow, append, schema
 from tests.fleet.history.checks import row
 
+pytestmark = pytest.mark.full
+
 pa = pytest.importorskip("pyarrow", reason="needs the extra fleet")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra fleet")
 

@@ -7,12 +7,13 @@ import pytest
 
 from benchmarks.fleet_weekly import Case, Outcome, Week, row_of, said, watched
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
 WEEKS = 4
 
 
-@pytest.mark.full
 def test_a_site_that_stands_still_ends_with_0_and_one_that_drifts_with_4(tmp_path: Path) -> None:
     """A drift is told from the second check on, which confirms the first; by 70 mm."""
     still = watched(Case("still", "street"), 2, tmp_path / "still", WEEKS)

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.fleet.network.adjustment import (
@@ -9,6 +10,8 @@ from retropole.fleet.network.adjustment import (
 )
 from retropole.fleet.network.graph import Graph, find_components
 from tests.fleet.network.networks import city, dense, ladder
+
+pytestmark = pytest.mark.full
 
 
 def adjusted(graph: Graph, T: np.ndarray) -> AdjustedNetwork:

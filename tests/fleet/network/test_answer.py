@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import pytest
 from pyarrow import parquet as pq
 
 from retropole.fleet.network.answer import name_of, write_network
 from retropole.fleet.network.dataset import find_network, read_nodes
 from retropole.fleet.network.network import adjust_network
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
+
+pytestmark = pytest.mark.full
 
 
 def test_the_same_network_is_the_same_file(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from retropole.base.datatypes import Array
 from retropole.fleet.network.graph import (
@@ -11,6 +12,8 @@ from retropole.fleet.network.graph import (
     find_components,
 )
 from tests.fleet.network.networks import ladder
+
+pytestmark = pytest.mark.full
 
 
 def everything(graph: Graph) -> np.ndarray:

@@ -17,6 +17,8 @@ from tests.export.sites import free
 from tests.fleet.answered import SIGMA, answered_pair, write_answers
 from tests.fleet.network.made_up_fleet import WRONG, MadeUpFleet, write_made_up_fleet
 
+pytestmark = pytest.mark.full
+
 HEAD = "node,site,lidar\n"
 
 

@@ -9,6 +9,8 @@ from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses, find
 from retropole.fleet.network.snooping import against_consensus, agrees, hanging, inseparable, relaid
 from tests.fleet.network.networks import network_of, spoiled
 
+pytestmark = pytest.mark.full
+
 ENDS = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 1], [4, 5]])
 """A loop 1–2–3–4, with a tail on either side; node 0 is known."""
 

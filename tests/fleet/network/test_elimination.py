@@ -5,6 +5,8 @@ from retropole.base.errors import RetropoleError
 from retropole.fleet.network.elimination import Blocks, factorise, find_pattern, solve
 from tests.fleet.network.networks import dense
 
+pytestmark = pytest.mark.full
+
 GRAPHS = {
     "nothing joined": (3, []),
     "chain": (12, [(k, k + 1) for k in range(11)]),

@@ -7,6 +7,8 @@ from retropole.base.errors import UsageError
 from retropole.fleet.network.graph import Edges, Graph, grouped
 from tests.fleet.network.networks import city, ladder
 
+pytestmark = pytest.mark.full
+
 
 def with_first(values: np.ndarray, value: object) -> np.ndarray:
     out = values.copy()

@@ -5,6 +5,8 @@ from retropole.fleet.network.elimination import factorise, find_pattern, selecte
 from tests.fleet.network.networks import dense
 from tests.fleet.network.test_elimination import GRAPHS, matrix_of
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_blocks_are_those_of_the_dense_inverse(name: str) -> None:

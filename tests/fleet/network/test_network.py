@@ -8,6 +8,8 @@ from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPose
 from retropole.fleet.network.network import adjust_network
 from tests.fleet.network.networks import city, in_sigma, ladder, network_of, spoiled
 
+pytestmark = pytest.mark.full
+
 CHI2_6_95 = 12.59
 
 

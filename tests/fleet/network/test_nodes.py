@@ -9,6 +9,8 @@ from pyarrow import parquet as pq
 from retropole.base.errors import ReadError, UsageError
 from retropole.fleet.network.dataset import read_nodes
 
+pytestmark = pytest.mark.full
+
 HEAD = "node,site,lidar,x_m,y_m,z_m,sigma_m,seen_x_m\n"
 
 

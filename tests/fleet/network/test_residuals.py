@@ -9,6 +9,8 @@ from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
 from tests.fleet.network.networks import city
 from tests.numeric import numeric_jacobian
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def somewhere() -> tuple[Graph, Array]:

@@ -1,10 +1,13 @@
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.fleet.network.adjustment import find_layout
 from retropole.fleet.network.graph import Graph
 from retropole.fleet.network.snooping import Snooped, snoop, worst_around
 from tests.fleet.network.networks import city, ladder, network_of, spoiled
+
+pytestmark = pytest.mark.full
 
 
 def snooped(graph: Graph, T: np.ndarray) -> Snooped:

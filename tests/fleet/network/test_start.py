@@ -1,10 +1,13 @@
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.fleet.network.adjustment import find_layout
 from retropole.fleet.network.start import find_start, narrowed
 from retropole.fleet.network.testing import critical
 from tests.fleet.network.networks import city
+
+pytestmark = pytest.mark.full
 
 
 def test_poses_are_found_without_any_guess_in_spite_of_wrong_edges() -> None:

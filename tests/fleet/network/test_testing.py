@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from scipy.special import chdtri
 from scipy.stats import ncx2
 
@@ -15,6 +16,8 @@ from retropole.fleet.network.testing import (
     normalised,
 )
 from tests.fleet.network.networks import city, ladder, spoiled
+
+pytestmark = pytest.mark.full
 
 
 def outcome(

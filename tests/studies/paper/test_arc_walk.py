@@ -15,6 +15,8 @@ from studies.paper.arc_walk import (
 )
 from studies.paper.line_bias import PAPER_ORIENTATIONS
 
+pytestmark = pytest.mark.full
+
 STEP = np.radians(0.2)
 
 

@@ -15,6 +15,8 @@ from studies.paper.choosing import (
 )
 from tests.studies.paper.exhibits import all_exhibits, number
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def corridor() -> ScoredCorridor:
@@ -35,7 +37,6 @@ def test_right_is_what_lies_near_the_truth(corridor: ScoredCorridor) -> None:
         assert is_right(right, se3.retract(T, step / 100), poles)
 
 
-@pytest.mark.full
 def test_every_rule_is_counted() -> None:
     assert [row[0] for row in all_exhibits()["table3_four_result"].rows] == ["a", "b", "c", "d"]
     counts = all_exhibits()["table3_how_often"].rows

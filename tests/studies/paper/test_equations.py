@@ -1,6 +1,7 @@
 """The exhibits of equations 3 and 4, section IV-A and the figure of the beams."""
 
 import numpy as np
+import pytest
 
 from studies.paper.beams import DISTANCE, RADIUS, two_matlab
 from studies.paper.equations import (
@@ -13,6 +14,8 @@ from studies.paper.equations import (
 from studies.paper.exhibit import Exhibit
 from studies.paper.line_bias import PAPER_TABLE_II
 from tests.studies.paper.exhibits import number
+
+pytestmark = pytest.mark.full
 
 
 def columns(exhibit: Exhibit) -> None:

@@ -14,8 +14,9 @@ from studies.paper.estimator import (
 )
 from tests.studies.paper.exhibits import all_exhibits, number
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_the_beam_model_is_exact_without_noise_and_the_papers_is_not() -> None:
     rows = {row[:2]: row for row in all_exhibits()["simulated_e_rt"].rows}
     ours, paper = (
@@ -48,7 +49,6 @@ def test_both_estimators_say_that_they_converged() -> None:
     assert e_rt(both.beam_model.T_target_source, pair.T_target_source) < 1e-3
 
 
-@pytest.mark.full
 def test_the_papers_figure_lies_between_median_and_mean() -> None:
     rows = {row[:2]: row for row in simulated_error(200).rows}
     _, _, paper, median, mean, *_ = rows["the paper's estimator", "isotropic"]

@@ -3,7 +3,11 @@
 import csv
 import io
 
+import pytest
+
 from studies.paper.exhibit import Exhibit
+
+pytestmark = pytest.mark.full
 
 EXHIBIT = Exhibit("t", "A title", ("a", "b"), ((1, 0.123456789), ("x, y", None)), "Note.")
 

@@ -24,6 +24,8 @@ from studies.paper.failures import (
 )
 from tests.studies.paper.exhibits import all_exhibits, number
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def pair() -> SimulatedPair:
@@ -96,7 +98,6 @@ def test_tape_fades_with_its_distance(pair: SimulatedPair) -> None:
     assert near > middle > none == 0
 
 
-@pytest.mark.full
 def test_every_trouble_is_counted_for_both_methods() -> None:
     rows = all_exhibits()["weaknesses"].rows
     assert len(rows) == 2 * len(TROUBLES)

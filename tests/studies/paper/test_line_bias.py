@@ -15,6 +15,8 @@ from studies.paper.line_bias import (
 )
 from tests.studies.paper.exhibits import number
 
+pytestmark = pytest.mark.full
+
 
 def test_line_error_is_the_mean_square_distance() -> None:
     rng = np.random.default_rng(0)
@@ -46,7 +48,6 @@ def test_the_error_tends_to_the_expected_where_many_beams_hit(orientation: str) 
     assert near > far, "a near pole shows less than half of itself, which lies further in front"
 
 
-@pytest.mark.full
 def test_the_table_is_that_of_the_paper() -> None:
     rows = line_bias().rows
     assert len(rows) == len(PAPER_TABLE_II) * len(PAPER_ORIENTATIONS)

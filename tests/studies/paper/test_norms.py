@@ -1,12 +1,15 @@
 """Equations 1 and 2 as printed: the pose found has the least sum of distances."""
 
 import numpy as np
+import pytest
 
 from retropole.base import se3
 from retropole.simulation import EXACT, simulate_pair
 from studies.paper.estimator import align_poles, poles_of
 from studies.paper.norms import align_by_norms, lines_of, simulated_norms, sum_of_norms
 from tests.studies.paper.exhibits import number
+
+pytestmark = pytest.mark.full
 
 
 def test_no_pose_nearby_has_a_smaller_sum() -> None:

@@ -7,6 +7,8 @@ from retropole.base import se3
 from studies.paper.equations import both_casts
 from studies.paper.pole_frame import in_pole_frame, turn_onto_x, turn_upright
 
+pytestmark = pytest.mark.full
+
 TINY = [0.0, 1e-300, 1e-160, 1e-20, 1e-16, 1e-9, 1e-8, 1e-5, 1e-2, 1.0]
 """Distances from a singular case."""
 

@@ -17,6 +17,8 @@ from studies.paper.exhibit import Exhibit
 from tests.paths import ROOT
 from tests.studies.paper.exhibits import all_exhibits
 
+pytestmark = pytest.mark.full
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -40,7 +42,6 @@ def test_an_exhibit_is_written_as_markdown_csv_and_pictures(tmp_path: Path) -> N
     assert "<svg" in (tmp_path / "t.svg").read_text()
 
 
-@pytest.mark.full
 def test_the_command_writes_an_index_of_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,7 +64,6 @@ def test_the_command_writes_an_index_of_everything(
         assert (tmp_path / name.split(")")[0]).is_file()
 
 
-@pytest.mark.full
 def test_experiments_make_what_they_say() -> None:
     assert list(all_exhibits()) == names_of()
 
@@ -89,7 +89,6 @@ def test_only_what_is_asked_for_is_run() -> None:
     assert names_of(Path()) == [*names_of(), "table4_recorded"]
 
 
-@pytest.mark.full
 def test_the_command_makes_those_asked_for(tmp_path: Path) -> None:
     words = ["-m", "studies.paper", "--only", "table1", "--out", str(tmp_path)]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)

@@ -9,8 +9,9 @@ from retropole.base import se3
 from studies.paper.starts import NAMES, SAME_RMS, different, eight_ends
 from tests.studies.paper.exhibits import all_exhibits, number
 
+pytestmark = pytest.mark.full
 
-@pytest.mark.full
+
 def test_the_exact_ends_are_180_degrees_apart_and_the_others_worse() -> None:
     rows = all_exhibits()["fig4_hypotheses"].rows
     assert [row[0] for row in rows] == list(NAMES)

@@ -1,7 +1,11 @@
 """Table I: the paper's thresholds are ours, but for named exceptions."""
 
+import pytest
+
 from retropole.base.sensors import SENSORS
 from studies.paper.thresholds import thresholds
+
+pytestmark = pytest.mark.full
 
 
 def test_thresholds_of_the_paper_are_ours_but_for_named_exceptions() -> None:

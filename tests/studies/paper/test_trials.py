@@ -18,6 +18,8 @@ from studies.paper.trials import (
 )
 from tests.studies.paper.exhibits import number
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.parametrize("length", [1.0, 2.0])
 def test_poles_are_as_long_as_asked(length: float) -> None:
@@ -45,7 +47,6 @@ def test_the_first_trials_are_those_of_fewer() -> None:
     np.testing.assert_array_equal(two[0, 0], [errors.rotation, errors.translation, errors.e_rt])
 
 
-@pytest.mark.full
 def test_mean_and_standard_deviation_are_over_ten_trials() -> None:
     errors = trial_errors(set_up(0, TRIAL_LENGTH), 0, TRIALS)
     rows = {row[:2]: row[2:] for row in ten_trials(1).rows}
@@ -55,7 +56,6 @@ def test_mean_and_standard_deviation_are_over_ten_trials() -> None:
         np.testing.assert_allclose([number(c) for c in rows[0, name][:6]], expected.ravel())
 
 
-@pytest.mark.full
 def test_short_poles_are_worse() -> None:
     rows = {row[:2]: number(row[2]) for row in pole_lengths(60).rows}
     for name in ("the paper's estimator", "beam model"):

@@ -10,6 +10,8 @@ from studies.paper.line_bias import PAPER_TABLE_II, error_of_fit, points_on_pole
 from studies.paper.tried import fit_of_least_distances, rings, table_two_tried
 from tests.studies.paper.exhibits import number
 
+pytestmark = pytest.mark.full
+
 
 @cache
 def tried() -> dict[str, list[float]]:
@@ -43,7 +45,6 @@ def test_two_scales_of_one_drawing_have_one_error() -> None:
     assert abs(q2[0] - q2[1]) < digits.sum()
 
 
-@pytest.mark.full
 def test_all_cells_are_low_and_only_the_middle_point_counted_again_lifts_them_evenly() -> None:
     q1_least, q1_most, q1_rms, q2_least, q2_most, q2_rms = tried()[
         "as in the table: a beam at azimuth 0"
