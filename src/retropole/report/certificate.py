@@ -13,7 +13,7 @@ from .certainty import checks_of_site, fitness_words, radius_words, scene_words
 from .listings import columns
 from .page import EMPTY, Html, fill, join, listed, plus_minus, table
 from .poses import pose_parts, transform_matrix
-from .subject import Subject, recorded_by
+from .subject import Subject
 from .uncertainty import covariances, ranges, sources, states
 from .verdict import VERDICTS
 
@@ -55,11 +55,8 @@ def certificate(subject: Subject, place: str = "") -> Html:
 def _of_pair(pair: ResultDoc, source: LidarDoc) -> Html:
     """Give the transform, how certain it is, and what its error is made of."""
     T = np.array(pair.T_target_source)
-    named_target, named_source = recorded_by(pair)
     return fill(
         "certificate-of-pair",
-        target=named_target,
-        source=named_source,
         matrix=transform_matrix(T),
         parts=pose_parts(T),
         ranges=listed(ranges(source, pair.uncertainty, "Where a source point lands, 1 σ")),

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from ..base.datatypes import Placement, Scan
-from ..base.errors import UsageError
+from ..base.errors import UsageError, shortened
 from ..base.quantities import counted
 from ..base.uncertainty.confirmation import UNUSABLE
 from ..result import ResultDoc
@@ -32,6 +32,9 @@ __all__ = ["LIDARS", "Subject", "hypothesis_name", "input_names", "of_pair", "of
 
 LIDARS = ("target", "source")
 """The two LiDARs of a pair, in their order."""
+
+LONGEST_IN_SENTENCE = 40
+"""Characters of the name of a recording in a sentence."""
 
 COLOURS = 8
 """So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
@@ -211,13 +214,15 @@ def input_names(result: ResultDoc) -> list[str]:
 def recorded_by(result: ResultDoc) -> tuple[str, str]:
     """Name target and source of a pair by what they recorded: ``the source (rear.pcd)``.
 
-    Files of one name are named with their folders; of several placements, the first.
+    Files of one name are named with their folders; of several placements, the first. Of long names
+    the ends are given: the list of the recordings has them whole.
     """
     names = input_names(result)[:2]
     if len(names) == 2 and names[0] == names[1]:
         names = [item.path for item in result.inputs[:2]]
     more = ", …" if len(result.inputs) > 2 else ""
-    target, source = (f" ({name}{more})" for name in names) if len(names) == 2 else ("", "")
+    short = (shortened(name, LONGEST_IN_SENTENCE) for name in names)
+    target, source = (f" ({name}{more})" for name in short) if len(names) == 2 else ("", "")
     return f"the target{target}", f"the source{source}"
 
 
