@@ -59,6 +59,9 @@ class Tiers:
             config.hook.pytest_deselected(items=nightly)
             items[:] = [item for item in items if not item.get_closest_marker("nightly")]
 
+    def pytest_collection_finish(self) -> None:
+        self.last_s = cpu_s()
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self) -> Generator[None, Any, Any]:
         """Keep with each phase of a test what it took; fixtures count where they were made."""
@@ -75,7 +78,10 @@ class Tiers:
         self.workers_s += getattr(node, "workeroutput", {}).get("cpu_s", 0.0)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        self.spent_s = cpu_s() + self.workers_s
+        # Workers that have ended are children of this process: they are counted once.
+        used = os.times()
+        own_s = used.user + used.system if self.workers_s else cpu_s()
+        self.spent_s = own_s + self.workers_s
         output = getattr(session.config, "workeroutput", None)
         if output is not None:
             output["cpu_s"] = self.spent_s
