@@ -49,7 +49,6 @@ def page_of(folder: Path) -> str:
     return (folder / "site-report.html").read_text()
 
 
-@pytest.mark.full
 def test_a_remade_page_is_that_of_the_run(run: Path, own: Path) -> None:
     loaded = rp.load_site_result(own / "out")
     assert loaded.report(own / "again.html").read_text() == page_of(run / "out")
@@ -124,7 +123,6 @@ def test_a_pipe_is_not_opened(own: Path) -> None:
     assert "is a named pipe, expected a file" in note
 
 
-@pytest.mark.full
 def test_clouds_that_were_never_files_are_told_once(tmp_path: Path) -> None:
     result = rp.calibrate_site(made(placements=1).as_site())
     result.save(tmp_path / "out")

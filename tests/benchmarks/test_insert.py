@@ -54,7 +54,6 @@ def test_poles_are_put_into_recordings(folder: Path, street: SimulatedPair, tmp_
             assert np.count_nonzero(changed) + added == pole[f"returns_{name}"] >= 8
 
 
-@pytest.mark.full
 def test_what_is_missing_or_wrong_is_said(folder: Path) -> None:
     recordings = folder / "lidar0.pcd", folder / "lidar1.pcd"
     truth = folder / "truth.json"

@@ -61,7 +61,6 @@ def test_a_bumped_pole_is_elsewhere_for_those_that_record_later() -> None:
         assert seeing - moved
 
 
-@pytest.mark.full
 def test_exchanged_files_are_those_of_the_other_recording() -> None:
     for seed in range(3):
         site, blunder = wrong("files", seed=seed)
@@ -84,7 +83,6 @@ def between(a: Cylinder, b: Cylinder) -> tuple[float, float]:
     return float(np.arcsin(size)), abs(float((a.centre - b.centre) @ across)) / size
 
 
-@pytest.mark.full
 def test_another_pole_does_not_show_one_that_slides() -> None:
     for seed in range(4):
         site, blunder = wrong("slide", "posts", seed, lidars=2, placements=1, poles=2)

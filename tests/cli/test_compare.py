@@ -25,7 +25,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.full
 def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) -> None:
     done = retropole_here(
         *("compare", scene / "lidar0.pcd", scene / "lidar1.pcd"),

@@ -97,7 +97,6 @@ def test_wrong_numbers_of_clouds_and_wrong_files(own: Path) -> None:
     assert "0 inputs" in done.stderr
 
 
-@pytest.mark.full
 def test_refused_and_several_placements(own: Path) -> None:
     rng = np.random.default_rng(0)
     for k in (0, 1):
@@ -120,7 +119,6 @@ def test_refused_and_several_placements(own: Path) -> None:
     assert (own / "no" / "report.html").read_text() == before
 
 
-@pytest.mark.full
 def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
     pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
     from tests.bags import points_of, write_bag

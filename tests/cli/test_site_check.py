@@ -56,7 +56,6 @@ def test_the_recordings_of_the_calibration_prove_nothing(site: Path) -> None:
     assert done.stdout.count("this proves nothing") == 1
 
 
-@pytest.mark.full
 def test_the_lidar_that_moved_is_named(site: Path) -> None:
     words = "site", "check", site / "out" / "site-result.json", site / "moved" / "site.toml"
     done = retropole_here(*words)

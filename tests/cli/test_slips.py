@@ -110,7 +110,6 @@ class TestUnits:
         assert "look like" not in right
         assert "median 10.82 m" in right
 
-    @pytest.mark.full
     def test_feet_are_told_by_the_poles(self, dense: Path, tmp_path: Path) -> None:
         for k in (0, 1):
             cloud = read_cloud(dense / f"lidar{k}.pcd")

@@ -83,7 +83,6 @@ def test_what_stands_in_the_scene_agrees_at_the_truth_and_denies_elsewhere() -> 
     assert right.agreeing > 2 * wrong.agreeing
 
 
-@pytest.mark.full
 def test_clouds_that_were_moved_agree_as_well() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     A = se3.retract(np.eye(4), np.r_[0.0, 0.0, 0.4, 3.0, -2.0, 1.0])

@@ -59,7 +59,6 @@ def test_what_hangs_is_ended(reader: Reader, site: FleetSite) -> None:
     assert reader.answer(task_of(site)).row == answer(task_of(site)).row
 
 
-@pytest.mark.full
 def test_what_dies_is_tried_again_but_not_for_ever(
     reader: Reader, site: FleetSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,7 +56,6 @@ def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.full
 def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     result = browser.picture()
@@ -79,7 +78,6 @@ def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), result) < 0.001
 
 
-@pytest.mark.full
 @pytest.mark.full
 def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
@@ -104,7 +102,6 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     assert browser.picture().mean() < seen.mean() - 100
 
 
-@pytest.mark.full
 @pytest.mark.full
 def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path) -> None:
     def red(picture: Picture) -> float:
@@ -229,7 +226,6 @@ def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.full
 def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     result, (placement,) = made_up(count=6000)
     cloud: PointCloud = placement.target.cloud
@@ -267,7 +263,6 @@ def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path
         browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
-@pytest.mark.full
 @pytest.mark.full
 def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
     browser = Browser(tmp_path / "profile", "--disable-3d-apis")

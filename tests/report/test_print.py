@@ -158,7 +158,6 @@ def test_the_picture_has_its_shape_and_is_on_white(
 
 
 @pytest.mark.parametrize("count", [2, 4])
-@pytest.mark.full
 def test_wherever_a_sheet_ends_no_warning_and_no_table_is_cut(
     browser: Browser, tmp_path: Path, count: int
 ) -> None:

@@ -85,7 +85,6 @@ def test_no_cloud_and_one_beyond_all_ranges_are_no_unit() -> None:
         assert common_unit(placed(none, other), RADIUS, NO_THRESHOLDS) is None
 
 
-@pytest.mark.full
 def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
     """Both would look the same: the hint names both, and each of them is an answer."""
     clouds = [counted(cloud, "ft") for cloud in pair()]

@@ -164,7 +164,6 @@ def test_a_second_recording_is_of_the_same_place() -> None:
     )
 
 
-@pytest.mark.full
 def test_impossible_demands_are_named() -> None:
     with pytest.raises(UsageError, match="street"):
         simulate_pair("moon", np.random.default_rng(0))

@@ -86,7 +86,6 @@ def test_a_gross_error_of_the_scale_fails(pair: SimulatedPair) -> None:
     assert any(not each.passed and each.difference_m < 0 for each in answer.distances)
 
 
-@pytest.mark.full
 def test_a_pole_that_moved_between_the_recordings_fails(pair: SimulatedPair) -> None:
     first, *others = pair.poles
     moved = replace(first, centre=first.centre + np.array([0.06, 0.06, 0.0]))
@@ -128,7 +127,6 @@ def test_a_recording_given_twice_is_refused(placement: Placement) -> None:
     assert answer.reasons[0].code == "same_recording"
 
 
-@pytest.mark.full
 def test_every_pair_of_a_site_is_tested(pair: SimulatedPair, healthy: FieldTest) -> None:
     lidars = tuple(
         SiteLidar(name, (cloud,), sensor)

@@ -67,8 +67,10 @@ FORMATS = {
     ),
 }
 
-_SUFFIXES = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".urdf": "urdf", ".py": "launch"}
-_SUFFIXES[".launch"] = "launch"
+_SUFFIXES = {
+    **{".json": "json", ".yaml": "yaml", ".yml": "yaml", ".urdf": "urdf"},
+    **{".py": "launch", ".launch": "launch"},
+}
 
 _PUBLISHER = re.compile(r"\b(tf|tf2_ros)\s+static_transform_publisher\b")
 

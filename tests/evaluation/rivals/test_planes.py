@@ -36,7 +36,6 @@ def test_fewer_than_three_independent_planes_are_refused(faces: str, side: int) 
     assert refusal.value.values["lidar"] == ("target", "source")[side]
 
 
-@pytest.mark.full
 def test_planes_with_other_angles_are_refused() -> None:
     rng = np.random.default_rng(6)
     room = box(rng, ROOM, "xyz")
@@ -46,7 +45,6 @@ def test_planes_with_other_angles_are_refused() -> None:
     assert refusal.value.code == "planes_unmatched"
 
 
-@pytest.mark.full
 def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
     rng = np.random.default_rng(7)
     clouds = [box(rng, ROOM, "xyz") for _ in range(2)]
@@ -55,7 +53,6 @@ def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
     assert refusal.value.code == "ambiguous"
 
 
-@pytest.mark.full
 def test_a_refinement_that_still_moves_is_refused(
     corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,7 +69,6 @@ def test_no_points_are_refused() -> None:
     assert refusal.value.code == "too_few_planes"
 
 
-@pytest.mark.full
 def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(8)
     A, B = se3.random(rng), se3.random(rng)
@@ -84,7 +80,6 @@ def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair)
     assert 0 < found.rms < 0.05
 
 
-@pytest.mark.full
 def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None:
     there = planar_surfaces(corridor.target, corridor.source, np.random.default_rng(0))
     back = planar_surfaces(corridor.source, corridor.target, np.random.default_rng(1))
@@ -92,7 +87,6 @@ def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None
     assert_close(back.T_target_source @ there.T_target_source, np.eye(4), 0.2, 0.02)
 
 
-@pytest.mark.full
 def test_equal_generators_give_equal_answers(corridor: SimulatedPair) -> None:
     one, two = (
         planar_surfaces(corridor.target, corridor.source, np.random.default_rng(3))
@@ -108,7 +102,6 @@ def test_corridors_are_found(seed: int) -> None:
     assert_close(found.T_target_source, pair.T_target_source, 1.0, 0.1)
 
 
-@pytest.mark.full
 def test_corridors_are_found_or_refused_but_never_wrong() -> None:
     refused = 0
     for seed in range(100, 130):

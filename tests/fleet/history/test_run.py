@@ -81,7 +81,6 @@ def test_the_order_of_the_work_does_not_matter(
     assert len(files_of(tmp_path / "a")) == 3
 
 
-@pytest.mark.full
 def test_two_workers_give_the_bytes_of_one_process(
     checked: Path, city: Path, answers: str, tmp_path: Path
 ) -> None:

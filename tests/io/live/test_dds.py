@@ -89,7 +89,6 @@ def test_what_is_there_is_named() -> None:
     right.close()
 
 
-@pytest.mark.full
 def test_a_publisher_that_dies_is_missed() -> None:
     """Those who listen give it ten seconds."""
     right = source_of("/front/points")
