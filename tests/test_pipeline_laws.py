@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, note, settings
+from hypothesis import HealthCheck, Phase, given, note, settings
 from hypothesis import strategies as st
 
 from retropole.base import se3
@@ -153,6 +153,8 @@ def obey(laws: Sequence[Law], examples: int, seeds: int) -> None:
         deadline=None,
         database=None,
         derandomize=examples <= MORE,
+        # Each example is a whole calibration: smaller ones would be looked for over minutes.
+        phases=[Phase.explicit, Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
     @given(st.sampled_from(SCENES), st.integers(0, seeds - 1), st.integers(0, 2**32 - 1))

@@ -255,6 +255,7 @@ def test_many_edited_documents(part: int, kind: str, tmp_path: Path) -> None:
         (("predicted", 0, "predicted_error", 0, "sigma_m"), 0.5, "by its covariance"),
         (("predicted", 0, "predicted_error"), [], "predicted_error"),
         (("predicted", 0, "bounds_m"), [], "bounds_m"),
+        (("placements", 0, "tape", 0, "start"), "nan", "tape"),
         (("range_m",), 0.0, "range_m"),
         (("moved",), {"poles": ["A"], "errors": []}, "moved.errors"),
     ],

@@ -137,6 +137,13 @@ def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
                 )
             if len(set(seers)) < len(seers) or not set(seers) <= set(lidars):
                 raise ReadError(f"{field}.seen: expected LiDARs of the plan, each once")
+        ends = {pole.name for pole in placement.poles}
+        starts = ends | {f"below {name}" for name in lidars}
+        for k, tape in enumerate(placement.tape):
+            if tape.start not in starts or tape.end not in ends:
+                raise ReadError(
+                    f"placements[{p}].tape[{k}]: expected from a pole or below a LiDAR to a pole"
+                )
 
 
 def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> None:

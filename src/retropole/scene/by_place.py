@@ -252,13 +252,13 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
         return
     lead = found.z_margin or 0.0
     left, advice = _left_open(paired)
+    needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % are needed"
+    if has_no_poles(paired):
+        needed += f", and at most {100 * MAX_CONTRADICTED:.0f} % against it"
     raise Refusal(
         "too_few_poles",
-        f"{left}, and the place does not tell it: off the ground {found.counts}, and the "
-        f"pose leads others by {lead:.1f} σ "
-        f"(chance of a wrong pose {found.chance_words}; {MIN_TOTAL} patches and "
-        f"{100 * MAX_WRONG:.0f} % are needed, without poles {100 * MAX_CONTRADICTED:.0f} % against "
-        f"it at most); {advice}",
+        f"{left}, and the surroundings do not fix it: off the ground {found.counts}; chance of a "
+        f"wrong pose {found.chance}, {lead:.1f} σ before the next one ({needed}); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,

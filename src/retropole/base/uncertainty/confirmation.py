@@ -155,10 +155,14 @@ class Confirmation(
     @property
     def chance_words(self) -> str:
         """How likely the pose is wrong: ``below 0.1 % (where 31 % of recordings deceive)``."""
+        return f"{self.chance} (where {percent(self.deceiving)} of recordings deceive)"
+
+    @property
+    def chance(self) -> str:
+        """How likely the pose is wrong: ``5.2 %``."""
         wrong = self.probability_wrong or 0.0
         # Fewer than a thousand answers set it: it is not known better than to a thousandth.
-        share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
-        return f"{share} (where {percent(self.deceiving)} of recordings deceive)"
+        return f"{100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
 
 
 def _log_odds(share: float) -> float:
