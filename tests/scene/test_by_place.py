@@ -12,12 +12,15 @@ from retropole.base import se3
 from retropole.base.datatypes import (
     Calibration,
     Detection,
+    Hypothesis,
     Match,
     Placement,
+    PointCloud,
     PoseEstimate,
     Scan,
 )
 from retropole.base.errors import Refusal
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.matching.placements import Chosen, PairedPlacement, is_by_place
 from retropole.pipeline import calibrate
 from retropole.scene import by_place
@@ -25,6 +28,7 @@ from retropole.scene.by_place import (
     HELD,
     align_by_place_where_open,
     check_held,
+    check_told,
     choose_by_place,
     has_rival,
 )
@@ -188,6 +192,20 @@ def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> 
     again, aligned = align_by_place_where_open(chosen, radius=0.02, radius_sigma=0.0, by_place=True)
     assert is_by_place(again.paired)
     assert_near(aligned.pose.T_target_source, pair.T_target_source, 1.0, 0.1)
+
+
+@pytest.mark.parametrize("none", [True, False])
+def test_why_the_place_does_not_tell_is_said_in_one_line(
+    none: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(by_place, "has_no_poles", lambda paired: none)
+    nothing = Scan(PointCloud(np.zeros((0, 3))), None)
+    match = Match((), np.eye(4), 0.0, True, True, np.eye(6), by_place=True)
+    paired = PairedPlacement(Placement(nothing, nothing), Hypothesis(match, None, None, 0, 0, 0))
+    found = Confirmation(agreeing=1234, contradicting=123, missing=123, z_margin=0.1)
+    with pytest.raises(Refusal, match="chance of a wrong pose") as refusal:
+        check_told([paired], found)
+    assert len(str(refusal.value)) <= 300
 
 
 def shortened(scan: Scan) -> Detection:

@@ -250,22 +250,21 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
     contradicted = MAX_CONTRADICTED if has_no_poles(paired) else 1.0
     if found.total >= MIN_TOTAL and wrong <= MAX_WRONG and found.contradicted <= contradicted:
         return
-    lead = found.z_margin or 0.0
     left, advice = _left_open(paired)
     needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % are needed"
     if has_no_poles(paired):
         needed += f", and at most {100 * MAX_CONTRADICTED:.0f} % against it"
     raise Refusal(
         "too_few_poles",
-        f"{left}, and the surroundings do not fix it: off the ground {found.counts}; chance of a "
-        f"wrong pose {found.chance}, {lead:.1f} σ before the next one ({needed}); {advice}",
+        f"{left}, and the surroundings do not fix it: {found.counts}; chance of a wrong pose "
+        f"{found.chance} ({needed}); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
-            "lead": lead,
+            "lead": found.z_margin or 0.0,
             "probability_wrong": wrong,
         },
     )
