@@ -199,7 +199,7 @@ def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
     assert ("scene_denies_stored" in [r.code for r in answer.reasons]) == (status != "same")
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_gross_movements_are_found_with_poles_and_never_called_same_without(
     street: SimulatedPair, stored: PoseEstimate
 ) -> None:

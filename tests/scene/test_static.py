@@ -90,7 +90,7 @@ def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     assert refusal.value.code == "moving_pole"
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_frames_average_the_noise_away() -> None:
     """Compared scene by scene: which scenes are refused differs between one sweep and ten."""
     ratios: list[float] = []

@@ -251,9 +251,9 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
     if found.total >= MIN_TOTAL and wrong <= MAX_WRONG and found.contradicted <= contradicted:
         return
     left, advice = _left_open(paired)
-    needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % are needed"
+    needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % needed"
     if has_no_poles(paired):
-        needed += f", and at most {100 * MAX_CONTRADICTED:.0f} % against it"
+        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % against it"
     raise Refusal(
         "too_few_poles",
         f"{left}, and the surroundings do not fix it: {found.counts}; chance of a wrong pose "

@@ -102,6 +102,7 @@ def test_corridors_are_found(seed: int) -> None:
     assert_close(found.T_target_source, pair.T_target_source, 1.0, 0.1)
 
 
+@pytest.mark.nightly
 def test_corridors_are_found_or_refused_but_never_wrong() -> None:
     refused = 0
     for seed in range(100, 130):
