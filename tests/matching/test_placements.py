@@ -40,7 +40,7 @@ def test_one_answer_for_all(harbor: list[SimulatedPair]) -> None:
         assert placement.left_out.rotation < np.radians(1.0)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_more_placements_are_more_accurate() -> None:
     one: list[float] = []
     four: list[float] = []

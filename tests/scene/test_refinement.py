@@ -300,8 +300,8 @@ def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     assert "not_converged" in [reason.code for reason in answer.reasons]
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("scene", ["harbor", pytest.param("street", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("scene", ["street", "harbor"])
 def test_the_covariance_covers_the_truth(scene: str) -> None:
     """95 % regions of both stages hold the truth in most of 60 scenes, at their stated size."""
     inside: dict[str, list[bool]] = {"poles": [], "refined": []}

@@ -49,6 +49,7 @@ def test_both_estimators_say_that_they_converged() -> None:
     assert e_rt(both.beam_model.T_target_source, pair.T_target_source) < 1e-3
 
 
+@pytest.mark.nightly
 def test_the_papers_figure_lies_between_median_and_mean() -> None:
     rows = {row[:2]: row for row in simulated_error(200).rows}
     _, _, paper, median, mean, *_ = rows["the paper's estimator", "isotropic"]

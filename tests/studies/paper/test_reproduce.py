@@ -42,6 +42,7 @@ def test_an_exhibit_is_written_as_markdown_csv_and_pictures(tmp_path: Path) -> N
     assert "<svg" in (tmp_path / "t.svg").read_text()
 
 
+@pytest.mark.nightly
 def test_the_command_writes_an_index_of_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def test_mean_and_standard_deviation_are_over_ten_trials() -> None:
         np.testing.assert_allclose([number(c) for c in rows[0, name][:6]], expected.ravel())
 
 
+@pytest.mark.nightly
 def test_short_poles_are_worse() -> None:
     rows = {row[:2]: number(row[2]) for row in pole_lengths(60).rows}
     for name in ("the paper's estimator", "beam model"):
