@@ -64,3 +64,15 @@ def test_one_cloud_merged_is_itself() -> None:
     cloud = PointCloud(np.ones((3, 3)))
     assert merge_clouds([cloud]) is cloud
     assert len(merge_clouds([cloud, cloud])) == 6
+
+
+def test_merged_clouds_keep_their_sweeps_apart_and_their_rings() -> None:
+    rings = np.array([0, 1, 1])
+    one = PointCloud(np.ones((3, 3)), ring=rings)
+    two = PointCloud(np.ones((3, 3)), ring=rings, frame=np.array([0, 0, 4]))
+    merged = merge_clouds([one, two, one])
+    assert merged.frame is not None
+    np.testing.assert_array_equal(merged.frame, [0, 0, 0, 1, 1, 5, 6, 6, 6])
+    np.testing.assert_array_equal(merged.ring, np.tile(rings, 3))
+    # Rings of some say nothing of the others.
+    assert merge_clouds([one, PointCloud(np.ones((3, 3)))]).ring is None

@@ -97,16 +97,17 @@ def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
             ]
     np.testing.assert_array_equal(site.lidars[0].T_site_lidar, np.eye(4))
     step = se3.local(pair.T_target_source, site.lidars[1].T_site_lidar)
-    # Their search starts at other lines through the poles.
+    # Their search starts at other lines through the poles, which by the place alone fix little.
+    near = 0.05 if kind == "parallel poles" else 0.02
     assert step @ np.linalg.solve(pair.covariance, step) < 0.05**2
     np.testing.assert_allclose(
-        np.sqrt(np.diag(site.lidars[1].covariance)), np.sqrt(np.diag(pair.covariance)), rtol=0.02
+        np.sqrt(np.diag(site.lidars[1].covariance)), np.sqrt(np.diag(pair.covariance)), rtol=near
     )
     assert getattr(pair.fitness, "answer", None) == getattr(site.lidars[1].fitness, "answer", None)
     np.testing.assert_allclose(
         [each.sigma_m for each in site.lidars[1].predicted_error],
         [each.sigma_m for each in pair.predicted_error],
-        rtol=0.02,
+        rtol=near,
     )
     shares = [
         {entry.name: entry.share_at_30m for entry in budget}

@@ -238,11 +238,22 @@ def leave_one_out(
 
 
 def merge_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Put the clouds of one LiDAR together, for what stands still in all of them."""
+    """Put the clouds of one LiDAR together, for what stands still in all of them.
+
+    Its sweeps are those of all; a cloud without any is one.
+    """
     if len(clouds) == 1:
         return clouds[0]
+    sweeps, first = [], 0
+    for cloud in clouds:
+        own = np.zeros(len(cloud), dtype=np.int64) if cloud.frame is None else cloud.frame
+        sweeps.append(first + own)
+        first = 1 + int(sweeps[-1].max(initial=first))
+    rings = [cloud.ring for cloud in clouds if cloud.ring is not None]
     return PointCloud(
         np.concatenate([cloud.xyz for cloud in clouds]),
+        ring=np.concatenate(rings) if len(rings) == len(clouds) else None,
+        frame=np.concatenate(sweeps),
         origin=clouds[0].origin,
         axis=clouds[0].axis,
     )

@@ -1,0 +1,59 @@
+"""What all sweeps of a LiDAR that stands say of one place, averaged: more sweeps, less noise.
+
+Returns that are left apart scatter along their beams. Where rings lie far from each other, those of
+one ring fill the cone of that ring with their noise, and planes through them are planes of the
+cone. The mean of returns on a plane lies on that plane, whatever directions they came from: of a
+LiDAR that moved, after its motion was taken out, and of one that never repeats a direction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.se3 import lengths
+from .ordering import order_of
+
+AZIMUTH_CELL, ELEVATION_CELL = float(np.radians(0.2)), float(np.radians(0.1))
+"""Returns of several sweeps in a cell of the beams' directions, rad, are of one place: it is as
+wide as the steps of most LiDARs' azimuths, and as high as the least between rings. Rings that are
+known have cells of their own."""
+
+GAP, GAP_BY_RANGE = 0.15, 0.01
+"""… unless a gap parts them along the beams, metres and as a part of the range: an edge."""
+
+BIN = 0.01
+"""Ranges are sorted as precisely as that, metres: far less than any gap."""
+
+
+def averaged(cloud: PointCloud) -> Array:
+    """Average the returns of all sweeps by the direction of their beams: (N, 3) to (M, 3).
+
+    Parameters
+    ----------
+    cloud
+        That stands still. Of a single sweep, its points as they are.
+    """
+    if cloud.frame is None or not len(cloud) or cloud.frame.min() == cloud.frame.max():
+        return cloud.xyz
+    rays = cloud.xyz - cloud.origin
+    ranges = lengths(rays)
+    side = np.cross([0.0, 1.0, 0.0] if abs(cloud.axis[1]) < 0.9 else [0.0, 0.0, 1.0], cloud.axis)
+    azimuth = np.arctan2(rays @ np.cross(cloud.axis, side), rays @ side)
+    elevation = np.arcsin(np.clip(rays @ cloud.axis / np.maximum(ranges, 1e-9), -1.0, 1.0))
+    # Rings that lie at even elevations lie in the middle of cells.
+    row = _numbered(elevation / ELEVATION_CELL + 0.5 if cloud.ring is None else cloud.ring)
+    column, depth = _numbered(azimuth / AZIMUTH_CELL), _numbered(ranges / BIN)
+    direction = row * (int(column.max()) + 1) + column
+    order = order_of(direction * (int(depth.max()) + 1) + depth)
+    direction, ranges = direction[order], ranges[order]
+    parted = np.diff(ranges) > GAP + GAP_BY_RANGE * ranges[:-1]
+    starts = np.flatnonzero(np.r_[True, (np.diff(direction) != 0) | parted])
+    count = np.diff(np.r_[starts, len(order)])
+    return np.asarray(np.add.reduceat(cloud.xyz[order], starts) / count[:, None])
+
+
+def _numbered(values: Array | IntArray) -> IntArray:
+    """Whole numbers (N,) of values, from 0."""
+    found = np.floor(values).astype(np.int64)
+    return np.asarray(found - found.min())
