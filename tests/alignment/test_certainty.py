@@ -7,7 +7,7 @@ from retropole.alignment.certainty import (
     few_freedom,
     floors,
     parts_of_errors,
-    scatter_of_poles,
+    parts_of_poles,
     solve_factor,
     sways,
     uncertainty_of_pair,
@@ -51,14 +51,16 @@ def factor_of(A: Array, y: Array) -> PoleFactor:
     J = np.hstack([np.zeros((len(A), POSE)), A])
     weighted = J.T / NOISE**2
     T = poses_of_pair(np.eye(4))
-    return PoleFactor(T, UNKNOWNS, OF_SOURCE, weighted @ J, weighted @ y, np.inf)
+    return PoleFactor(
+        T, UNKNOWNS, OF_SOURCE, weighted @ J, weighted @ y, np.inf, np.zeros((len(J.T), 0))
+    )
 
 
 def stated_of(A: Array, y: Array, sigma: Array, precision: Array) -> Uncertainty:
     factor = factor_of(A, y)
     estimate = solve_factor(factor, precision)
     parts = parts_of_errors(GROUPS, sigma, precision, estimate.inverse, estimate.errors)
-    parts.append(scatter_of_poles("noise", factor, estimate.inverse))
+    parts += parts_of_poles("noise", factor, estimate.inverse)
     return uncertainty_of_pair([*parts, *floors(factor.T, factor.free)])
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.alignment.network import about, bands_of, factor_of
+from retropole.alignment.network import DEPTH_SIGMA, about, bands_of, factor_of
 from retropole.alignment.unknowns import Unknowns
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -36,6 +36,38 @@ def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Ste
         for p in range(2)
     }
     assert found == {key: own for key, own in expected.items() if own}
+
+
+def test_no_lidar_knows_the_depth_of_a_pole_better_than_its_beams_are_known(steps: Steps) -> None:
+    """However many returns it has; sideways they average."""
+    network = steps.adjusted.network
+    most_aside = 0.0
+    for one in network.observations:
+        if one.poles is None or one.lidar is None:
+            continue
+        state = network.state.of(one.lidar, one.poles)
+        for k, (point, tangents) in enumerate(zip(state.points, state.tangents, strict=True)):
+            first = len(one.place) - 4 * (len(one.poles) - k)
+            ray = point - state.T[:3, 3]
+            depth = tangents.T @ (ray / np.linalg.norm(ray))
+            aside = np.array([-depth[1], depth[0]]) / np.linalg.norm(depth)
+            own = one.information[first : first + 2, first : first + 2]
+            # A beam across the axis knows all of that depth, one at a slant a part.
+            assert 0.1 < depth @ own @ depth * DEPTH_SIGMA**2 < 1.0
+            most_aside = max(most_aside, float(aside @ own @ aside) * DEPTH_SIGMA**2)
+    assert most_aside > 1.5
+
+
+def test_the_scatter_and_the_depth_make_all_that_the_poles_err(steps: Steps) -> None:
+    """Both parts are no more than the information allows, and neither is nothing."""
+    factor = factor_of(steps.adjusted.network)
+    by_depth = factor.depth @ factor.depth.T
+    scatter = factor.information - by_depth
+    most = np.linalg.eigvalsh(factor.information)[-1]
+    assert np.linalg.eigvalsh(scatter)[0] > -1e-9 * most
+    free = factor.unknowns.pose(1)
+    shares = np.diag(by_depth)[free] / np.diag(factor.information)[free]
+    assert np.all((shares > 0.01) & (shares < 0.99))
 
 
 def test_what_was_surveyed_is_said_of_its_own_axis_or_point(surveyed: Steps) -> None:

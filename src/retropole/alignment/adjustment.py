@@ -26,7 +26,7 @@ from .certainty import (
     POLES,
     floors,
     parts_of_errors,
-    scatter_of_poles,
+    parts_of_poles,
     solve_factor,
     sways,
     uncertainty_of_pair,
@@ -312,7 +312,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     uncertainty = uncertainty_of_pair(
         [
             *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),
-            scatter_of_poles(POLES, factor, estimate.inverse),
+            *parts_of_poles(POLES, factor, estimate.inverse),
             *floors(factor.T, factor.free),
             *sways(factor.T, factor.free, factor.left),
         ]

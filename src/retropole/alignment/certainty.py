@@ -28,6 +28,9 @@ FLOOR = "unmodelled errors"
 POLES = "scatter of the poles' returns"
 """What it calls that."""
 
+DEPTH = "depth of the poles"
+"""What it calls what all returns of a LiDAR on one pole share."""
+
 SWAY = "sway while it recorded"
 """What it calls what is left of that."""
 
@@ -128,21 +131,25 @@ def part_of(name: str, root: Array, *, is_random: bool = False) -> Part:
     return Part(name, None, None, "m", None, root, is_random)
 
 
-def scatter_of_poles(name: str, factor: PoleFactor, inverse: Array) -> Part:
-    """Say what the scatter of the returns on the poles does to all poses.
+def parts_of_poles(name: str, factor: PoleFactor, inverse: Array) -> list[Part]:
+    """Say what the scatter of the returns on the poles does to all poses, and their depth.
 
     Parameters
     ----------
     name
-        What it is called.
+        What the scatter is called.
     factor
         Of the poles, about the answer.
     inverse
         (K, K) of all information.
     """
     wide = np.sqrt(few_freedom(factor.redundancy))
-    moved = inverse[: factor.unknowns.poses] @ root_of(factor.information)
-    return part_of(name, np.asarray(wide * moved), is_random=True)
+    by_poses = inverse[: factor.unknowns.poses]
+    scatter = root_of(factor.information - factor.depth @ factor.depth.T)
+    return [
+        part_of(name, np.asarray(wide * by_poses @ scatter), is_random=True),
+        part_of(DEPTH, np.asarray(by_poses @ factor.depth)),
+    ]
 
 
 def root_of(square: Array) -> Array:

@@ -42,6 +42,8 @@ class PoleFactor:
     redundancy
         Returns more than parameters: the degrees of freedom of their noise; infinite where a
         covariance is given.
+    depth
+        (K, R) how η moves with each error of the depth of a pole, by its 1 σ (`network`).
     left
         (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
         rotation and translation, axes of its own; empty where all stand.
@@ -53,11 +55,17 @@ class PoleFactor:
     information: Array
     vector: Array
     redundancy: float
+    depth: Array
     left: Array = field(default_factory=lambda: np.zeros((0, POSE, POSE)))
 
     def weakened(self, share: float) -> PoleFactor:
         """Give the same with a part of its information."""
-        return replace(self, information=share * self.information, vector=share * self.vector)
+        return replace(
+            self,
+            information=share * self.information,
+            vector=share * self.vector,
+            depth=np.sqrt(share) * self.depth,
+        )
 
     def with_bands(self, bands: Sequence[IntArray]) -> PoleFactor:
         """Give the same with more bands of elevation of each LiDAR."""
@@ -68,14 +76,22 @@ class PoleFactor:
         information, vector = np.zeros((unknowns.kept, unknowns.kept)), np.zeros(unknowns.kept)
         information[np.ix_(place, place)] = self.information
         vector[place] = self.vector
-        return replace(self, unknowns=unknowns, information=information, vector=vector)
+        depth = np.zeros((unknowns.kept, self.depth.shape[1]))
+        depth[place] = self.depth
+        return replace(self, unknowns=unknowns, information=information, vector=vector, depth=depth)
 
     def without_bands(self) -> PoleFactor:
         """Give the same as if the errors of single rings were zero."""
         unknowns = Unknowns(tuple(bands[:0] for bands in self.unknowns.bands), 0, 0)
         place = unknowns.places_in(self.unknowns)
         information = self.information[np.ix_(place, place)]
-        return replace(self, unknowns=unknowns, information=information, vector=self.vector[place])
+        return replace(
+            self,
+            unknowns=unknowns,
+            information=information,
+            vector=self.vector[place],
+            depth=self.depth[place],
+        )
 
     def about(self, T: Array) -> PoleFactor:
         """Give the same in steps from other poses (L, 4, 4)."""
@@ -83,10 +99,12 @@ class PoleFactor:
         poses = slice(self.unknowns.poses)
         vector = self.vector - self.information[:, poses] @ here
         vector[poses] = by_step.T @ vector[poses]
+        depth = self.depth.copy()
+        depth[poses] = by_step.T @ depth[poses]
         information = self.information.copy()
         information[poses] = by_step.T @ information[poses]
         information[:, poses] = information[:, poses] @ by_step
-        return replace(self, T=T, information=information, vector=vector)
+        return replace(self, T=T, information=information, vector=vector, depth=depth)
 
     @property
     def estimated(self) -> IntArray:
@@ -117,4 +135,5 @@ def gaussian_factor(pose: PoseEstimate) -> PoleFactor:
     own = unknowns.pose(1)
     information[np.ix_(own, own)] = np.linalg.inv(pose.covariance)
     T = poses_of_pair(pose.T_target_source)
-    return PoleFactor(T, unknowns, OF_SOURCE, information, np.zeros(unknowns.kept), np.inf)
+    nothing = np.zeros(unknowns.kept)
+    return PoleFactor(T, unknowns, OF_SOURCE, information, nothing, np.inf, nothing[:, None])

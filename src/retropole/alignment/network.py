@@ -29,6 +29,12 @@ from .survey import Surveyed, survey_terms
 from .unknowns import POSE, Unknowns
 from .views import MAX_ROUNDS, View, find_view
 
+DEPTH_SIGMA = 0.0015
+"""1 σ of the depth that all returns of one LiDAR on one pole err by, metres: which part of a beam
+that touches an edge returns, and how tape shines, is not known better. However many returns there
+are, it stays. At the true poses of recordings with all errors of a field the depth of poles was off
+by 1.8 mm RMS where 0.4 was stated of a thousand returns."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -50,6 +56,8 @@ class Observation:
         How many returns lie on them.
     share
         (K,) what part of those that were found on each that is.
+    depth
+        (P, K) how the gradient moves with the error of the depth of each, by its 1 σ.
     by_value
         Of a single measurement its derivative (M, P) over its 1 σ, its residual (M,) likewise, and
         that 1 σ, metres or rad; None of returns.
@@ -65,6 +73,7 @@ class Observation:
     poles: IntArray | None = None
     returns: float = 0.0
     share: Array | None = None
+    depth: Array | None = None
     by_value: tuple[Array, Array, float] | None = None
 
 
@@ -106,6 +115,17 @@ class Network:
             information[np.ix_(each.place, each.place)] += each.information
             gradient[each.place] += each.gradient
         return information, gradient
+
+    @property
+    def depth(self) -> Array:
+        """(Z, R) how the gradient moves with each error of the depth of a pole, by its 1 σ."""
+        found = [np.zeros((self.unknowns.size, 0))]
+        for one in self.observations:
+            if one.depth is not None:
+                column = np.zeros((self.unknowns.size, one.depth.shape[1]))
+                column[one.place] = one.depth
+                found.append(column)
+        return np.concatenate(found, axis=1)
 
     def of_lidar(self, lidar: int) -> Network:
         """Give what one LiDAR's returns say."""
@@ -208,6 +228,7 @@ def _returns(
     # Where one recording alone curves upwards, others hold the answer against its slope: without
     # any information there, the test of it would be as large as rounding is small.
     information = semidefinite(information, np.abs)
+    information, gradient, depth = _with_depth(information, gradient, state, sight.lidar, own)
     errors = unknowns.of_layout(layout, (None, sight.lidar))
     place = np.r_[unknowns.pose(sight.lidar), errors, unknowns.axis(own)]
     kept = np.flatnonzero(place >= 0)
@@ -222,7 +243,30 @@ def _returns(
         own,
         float(inliers.sum()),
         inliers / np.bincount(beams.pole, minlength=len(own)),
+        depth[kept],
     )
+
+
+def _with_depth(
+    information: Array, gradient: Array, state: JointState, lidar: int, own: IntArray
+) -> tuple[Array, Array, Array]:
+    """Let a LiDAR err in the depth of each pole, by `DEPTH_SIGMA`: that error is eliminated.
+
+    With ``N, g`` what the returns say as if it were zero, ``E`` its derivative and ``D`` its
+    variance, ``N' = N − N E (D⁻¹ + Eᵀ N E)⁻¹ Eᵀ N``; an error of 1 σ moves ``g'`` by
+    ``N E (D⁻¹ + Eᵀ N E)⁻¹ D^(−½)``.
+    """
+    some = state.of(lidar, own)
+    ray = some.points - state.T[lidar][:3, 3]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    along = np.zeros((len(gradient), len(own)))
+    for k in range(len(own)):
+        first = len(gradient) - 4 * (len(own) - k)
+        along[first : first + 2, k] = some.tangents[k].T @ ray[k]
+    moved = information @ along
+    inner = np.linalg.inv(np.eye(len(own)) / DEPTH_SIGMA**2 + along.T @ moved)
+    by = moved @ inner
+    return information - by @ moved.T, gradient - by @ (along.T @ gradient), by / DEPTH_SIGMA
 
 
 def _of_unknowns(place: IntArray, state: JointState, unknowns: Unknowns) -> IntArray:
@@ -255,6 +299,7 @@ def about(network: Network, T: Array) -> Network:
             one,
             information=J.T @ one.information @ J,
             gradient=J.T @ (one.gradient - one.information @ away),
+            depth=None if one.depth is None else J.T @ one.depth,
             by_value=value,
         )
 
@@ -287,6 +332,7 @@ def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) 
     eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
     reduced = information[kept, kept] - information[kept, gone] @ eliminated
     vector = gradient[kept] - eliminated.T @ gradient[gone]
+    depth = network.depth
     return PoleFactor(
         network.state.T,
         replace(unknowns, axes=0, control=0),
@@ -294,5 +340,6 @@ def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) 
         (reduced + reduced.T) / 2,
         np.asarray(vector + reduced @ network.start[kept]),
         network.redundancy,
+        depth[kept] - eliminated.T @ depth[gone],
         np.array(left),
     )

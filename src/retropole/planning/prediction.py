@@ -68,7 +68,8 @@ def known_poses(stations: Sequence[Station], bands: Sequence[IntArray]) -> PoleF
     information[own, own] = np.tile(np.repeat(KNOWN, 3) ** -2.0, len(stations) - 1)
     free = np.repeat(np.arange(len(stations)) > 0, POSE)
     T = np.stack([each.T for each in stations])
-    return PoleFactor(T, unknowns, free, information, np.zeros(unknowns.kept), np.inf)
+    nothing = np.zeros(unknowns.kept)
+    return PoleFactor(T, unknowns, free, information, nothing, np.inf, nothing[:, None])
 
 
 def settled(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:

@@ -21,7 +21,7 @@ from ..alignment.certainty import (
     floors,
     part_of,
     parts_of_errors,
-    scatter_of_poles,
+    parts_of_poles,
     sways,
 )
 from ..base import se3
@@ -173,7 +173,7 @@ def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tupl
     return (
         *parts_of_errors(problem.groups, end.sigma, end.precision, end.inverse, end.errors),
         *parts_of_surfaces(end),
-        scatter_of_poles(scatter, factor, end.inverse),
+        *parts_of_poles(scatter, factor, end.inverse),
         *floors(end.T, factor.free),
         *sways(end.T, factor.free, factor.left),
     )
