@@ -8,13 +8,14 @@ import pytest
 from retropole.alignment.adjustment import BeamAlignment
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate
+from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
 from retropole.matching.placements import align
 from retropole.pipeline import calibrate
-from retropole.scene.agreement import check_agreement
+from retropole.scene.agreement import check_agreement, check_contradiction
 from retropole.scene.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import refine
@@ -207,8 +208,8 @@ def test_scene_and_poles_that_disagree_are_warned_of() -> None:
 
 
 @pytest.mark.full
-def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
-    """In every direction, not along the line between them alone, and not much beyond."""
+def test_poles_and_scene_that_disagree_state_what_the_poles_alone_do() -> None:
+    """In no direction less, and in none much more: `check_contradiction` refuses what is beyond."""
     pair = simulate_pair("street", np.random.default_rng(23))
     tight = 1e-6 * np.eye(6)
     step = np.array([0.0, 0, 0.01, 0.05, 0, 0])
@@ -219,9 +220,10 @@ def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
     assert np.linalg.eigvalsh(covariance - tight).min() > -1e-12
     e = se3.local(off, refined.pose.T_target_source)
     assert np.abs(e + step).max() < 0.02
-    assert e @ np.linalg.solve(covariance, e) < 1.0
-    across = np.linalg.eigvalsh(covariance)[:-1]
-    assert across.max() < 10 * 1e-6
+    assert np.linalg.eigvalsh(covariance)[-1] < 10 * 1e-6
+    with pytest.raises(Refusal, match="from where the poles have them") as refusal:
+        check_contradiction(refined)
+    assert refusal.value.code == "poles_scene_contradict"
 
 
 @pytest.mark.full
@@ -339,9 +341,9 @@ def test_real_clouds_come_to_one_pose_from_all_around() -> None:
         assert refined is not None
         found.append(refined.pose.T_target_source)
         off = se3.local(found[-1], reference)
-        # The reference is good to 0.1° and 3 cm about and along each axis.
-        assert np.degrees(np.linalg.norm(off[:3])) < 0.2
-        assert np.linalg.norm(off[3:]) < 0.05
+        # The reference is good to 0.1° and 3 cm (1 σ) about and along each axis.
+        assert np.degrees(np.linalg.norm(off[:3])) < 0.25
+        assert np.linalg.norm(off[3:]) < 0.075
     for T in found[1:]:
         apart = se3.local(found[0], T)
         assert np.degrees(np.linalg.norm(apart[:3])) < 0.02

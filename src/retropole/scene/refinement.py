@@ -249,12 +249,8 @@ def refine_pair(
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
     if disagree:
-        # Which of both is not known: what is stated reaches from one to the other, and as far
-        # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
-        # a scene that contradicted them none was within what the scene and the line between them
-        # state.
-        e = se3.local(poles.T_target_source, best.T[1])
-        others.append(("poles and scene disagree", np.outer(e, e) + poles.covariance))
+        # Which of both is not known: what is stated is never less than what the poles alone do.
+        others.append(("poles and scene disagree", excess(poles.covariance, own)))
     parts += tuple(part_of(name, of_source(root_of(more))) for name, more in others)
     uncertainty = uncertainty_of_pair(parts)
     (term,) = best.scene
