@@ -72,19 +72,19 @@ def of_reference(pair: Pair) -> Array:
     return np.diag(np.repeat(pair.sigma, 3) ** 2)
 
 
-def registered(given: Loaded, method: Literal["PLANE_ICP", "GICP"]) -> list[tuple[float, float]]:
-    """How far a rival goes from the reference, with each of the settings."""
+def registered(given: Loaded, start: Array, method: Literal["PLANE_ICP", "GICP"]) -> list[Array]:
+    """How far a rival ends from the reference, a step (6,) with each of the settings."""
     found = []
     for voxel, distance in SETTINGS:
         surfaces = prepare(given.target.xyz, voxel), prepare(given.source.xyz, voxel)
         end = register(
             *surfaces,
-            given.T,
+            start,
             method=method,
             max_correspondence_distance=distance,
             max_iterations=100,
         )
-        found.append(parts(se3.local(given.T, end.T_target_source)))
+        found.append(se3.local(given.T, end.T_target_source))
     return found
 
 
@@ -101,7 +101,10 @@ def from_reference(pairs: Sequence[Pair], data: Path) -> None:
         if refined is not None:
             off = se3.local(given.T, refined.pose.T_target_source)
             cells = [words(*parts(off))]
-        by_method = [registered(given, method) for method in ("PLANE_ICP", "GICP")]
+        by_method = [
+            [parts(step) for step in registered(given, given.T, method)]
+            for method in ("PLANE_ICP", "GICP")
+        ]
         for found in by_method:
             least, most = np.min(found, axis=0), np.max(found, axis=0)
             cells.append(f"{words(*least)} to {words(*most)}")
@@ -132,15 +135,21 @@ def displacement(covariance: Array) -> float:
 
 
 def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
-    """Calibrate with planted poles, print what came of it, and give the answers."""
+    """Calibrate with planted poles, print what came of it, and give the answers.
+
+    Beside them plain ICP of the recordings without poles, from where the poles leave it.
+    """
     need = Need(WITHIN, AT)
     columns = "pair", "draws", "ok", "warn", "refused", "off at 30 m, median", "largest"
     print("\n| " + " | ".join((*columns, "stated, median", "untrue ok or yes")), end="")
     print(" | Mahalanobis: median | largest |\n" + "| --- " * 11 + "|")
     answers: Answers = {}
     every: list[float] = []
+    ours: list[float] = []
+    rival: list[list[float]] = []
     for pair in pairs:
         own = of_reference(pair)
+        given = load(pair.name, data)
         status: list[str] = []
         rows: list[tuple[float, float, float]] = []
         untrue = 0
@@ -158,6 +167,11 @@ def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
             far = displacement(np.outer(off, off))
             distance = mahalanobis(off, answer.covariance + own)
             rows.append((far, displacement(answer.covariance), distance))
+            if answer.poles is not None:
+                ours.append(far)
+                start = answer.poles.T_target_source
+                by_icp = registered(given, start, "PLANE_ICP")
+                rival.append([displacement(np.outer(step, step)) for step in by_icp])
             # Three σ of the reference at that range, beyond what was said.
             beyond = far - 3.0 * displacement(own)
             says_yes = answer.fitness is not None and answer.fitness.answer == "yes"
@@ -176,6 +190,13 @@ def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
             f"\nMahalanobis distance of all {len(every)} answers: median {np.median(every):.1f}, "
             f"largest {max(every):.1f}."
         )
+        print("\n| off at 30 m | median | 90 % | largest |\n| --- | --- | --- | --- |")
+        names = [f"point-to-plane ICP, voxels {v:g} m, up to {d:g} m" for v, d in SETTINGS]
+        for name, far_all in zip(
+            ["retropole", *names], np.column_stack([ours, rival]).T, strict=True
+        ):
+            cells = [f"{100 * np.quantile(far_all, q):.1f} cm" for q in (0.5, 0.9, 1.0)]
+            print(f"| {name} | " + " | ".join(cells) + " |")
     return answers
 
 
