@@ -214,6 +214,21 @@ def test_a_hidden_pole_is_refused_where_two_are_asked_for(
 
 
 @pytest.mark.full
+@pytest.mark.parametrize(("scene", "seed"), [("harbor", 2), ("bare", 2)])
+def test_without_intensity_the_place_is_named_where_it_gives_an_answer(
+    scene: str, seed: int
+) -> None:
+    pair = simulate_pair(scene, np.random.default_rng(seed))
+    clouds = [replace(cloud, intensity=None) for cloud in (pair.target, pair.source)]
+    answer = calibrate(*clouds)
+    assert_refused(answer, "no_intensity")
+    by_place = calibrate(*clouds, poles=0)
+    assert (by_place.T_target_source is not None) == (scene == "harbor")
+    assert ("--poles 0" in answer.reasons[0].message) == (scene == "harbor")
+    assert len(answer.reasons[0].message) <= 300
+
+
+@pytest.mark.full
 def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
     for value in (None, np.full(len(corridor.source), 7.0)):
         answer = calibrate(corridor.target, replace(corridor.source, intensity=value))

@@ -271,6 +271,14 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
         )
 
 
+def naming_the_place(refusal: Refusal, by_place: Calibration) -> Refusal:
+    """Name what gives an answer where no intensity shows the poles: the place, if it does."""
+    if by_place.T_target_source is None:
+        return refusal
+    said = f"{refusal.message}; or calibrate without poles, --poles 0: the place gives an answer"
+    return Refusal(refusal.code, said, refusal.values)
+
+
 def state_refusal(
     refusal: Refusal,
     placements: tuple[Placement, ...],
