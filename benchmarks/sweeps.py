@@ -175,6 +175,16 @@ def main() -> None:
     )
     for k, count in enumerate(counts):
         print(row(count, [found[k] for found in places]))
+    refused = [
+        f"place {place} with {count} ({found[k].status})"
+        for place, found in enumerate(places)
+        for k, count in enumerate(counts)
+        if not np.isfinite(found[k].error)
+    ]
+    if refused:
+        print(
+            "\nRefused, by the number of the place from 0 and of the sweeps: " + ", ".join(refused)
+        )
     ratios = [found[-1].error / found[0].error for found in places]
     logs = np.log([ratio for ratio in ratios if np.isfinite(ratio)])
     if len(logs) > 1:

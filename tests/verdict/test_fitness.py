@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from retropole.alignment.certainty import FLOOR
+from retropole.alignment.certainty import DEPTH, FLOOR, POLES, SWAY
 from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import Reason
 from retropole.base.reasons import remedy, tables
@@ -15,6 +15,7 @@ from retropole.base.systematic import RADIUS_KIND
 from retropole.base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
+from retropole.scene.places import FLAT, SCATTER
 from retropole.verdict.fitness import DOUBTS, judge
 
 pytestmark = pytest.mark.full
@@ -136,4 +137,6 @@ def test_every_source_that_is_no_lidars_has_a_remedy_of_its_own() -> None:
         remedy("scatter of the surfaces", "source") == tables().remedies["scatter of the surfaces"]
     )
     assert remedy("encoder") == tables().of_a_lidar
+    # What is no LiDAR's own error has a remedy of its own.
+    assert {POLES, DEPTH, SWAY, SCATTER, FLAT} <= set(tables().remedies)
     assert "--sensor-target" in remedy("encoder", "target")
