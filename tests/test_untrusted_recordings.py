@@ -24,9 +24,12 @@ def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
     hold_many(tmp_path, 0, 200, 120)
 
 
-@pytest.mark.full
-def test_more_damaged_recordings(tmp_path: Path) -> None:
-    hold_many(tmp_path, 1000, 4000, 1200)
+@pytest.mark.parametrize(
+    "first",
+    [pytest.param(1000, marks=pytest.mark.full), pytest.param(2500, marks=pytest.mark.nightly)],
+)
+def test_more_damaged_recordings(first: int, tmp_path: Path) -> None:
+    hold_many(tmp_path, first, first + 1500, 500)
 
 
 @pytest.mark.nightly

@@ -53,6 +53,7 @@ def test_every_rival_of_the_table_is_registered() -> None:
     assert set(RIVAL_NAMES.values()) <= set(RIVALS)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real recordings of ../shared/data are absent")
 def test_the_reference_of_a_real_recording_is_sharper() -> None:
     rows = comparing_real(SHARED).rows

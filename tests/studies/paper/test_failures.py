@@ -98,6 +98,7 @@ def test_tape_fades_with_its_distance(pair: SimulatedPair) -> None:
     assert near > middle > none == 0
 
 
+@pytest.mark.nightly
 def test_every_trouble_is_counted_for_both_methods() -> None:
     rows = all_exhibits()["weaknesses"].rows
     assert len(rows) == 2 * len(TROUBLES)
