@@ -137,7 +137,7 @@ def displacement(covariance: Array) -> float:
 def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
     """Calibrate with planted poles, print what came of it, and give the answers.
 
-    Beside them plain ICP of the recordings without poles, from where the poles leave it.
+    For comparison also plain ICP of the recordings without poles, started at the poles' pose.
     """
     need = Need(WITHIN, AT)
     columns = "pair", "draws", "ok", "warn", "refused", "off at 30 m, median", "largest"

@@ -1,4 +1,4 @@
-"""What more sweeps of a LiDAR that stands gain: the whole method, at the same places.
+"""What more sweeps of stationary LiDARs gain: the whole method, at the same places.
 
 Streets, harbours and squares with all errors of a field; the first sweeps of one recording are
 taken, so that LiDARs, poles and surroundings are the same in every row. The last column is χ² of

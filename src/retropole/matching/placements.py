@@ -238,7 +238,7 @@ def leave_one_out(
 
 
 def merge_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Put the clouds of one LiDAR together, for what stands still in all of them.
+    """Put the clouds of one LiDAR together, for what is static in all of them.
 
     Its sweeps are those of all; a cloud without any is one.
     """

@@ -1,6 +1,6 @@
-"""What all sweeps of a LiDAR that stands say of one place, averaged: more sweeps, less noise.
+"""Averages over the sweeps of a stationary LiDAR: more sweeps, less noise.
 
-Returns that are left apart scatter along their beams. Where rings lie far from each other, those of
+The returns of all sweeps scatter along their beams. Where rings are far from each other, those of
 one ring fill the cone of that ring with their noise, and planes through them are planes of the
 cone. The mean of returns on a plane lies on that plane, whatever directions they came from: of a
 LiDAR that moved, after its motion was taken out, and of one that never repeats a direction.
@@ -32,7 +32,7 @@ def averaged(cloud: PointCloud) -> Array:
     Parameters
     ----------
     cloud
-        That stands still. Of a single sweep, its points as they are.
+        Of a stationary LiDAR. The points of a single sweep are returned as they are.
     """
     if cloud.frame is None or not len(cloud) or cloud.frame.min() == cloud.frame.max():
         return cloud.xyz

@@ -49,8 +49,8 @@ middles are nearer are one."""
 MIN_ACROSS = float(np.radians(0.03))
 """Least RMS of the directions of a patch's points across their longer extent, and of their
 elevations, rad. The returns of one ring lie on its cone whatever they come from: scattered along
-their beams they make a patch of it that is flat, and says nothing of the surface. Rings lie 0.1°
-apart and more: two of them make 0.05°."""
+their beams they make a patch of it that is flat, and carries no information on the surface. Rings
+are 0.1° apart or more: two of them make 0.05°."""
 
 MAX_GAP = 2 / 3
 """Through two rings a plane goes across any gap: the top of a wall, a kerb. Where the largest gap
@@ -63,8 +63,8 @@ cambered road, a kerb, the top of a wall. Before, a robot between walls was off 
 stated, and now by 6.1 with 5.0 (benchmarks/sites.py, robot, seed 1008, poles placed twice)."""
 
 CONFIRMING, CONFIRMING_REACH = 12, 0.5
-"""Of so many patches beside one of two lines, within its own width or so many metres, one that
-goes on in its plane confirms it, …"""
+"""Of so many neighbours of a patch of two lines, within its own width or so many metres, one that
+continues its plane confirms it, …"""
 
 BEYOND = float(np.radians(0.1))
 """… where its beams reach so much higher or lower, rad: other rings, …"""
@@ -276,8 +276,8 @@ def _directions(rays: Array, axis: Array) -> tuple[Array, Array]:
 
 
 def _doubted(patches: Patches) -> Patches:
-    """Let patches of two lines be as uncertain as surfaces are rough, unless one beside them, of
-    other rings, goes on in their plane.
+    """Let patches of two lines be as uncertain as surfaces are rough, unless a neighbour, of other
+    rings, continues their plane.
     """
     doubtful = np.flatnonzero(patches.gap > MAX_GAP)
     if not len(doubtful):
