@@ -7,22 +7,17 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.base.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import TYPICAL, NoiseModel, place_again, simulate_pair
+from sweeps import first_sweeps
 
 ONLY_NOISE = NoiseModel(2.0, 0.0, 0.02, True, 0.0, 0.0, 0.15)
 """Twice the sensors' noise along the beam and no bias: noise rules."""
-
-
-def first_frame(cloud: PointCloud) -> PointCloud:
-    return replace(cloud.select(np.asarray(cloud.frame) == 0), frame=None)
 
 
 def run(job: tuple[str, int]) -> tuple[float, float]:
@@ -38,7 +33,7 @@ def run(job: tuple[str, int]) -> tuple[float, float]:
     else:
         pairs = [simulate_pair(scene, rng, noise=ONLY_NOISE, frames=10)]
         target, source = pairs[0].target, pairs[0].source
-        one = calibrate(first_frame(target), first_frame(source), scene=False)
+        one = calibrate(first_sweeps(target, 1), first_sweeps(source, 1), scene=False)
         all_of_them = calibrate(target, source, scene=False)
     T = pairs[0].T_target_source
     errors = [

@@ -38,7 +38,7 @@ from .scene.scans import find_poles
 from .scene.search import choose, choose_with_candidates
 from .scene.similarity import check_similarity, explain
 from .scene.static import check_poles
-from .verdict import naming_the_place, state_refusal, weaknesses
+from .verdict import advising_no_poles, state_refusal, weaknesses
 from .verdict.fitness import judge
 
 
@@ -181,8 +181,8 @@ def calibrate(
                     refusal, placements, hypotheses, radius=radius, thresholds=thresholds
                 )
                 if cause.code == "no_intensity" and scene and poles is None:
-                    by_place = calibrate(target, source, sensors=sensors, poles=0, prior=prior)
-                    cause = naming_the_place(cause, by_place)
+                    without = calibrate(target, source, sensors=sensors, poles=0, prior=prior)
+                    cause = advising_no_poles(cause, without)
                 answer = state_refusal(cause, placements, hypotheses, seconds, confirmation)
                 return origins.moved_back(list_hypotheses(answer, chosen, by_hand))
         with step("judge"):

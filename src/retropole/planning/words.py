@@ -32,6 +32,7 @@ from ..result.pole_plan import (
     SightDoc,
     StationDoc,
     TapeDoc,
+    below,
 )
 from ..site.answer import SiteCalibration
 from .candidates import beams_met
@@ -277,7 +278,7 @@ def _tape(poles: Sequence[PlannedPoleDoc], stations: Sequence[Station]) -> Itera
     for k, pole in enumerate(poles):
         away = [float(np.linalg.norm(pole.foot_m[:2] - s.at[:2])) for s in stations]
         for i in np.argsort(away, kind="stable")[:2]:
-            yield TapeDoc(start=f"below {stations[i].name}", end=pole.name, metres=away[i])
+            yield TapeDoc(start=below(stations[i].name), end=pole.name, metres=away[i])
         for other in poles[:k]:
             gap = float(se3.lengths((pole.foot_m - other.foot_m)[None])[0])
             yield TapeDoc(start=other.name, end=pole.name, metres=gap)

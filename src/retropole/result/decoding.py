@@ -23,7 +23,7 @@ from ..base.datatypes import Array
 from ..base.errors import NewerError, ReadError, is_newer, printable, said
 from ..base.uncertainty import covariance_fault, predicted_error
 from . import COVARIANCE_ORDER, ResultDoc
-from .pole_plan import PolePlanDoc, PredictedDoc
+from .pole_plan import PolePlanDoc, PredictedDoc, below
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
 
 UNIT = 1e-6
@@ -138,7 +138,7 @@ def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
             if len(set(seers)) < len(seers) or not set(seers) <= set(lidars):
                 raise ReadError(f"{field}.seen: expected LiDARs of the plan, each once")
         ends = {pole.name for pole in placement.poles}
-        starts = ends | {f"below {name}" for name in lidars}
+        starts = ends | {below(name) for name in lidars}
         for k, tape in enumerate(placement.tape):
             if tape.start not in starts or tape.end not in ends:
                 raise ReadError(

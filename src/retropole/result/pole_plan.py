@@ -97,6 +97,11 @@ class TapeDoc(msgspec.Struct, frozen=True, kw_only=True):
     metres: Size
 
 
+def below(lidar: str) -> str:
+    """Name the point of the ground below a LiDAR, where a length begins."""
+    return f"below {lidar}"
+
+
 class PlannedPlacementDoc(msgspec.Struct, frozen=True, kw_only=True):
     """Poles that stand at once, and how to find their places with a tape measure."""
 

@@ -63,8 +63,8 @@ cambered road, a kerb, the top of a wall. Before, a robot between walls was off 
 stated, and now by 6.1 with 5.0 (benchmarks/sites.py, robot, seed 1008, poles placed twice)."""
 
 CONFIRMING, CONFIRMING_REACH = 12, 0.5
-"""Of so many neighbours of a patch of two lines, within its own width or so many metres, one that
-continues its plane confirms it, …"""
+"""Number of nearest patches that may confirm a patch of two lines, within its own width or this
+distance, metres. One confirms it that continues its plane, …"""
 
 BEYOND = float(np.radians(0.1))
 """… where its beams reach so much higher or lower, rad: other rings, …"""
@@ -290,10 +290,10 @@ def _doubted(patches: Patches) -> Patches:
         np.abs(np.einsum("mi,mki->mk", own, between)),
         np.abs(np.einsum("mki,mki->mk", other, between)),
     )
-    alike = np.abs(np.einsum("mi,mki->mk", own, other)) > np.cos(CONFIRMING_ANGLE)
+    parallel = np.abs(np.einsum("mi,mki->mk", own, other)) > np.cos(CONFIRMING_ANGLE)
     beyond = (patches.elevations[near] - patches.elevations[doubtful][:, None]) * [-1.0, 1.0]
     reach = np.maximum(2.0 * patches.extent[doubtful], CONFIRMING_REACH)[:, None]
-    confirms = (distance < reach) & alike & (beyond > BEYOND).any(axis=2)
+    confirms = (distance < reach) & parallel & (beyond > BEYOND).any(axis=2)
     confirms &= off < CONFIRMING_OFF[0] + CONFIRMING_OFF[1] * distance
     doubtful = doubtful[~confirms.any(axis=1)]
     variance, tilt = patches.variance.copy(), patches.tilt.copy()

@@ -271,11 +271,11 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
         )
 
 
-def naming_the_place(refusal: Refusal, by_place: Calibration) -> Refusal:
-    """Name what gives an answer where no intensity shows the poles: the place, if it does."""
-    if by_place.T_target_source is None:
+def advising_no_poles(refusal: Refusal, without_poles: Calibration) -> Refusal:
+    """Advise to calibrate without poles, which no intensity shows, if that gives an answer."""
+    if without_poles.T_target_source is None:
         return refusal
-    said = f"{refusal.message}; or calibrate without poles, --poles 0: the place gives an answer"
+    said = f"{refusal.message}; or calibrate without poles: --poles 0 gives an answer here"
     return Refusal(refusal.code, said, refusal.values)
 
 
