@@ -7,9 +7,8 @@ Minimised together over the steps x of all poses and the errors b of all LiDARs:
 with R, t the pose of one LiDAR of a pair in the other's frame, c_i the centre of a patch of the
 one, d_i of the other's surface near it, n_i the mean of their normals, and Λ, η what the poles (and
 a survey) say. A direction that the scenes do not hold (along a corridor, over open ground) has no
-part in the first sum and stays where the poles put it. The sizes of the errors are estimated too,
-never below what the manufacturer states. Coarse to fine: a patch looks for its partner as far as
-the pose is still uncertain there.
+part in the first sum and stays where the poles put it. The sizes of the errors are estimated too.
+Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
 """
 
 from __future__ import annotations
