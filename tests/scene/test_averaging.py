@@ -49,7 +49,9 @@ def noise_of(points: Array) -> float:
 @pytest.mark.parametrize("rings", [True, False])
 def test_sweeps_become_one_with_less_noise(turned: float, rings: bool) -> None:
     cloud = recording(turned=turned, rings=rings)
-    found = averaged(cloud)
+    average = averaged(cloud)
+    found = average.xyz
+    assert (average.ring is not None) is rings
     one = len(cloud) // SWEEPS
     # A LiDAR that moved meets the cells beside, too, and some of them once or twice.
     assert 0.9 * one <= len(found) <= (1.3 if turned == 0.0 else 4.0) * one
@@ -58,14 +60,15 @@ def test_sweeps_become_one_with_less_noise(turned: float, rings: bool) -> None:
 
 
 def test_the_ground_stays_where_it_is() -> None:
-    found = averaged(recording())
+    found = averaged(recording()).xyz
     assert abs(np.mean(found[:, 2] + 2.0)) < 3 * NOISE * 0.2 / np.sqrt(len(found) * SWEEPS)
 
 
 def test_a_single_sweep_is_left_as_it_is() -> None:
     cloud = recording(1)
-    np.testing.assert_array_equal(averaged(cloud), cloud.xyz)
-    np.testing.assert_array_equal(averaged(replace(cloud, frame=None)), cloud.xyz)
+    assert averaged(cloud) is cloud
+    without = replace(cloud, frame=None)
+    assert averaged(without) is without
     nothing = cloud.select(np.zeros(len(cloud), dtype=bool))
     assert len(averaged(nothing)) == 0
 
@@ -73,7 +76,7 @@ def test_a_single_sweep_is_left_as_it_is() -> None:
 def test_the_order_of_the_points_does_not_matter() -> None:
     cloud = recording()
     shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
-    np.testing.assert_allclose(averaged(shuffled), averaged(cloud), atol=1e-9)
+    np.testing.assert_allclose(averaged(shuffled).xyz, averaged(cloud).xyz, atol=1e-9)
 
 
 def test_what_stands_at_two_ranges_stays_apart() -> None:
@@ -81,7 +84,7 @@ def test_what_stands_at_two_ranges_stays_apart() -> None:
     ray = np.array([np.cos(0.3), np.sin(0.3), 0.0])
     ranges = np.array([5.0, 8.0, 5.01, 8.01, 4.99, 7.99])
     cloud = PointCloud(ranges[:, None] * ray, frame=np.arange(6))
-    np.testing.assert_allclose(np.linalg.norm(averaged(cloud), axis=1), [5.0, 8.0], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(averaged(cloud).xyz, axis=1), [5.0, 8.0], atol=1e-9)
 
 
 def test_an_upright_axis_is_not_needed() -> None:
@@ -91,6 +94,19 @@ def test_an_upright_axis_is_not_needed() -> None:
     T[:3, :3], T[:3, 3] = turn, [1.0, 2.0, 3.0]
     cloud = recording()
     back = np.linalg.inv(T)
-    found = averaged(cloud.transformed(T)) @ back[:3, :3].T + back[:3, 3]
+    found = averaged(cloud.transformed(T)).xyz @ back[:3, :3].T + back[:3, 3]
     assert 0.9 < len(found) / len(averaged(cloud)) < 1.1
     assert noise_of(found) < 1.5 * NOISE / np.sqrt(SWEEPS)
+
+
+def test_each_average_keeps_the_ring_of_its_returns() -> None:
+    cloud = recording()
+    found = averaged(cloud)
+    assert found.ring is not None
+    elevation = np.degrees(np.arcsin(found.xyz[:, 2] / np.linalg.norm(found.xyz, axis=1)))
+    np.testing.assert_allclose(elevation, -12.0 + 0.5 * found.ring, atol=1e-6)
+
+
+def test_a_cloud_is_averaged_once() -> None:
+    cloud = recording()
+    assert averaged(cloud) is averaged(cloud)

@@ -7,9 +7,12 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.scene.visibility import (
     IMAGE_SHAPE,
+    Cells,
     cells_of,
     compare_views,
     free_space_violation,
+    nearest_around,
+    nearest_by_frame,
     overlap,
     range_image,
     view_of,
@@ -50,6 +53,17 @@ def test_every_direction_has_a_cell() -> None:
     farther = cells_of(7.0 * rays)
     np.testing.assert_array_equal(farther.row, cells_of(rays).row)
     np.testing.assert_array_equal(farther.column, cells_of(rays).column)
+
+
+def test_the_least_ranges_of_each_frame_are_those_of_its_own_returns() -> None:
+    rng = np.random.default_rng(2)
+    rays, frame = rng.normal(size=(6000, 3)), rng.integers(3, size=6000)
+    ranges, cells = se3.lengths(rays), cells_of(rays)
+    found = nearest_by_frame(cells, ranges, frame, 4)
+    for k in range(4):
+        own = frame == k
+        alone = nearest_around(Cells(cells.row[own], cells.column[own]), ranges[own])
+        np.testing.assert_array_equal(found[k], alone.ranges)
 
 
 def test_exchanging_the_views_changes_nothing(views: tuple[PointCloud, PointCloud, Array]) -> None:

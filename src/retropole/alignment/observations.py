@@ -181,6 +181,9 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: 
     toward = ray @ ((pole.point - cloud.origin) / away)
     cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
     nearby = np.flatnonzero((ranges > away - reach) & (toward > cosine * ranges))
+    # A ray passes the axis at no less than its part across the plane of the axis and the origin.
+    across = np.abs(ray[nearby] @ np.cross(pole.direction, pole.point - cloud.origin))
+    nearby = nearby[across < (room + BESIDE) * ranges[nearby]]
     directions = ray[nearby] / ranges[nearby, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction

@@ -90,8 +90,11 @@ class PointCloud:
 
     def select(self, index: BoolArray | IntArray) -> PointCloud:
         """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
+        rows = np.flatnonzero(index) if index.dtype == bool else index
         columns = {name: getattr(self, name) for name in ("xyz", *PER_POINT)}
-        return replace(self, **{k: v[index] for k, v in columns.items() if v is not None})
+        return replace(
+            self, **{k: v.take(rows, axis=0) for k, v in columns.items() if v is not None}
+        )
 
     def transformed(self, T_new_old: Array) -> PointCloud:
         """Express the cloud, its beam origin and axis included, in another frame."""

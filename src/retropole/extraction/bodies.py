@@ -37,8 +37,10 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     low, high = line.low, line.high
     beyond = max(BEYOND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
-    near = lengths(cloud.xyz - line.point) < np.hypot(half, AIR)
-    distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
+    reach = float(np.hypot(half, AIR))
+    near = cloud.xyz[np.abs(cloud.xyz[:, 0] - line.point[0]) < reach]
+    near = near[lengths(near - line.point) < reach]
+    distance, along = distance_and_place(near, line.point, line.direction)
     body = (distance > line.tube) & (distance <= REACH)
     around = (distance > REACH) & (distance <= AIR)
 

@@ -4,9 +4,13 @@ The returns of all sweeps scatter along their beams. Where rings are far from ea
 one ring fill the cone of that ring with their noise, and planes through them are planes of the
 cone. The mean of returns on a plane lies on that plane, whatever directions they came from: of a
 LiDAR that moved, after its motion was taken out, and of one that never repeats a direction.
+
+All that looks at surfaces looks at these averages; only the returns on poles count one by one.
 """
 
 from __future__ import annotations
+
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -26,16 +30,45 @@ BIN = 0.01
 """Ranges are sorted as precisely as that, metres: far less than any gap."""
 
 
-def averaged(cloud: PointCloud) -> Array:
-    """Average the returns of all sweeps by the direction of their beams: (N, 3) to (M, 3).
+_averages: WeakKeyDictionary[PointCloud, PointCloud] = WeakKeyDictionary()
+"""Of clouds that are in use: every step asks for them."""
+
+
+def averaged(cloud: PointCloud) -> PointCloud:
+    """Average the returns of all sweeps by the direction of their beams.
 
     Parameters
     ----------
     cloud
-        Of a stationary LiDAR. The points of a single sweep are returned as they are.
+        Of a stationary LiDAR. A single sweep is returned as it is.
+
+    Returns
+    -------
+    PointCloud
+        Points and rings, in no order, with the same origin and axis.
     """
     if cloud.frame is None or not len(cloud) or cloud.frame.min() == cloud.frame.max():
-        return cloud.xyz
+        return cloud
+    if cloud not in _averages:
+        _averages[cloud] = _averaged(cloud)
+    return _averages[cloud]
+
+
+def _averaged(cloud: PointCloud) -> PointCloud:
+    order, starts = _by_place(cloud)
+    count = np.diff(np.r_[starts, len(order)])
+    columns = [np.add.reduceat(column[order], starts) / count for column in cloud.xyz.T]
+    return PointCloud(
+        np.stack(columns, axis=1),
+        ring=None if cloud.ring is None else cloud.ring[order[starts]],
+        origin=cloud.origin,
+        axis=cloud.axis,
+    )
+
+
+def _by_place(cloud: PointCloud) -> tuple[IntArray, IntArray]:
+    """Order (N,) of the returns in which those of one place follow each other, and (M,) where the
+    next begins."""
     rays = cloud.xyz - cloud.origin
     ranges = lengths(rays)
     side = np.cross([0.0, 1.0, 0.0] if abs(cloud.axis[1]) < 0.9 else [0.0, 0.0, 1.0], cloud.axis)
@@ -48,9 +81,7 @@ def averaged(cloud: PointCloud) -> Array:
     order = order_of(direction * (int(depth.max()) + 1) + depth)
     direction, ranges = direction[order], ranges[order]
     parted = np.diff(ranges) > GAP + GAP_BY_RANGE * ranges[:-1]
-    starts = np.flatnonzero(np.r_[True, (np.diff(direction) != 0) | parted])
-    count = np.diff(np.r_[starts, len(order)])
-    return np.asarray(np.add.reduceat(cloud.xyz[order], starts) / count[:, None])
+    return order, np.flatnonzero(np.r_[True, (np.diff(direction) != 0) | parted])
 
 
 def _numbered(values: Array | IntArray) -> IntArray:

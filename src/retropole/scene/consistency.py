@@ -19,6 +19,7 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.sampling import every_nth
 from ..base.uncertainty.confirmation import Confirmation
+from .averaging import averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of
@@ -87,7 +88,7 @@ class Standing:
     tree
         Of the whole downsampled cloud.
     image
-        Of the cloud as it was recorded.
+        Of all returns.
     ground, up
         (3,) a point of the ground, metres, and its normal.
     """
@@ -126,6 +127,7 @@ def standing_in(
     The random numbers choose the planes that are tried for the ground. Those tilted by less than
     `max_tilt` against the LiDAR, rad, go before the others.
     """
+    cloud = averaged(cloud)
     points = voxel_downsample(cloud.xyz, VOXEL)
     ranges = se3.lengths(points - cloud.origin)
     on_ground, ground, up = _ground(points, ranges, cloud.axis, rng, max_tilt)
@@ -156,7 +158,7 @@ def _is_one_plane(normal: Array, other: Array) -> bool:
 
 def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
     """Find the normal (3,) of the plane that most of a cloud's points off walls lie on."""
-    points = voxel_downsample(cloud.xyz, VOXEL)
+    points = voxel_downsample(averaged(cloud).xyz, VOXEL)
     return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng, MAX_TILT)[2]
 
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray, Placement, PointCloud
 from ..base.errors import Refusal
-from ..base.sampling import every_nth
-from .ordering import order_of
+from .ordering import numbered, order_of
 from .registration import SAMPLE
 
 MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -47,18 +46,17 @@ def without_copies(cloud: PointCloud) -> PointCloud:
             cloud, keys = cloud.select(~repeated), keys[~repeated]
         assert cloud.frame is not None
         keys = keys ^ (cloud.frame.astype(np.uint64) * MIX)
-    order = order_of(keys)
-    ordered = keys[order]
-    starts = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1])[: len(ordered)])
-    if len(starts) == len(cloud):
+    ordered = np.sort(keys)
+    if not (ordered[1:] == ordered[:-1]).any():
         return cloud
+    order = order_of(keys)
+    starts = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     return cloud.select(np.sort(np.minimum.reduceat(order, starts)))
 
 
 def _repeated(keys: Keys, frame: IntArray) -> BoolArray:
     """Find the points (N,) of sweeps whose points are those of a sweep before, in any order."""
-    frames, own = np.unique(frame, return_inverse=True)
-    own = own.reshape(-1)
+    frames, own = numbered(frame)
     sums = np.zeros(len(frames), np.uint64)
     np.add.at(sums, own, keys * MIX)
     both = np.stack([np.bincount(own).astype(np.uint64), sums], axis=1)
@@ -76,12 +74,16 @@ def check_recordings(placements: Sequence[Placement]) -> None:
     Refusal
         ``same_recording``.
     """
-    each = [
-        (k, lidar, np.sort(_keys(scan.cloud.xyz)))
+    scans = [
+        (k, lidar, scan.cloud.xyz)
         for k, placement in enumerate(placements, 1)
         for lidar, scan in (("target", placement.target), ("source", placement.source))
         if len(scan.cloud)
     ]
+    # Equal points have equal hashes: a sample by the hash is one of the same points of all clouds.
+    fewest = min((len(xyz) for _, _, xyz in scans), default=0)
+    most = np.uint64(np.iinfo(np.uint64).max // max(fewest // SAMPLE, 1))
+    each = [(k, lidar, _sampled(_keys(xyz), most)) for k, lidar, xyz in scans]
     for (k, first, of_first), (n, second, of_second) in combinations(each, 2):
         shared = max(_shared(of_first, of_second), _shared(of_second, of_first))
         if shared <= MAX_SHARED:
@@ -106,19 +108,24 @@ def what_to_give(first: int, second: int) -> str:
     return "give each placement recordings of its own, made after the poles were moved"
 
 
+def _sampled(keys: Keys, most: np.uint64) -> Keys:
+    """Those that are no larger, sorted; all where that is none."""
+    kept = keys[keys <= most]
+    return np.sort(kept if len(kept) else keys)
+
+
 def _shared(part: Keys, whole: Keys) -> float:
-    """Share of a sample of the first keys that are among the second, both sorted."""
-    # In order of the hash, which is none of the points.
-    sample = every_nth(part, SAMPLE)
-    place = np.minimum(np.searchsorted(whole, sample), len(whole) - 1)
-    return float(np.mean(whole[place] == sample))
+    """Share of the first keys that are among the second, both sorted."""
+    place = np.minimum(np.searchsorted(whole, part), len(whole) - 1)
+    return float(np.mean(whole[place] == part))
 
 
 def _keys(xyz: Array) -> Keys:
     """(N,) one number for each point, by its bits: unequal ones hardly ever have the same."""
-    bits = (np.ascontiguousarray(xyz) + 0.0).view(np.uint64)
     key = np.zeros(len(xyz), dtype=np.uint64)
-    for axis in range(3):
-        key = (key ^ bits[:, axis]) * MIX
+    for column in xyz.T:
+        # No zero is negative then.
+        key ^= (column + 0.0).view(np.uint64)
+        key *= MIX
         key ^= key >> np.uint64(32)
     return key

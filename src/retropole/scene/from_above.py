@@ -20,6 +20,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Placement
 from ..matching.confirmation import FACING_SIDES
 from ..matching.distinct import same_pose
+from .averaging import averaged
 from .consistency import Standing, is_ground_on_ground
 from .disambiguation import SCORING_VOXEL
 from .icp_refinement import registered
@@ -74,7 +75,7 @@ def matches_from_above(
         In the order of how much of the place coincides: where the scenes and the poles lie on each
         other, `exact`; without any pair, and not `exact`, where they do not.
     """
-    target, source = (scan.cloud for scan in placement.scans)
+    target, source = (averaged(scan.cloud) for scan in placement.scans)
     poles = placement.target.poles, placement.source.poles
     surface = prepare(target.xyz, SCORING_VOXEL)
     tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)

@@ -21,6 +21,7 @@ from ..base.datatypes import Array, Match, Placement, Pole, Scan
 from ..matching.confirmation import FACING_SIDES
 from ..matching.distinct import same_pose
 from ..matching.extension import EXTENSION_RMS, extended
+from .averaging import averaged
 from .consistency import Standing
 from .disambiguation import SCORING_VOXEL
 from .icp_refinement import registered
@@ -103,8 +104,9 @@ def matches_about(
     if not peaks:
         return []
     least = {way[0].is_flipped: LOW * way[0].height for way in ways if way}
-    surface = prepare(target.cloud.xyz, SCORING_VOXEL)
-    tree, points = tree_of(surface.xyz), voxel_downsample(source.cloud.xyz, SCORING_VOXEL)
+    clouds = averaged(target.cloud), averaged(source.cloud)
+    surface = prepare(clouds[0].xyz, SCORING_VOXEL)
+    tree, points = tree_of(surface.xyz), voxel_downsample(clouds[1].xyz, SCORING_VOXEL)
     at = np.array([pole.point for pole in source.poles])
     apart = FACING_SIDES * radius
     found: list[Match] = []

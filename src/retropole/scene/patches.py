@@ -133,7 +133,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
     At each place the finest are kept that the density of the cloud carries: a wide patch on a road
     that is cambered leans, and a plane through a corner is none.
     """
-    points = averaged(cloud)
+    points = averaged(cloud).xyz
     clouds = []
     for voxel in PATCH_VOXELS:
         # From fine to coarse, each starts from the one before: there are fewer points then.

@@ -31,6 +31,7 @@ from ..base.systematic import DEVICE_KINDS, ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..extraction.sensor_pattern import error_sizes
 from ..matching.placements import PairedPlacement, left_in, merge_clouds
+from .averaging import averaged
 from .decisive import Decisive, without_decisive
 from .descent import End, RefinementProblem, approach, converge, support_of
 from .patch_pairs import without_errors
@@ -123,8 +124,8 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
     return refine(
-        merge_clouds([scan.cloud for scan in targets]),
-        merge_clouds([scan.cloud for scan in sources]),
+        merge_clouds([averaged(scan.cloud) for scan in targets]),
+        merge_clouds([averaged(scan.cloud) for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
         model=ErrorModel(

@@ -14,6 +14,7 @@ from ..base.uncertainty.confirmation import Confirmation
 from ..matching.correspondence import match_poles
 from ..matching.line_pairs import pair_starts
 from ..matching.similar import Change, changed_cloud, changed_pole, factors_of
+from .averaging import averaged
 from .confirmation import MIN_TOTAL
 from .consistency import Standing, consistency, standing_in
 from .disambiguation import SCORING_SAMPLE, SCORING_VOXEL
@@ -134,7 +135,7 @@ def _prepared(placement: Placement) -> _Place | None:
         view,
         _standing(placement.target.cloud),
         planes,
-        placement.source.cloud,
+        averaged(placement.source.cloud),
     )
 
 

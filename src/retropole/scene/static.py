@@ -8,12 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import DEFAULT_RADIUS, Array, IntArray, Placement, PointCloud, Pole
+from ..base.datatypes import (
+    DEFAULT_RADIUS,
+    Array,
+    BoolArray,
+    IntArray,
+    Placement,
+    PointCloud,
+    Pole,
+)
 from ..base.errors import Refusal
 from .copies import check_recordings
 from .disambiguation import ICP_CORRESPONDENCE_DISTANCE, SCORING_VOXEL
+from .ordering import numbered
 from .registration import Registration, Surface, prepare, register, surface_of
-from .visibility import Cells, cells_of, nearest_around, range_margin
+from .visibility import cells_of, nearest_by_frame, range_margin
 
 MIN_FRAMES = 3
 """With fewer frames nothing tells what moved: a majority needs three. Whether a LiDAR turned, the
@@ -61,23 +70,21 @@ def remove_dynamic_points(cloud: PointCloud) -> PointCloud:
     """
     if cloud.frame is None:
         return cloud
-    frames, frame = np.unique(cloud.frame, return_inverse=True)
-    if len(frames) < MIN_FRAMES:
-        return cloud
-    frame = frame.reshape(-1)
+    frames, frame = numbered(cloud.frame)
+    return cloud if len(frames) < MIN_FRAMES else cloud.select(_is_static(cloud, frame))
+
+
+def _is_static(cloud: PointCloud, frame: IntArray) -> BoolArray:
+    """Whether half of the frames that saw anything in the direction of a return saw no farther."""
     rays = cloud.xyz - cloud.origin
-    ranges = np.linalg.norm(rays, axis=1)
+    ranges = se3.lengths(rays)
     cells = cells_of(rays)
-    behind = ranges + range_margin(ranges)
-    nearest = [
-        nearest_around(Cells(cells.row[own], cells.column[own]), ranges[own]).ranges
-        for own in (frame == k for k in range(len(frames)))
-    ]
+    nearest = nearest_by_frame(cells, ranges, frame, int(frame.max()) + 1)
     # What half of the frames saw there, the nearer half.
-    ordered = np.sort(np.stack(nearest, axis=-1), axis=-1)
-    half = np.maximum((np.isfinite(ordered).sum(axis=-1) - 1) // 2, 0)
-    usual = np.take_along_axis(ordered, half[..., None], axis=-1)[..., 0]
-    return cloud.select(usual[cells] <= behind)
+    nearest.sort(axis=0)
+    half = np.maximum((np.isfinite(nearest).sum(axis=0) - 1) // 2, 0)
+    usual = np.take_along_axis(nearest, half[None], axis=0)[0]
+    return np.asarray(usual[cells] <= ranges + range_margin(ranges))
 
 
 def check_still(name: str, cloud: PointCloud) -> None:

@@ -9,7 +9,7 @@ returns move along their beam, and any plane through it fits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy import sparse
 
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.se3 import lengths
+from .ordering import numbered, order_of
 
 SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
@@ -140,11 +141,12 @@ def timed(cloud: PointCloud) -> Timed:
         With `frame`.
     """
     assert cloud.frame is not None
-    frames, own = np.unique(cloud.frame, return_inverse=True)
-    own = own.reshape(-1)
+    frames, own = numbered(cloud.frame)
     period = _period(cloud, frames, own)
     start = (frames - frames[0]) * period
-    within = _within(cloud, own, len(frames))
+    order = order_of(own)
+    by_sweep = np.split(order, np.cumsum(np.bincount(own))[:-1])
+    within = _within(cloud, own, by_sweep)
     if within is None:
         middles = start + period / 2
         of_all = own
@@ -153,21 +155,19 @@ def timed(cloud: PointCloud) -> Timed:
         middles = (start[:, None] + (np.arange(PARTS) + 0.5) * period / PARTS).reshape(-1)
         of_all = own * PARTS + later
     most = RETURNS // len(frames)
-    kept = [
-        np.flatnonzero(own == k)[:: max(1, -(-int(count) // most))]
-        for k, count in enumerate(np.bincount(own))
-    ]
-    index = np.concatenate(kept)
+    index = np.concatenate([each[:: max(1, -(-len(each) // most))] for each in by_sweep])
     return Timed(index, of_all[index], middles, of_all)
 
 
-def _within(cloud: PointCloud, own: IntArray, count: int) -> Array | None:
-    """(N,) time of each return since the start of its sweep, s; None where not known."""
+def _within(cloud: PointCloud, own: IntArray, by_sweep: Sequence[IntArray]) -> Array | None:
+    """(N,) time of each return since the start of its sweep, s; None where not known.
+
+    The returns of each sweep are given, and the sweep of each return.
+    """
     if cloud.time is None or not np.isfinite(cloud.time).all():
         return None
-    first, last = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(first, own, cloud.time)
-    np.maximum.at(last, own, cloud.time)
+    times = [cloud.time[each] for each in by_sweep]
+    first, last = (np.array([ask(each) for each in times]) for ask in (np.min, np.max))
     spread = float(np.median(last - first))
     return cloud.time - first[own] if 0 < spread < LONGEST else None
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, BoolArray, PointCloud
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.sampling import every_nth
+from .averaging import averaged
 from .registration import CORES, voxel_downsample
 
 RANGE_CELL = np.radians(1.0)
@@ -52,8 +53,8 @@ IMAGE_SHAPE = int(np.pi / RANGE_CELL), int(2 * np.pi / RANGE_CELL)
 def cells_of(rays: Array) -> Cells:
     """Sort rays (N, 3), of any length, into cells of direction."""
     rows, columns = IMAGE_SHAPE
-    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
-    elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+    x, y, z = rays.T
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.sqrt(x * x + y * y))
     row = np.clip(((elevation + np.pi / 2) / np.pi * rows).astype(np.intp), 0, rows - 1)
     column = ((azimuth + np.pi) / (2 * np.pi) * columns).astype(np.intp) % columns
     return Cells(row, column)
@@ -80,13 +81,32 @@ def nearest_around(cells: Cells, ranges: Array) -> Nearest:
 
     A point beside an edge may fall into the cell of what lies behind, hence the neighbours.
     """
-    image = np.full(IMAGE_SHAPE, np.inf)
-    # With one index instead of two, NumPy takes a fiftieth of the time.
-    np.minimum.at(image.reshape(-1), cells.row * IMAGE_SHAPE[1] + cells.column, ranges)
+    image = _least(cells, ranges, 0, 1)[0]
+    return Nearest(_with_neighbours(image), np.isfinite(image))
+
+
+def nearest_by_frame(cells: Cells, ranges: Array, frame: IntArray | int, frames: int) -> Array:
+    """Take the least range of each frame in each cell and its neighbours, (frames, E, A).
+
+    The frame (N,) of each return is given, counted from 0.
+    """
+    return np.stack([_with_neighbours(image) for image in _least(cells, ranges, frame, frames)])
+
+
+def _least(cells: Cells, ranges: Array, frame: IntArray | int, frames: int) -> Array:
+    """Least range of each frame in each cell, (frames, E, A)."""
+    image = np.full((frames, *IMAGE_SHAPE), np.inf)
+    # With one index instead of three, NumPy takes a fiftieth of the time.
+    index = (frame * IMAGE_SHAPE[0] + cells.row) * IMAGE_SHAPE[1] + cells.column
+    np.minimum.at(image.reshape(-1), index, ranges)
+    return image
+
+
+def _with_neighbours(image: Array) -> Array:
+    """Least of each cell of an image (E, A) and its neighbours; azimuths close the circle."""
     rows = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
     nearest = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
-    nearest = np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
-    return Nearest(nearest, np.isfinite(image))
+    return np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
 
 
 def range_margin(ranges: Array) -> Array:
@@ -173,7 +193,7 @@ class View:
     tree
         Of the whole downsampled cloud.
     image
-        Of the cloud as it was recorded.
+        Of all returns.
     reach
         How far the LiDAR sees, metres from where its beams start.
     """
@@ -202,6 +222,7 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     sample
         Every n-th point is compared, so that no more are; None compares all.
     """
+    cloud = averaged(cloud)
     points = voxel_downsample(cloud.xyz, voxel)
     some = points if sample is None else every_nth(points, sample)
     image = range_image(cloud)

@@ -11,6 +11,7 @@ from ..base import se3
 from ..base.datatypes import Array, PointCloud, Pole, Scan
 from ..base.errors import Refusal
 from ..matching.placements import merge_clouds
+from ..scene.averaging import averaged
 from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..scene.patches import Patches, surface_patches
 from ..scene.scans import find_poles
@@ -64,7 +65,7 @@ class SiteScans:
     def scene(self, lidar: int) -> PointCloud | None:
         """What a LiDAR recorded in all placements; None without any."""
         used = self.used(lidar)
-        return merge_clouds([scan.cloud for scan in used]) if used else None
+        return merge_clouds([averaged(scan.cloud) for scan in used]) if used else None
 
     def without(self, recordings: set[Recording]) -> SiteScans:
         """Give the same without some recordings."""
