@@ -95,10 +95,11 @@ def row(arrangement: str, runs: list[Run]) -> str:
     made = 100 * np.array([run.made for run in kept] or [np.nan])
     predicted = 100 * np.median([run.predicted for run in kept] or [np.nan])
     worst = max(kept, key=lambda run: run.made, default=Run("", np.nan, np.nan))
+    ratio = max((run.made / run.predicted for run in kept if run.status == "ok"), default=np.nan)
     return (
         f"| {arrangement} | {len(runs)} | {ok} | {len(kept) - ok} | {len(runs) - len(kept)} | "
         f"{np.median(made):.1f} cm | {made.max():.1f} cm | {worst.status} | "
-        f"{100 * worst.predicted:.1f} cm | {predicted:.1f} cm | "
+        f"{100 * worst.predicted:.1f} cm | {predicted:.1f} cm | {ratio:.1f} | "
         + ", ".join(f"{code} {n}" for code, n in codes.most_common())
         + " |"
     )
@@ -119,7 +120,7 @@ def main() -> None:
             print(
                 f"\n| poles, {site} | runs | ok | warn | refused | error made at 30 m, median | "
                 "largest | its verdict | predicted of it | predicted, median | "
-                "refused for |\n" + "| --- " * 11 + "|"
+                "largest error made over predicted, of ok | refused for |\n" + "| --- " * 12 + "|"
             )
         if seeds:
             print(row(arrangement, runs[k * len(seeds) : (k + 1) * len(seeds)]))
