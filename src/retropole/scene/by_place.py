@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..alignment.adjustment import PLACE_SIGMA, BeamAlignment
-from ..base.datatypes import Array, Match, Placement, Scan
+from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..matching.distinct import same_pose
@@ -35,7 +35,6 @@ from .consistency import Standing
 from .disambiguation import score_hypotheses
 from .from_above import matches_from_above
 from .one_pole import matches_about
-from .refinement import Refinement
 
 HELD = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
@@ -277,8 +276,10 @@ def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     return LEAVES, LEAN_ANOTHER
 
 
-def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) -> None:
+def check_held(paired: Sequence[PairedPlacement], refined: PoseEstimate | None) -> None:
     """Refuse a pose that the poles leave open, and the scene as well.
+
+    The refined pose is None where the surfaces gave none.
 
     Raises
     ------
@@ -294,8 +295,8 @@ def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) ->
             f"{left}, and too few surfaces that both LiDARs see tell it; {advice}",
             {"poles": max(len(each.target_poles) for each in paired)},
         )
-    assert refined.pose.covariance is not None
-    check_held_by_scene(refined.pose.covariance, left=left, advice=advice)
+    assert refined.covariance is not None
+    check_held_by_scene(refined.covariance, left=left, advice=advice)
 
 
 def is_held(covariance: Array) -> bool:
