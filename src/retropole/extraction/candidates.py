@@ -2,7 +2,7 @@
 
 They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
 of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
-(`matching.confirmation`).
+(`hypotheses.candidate_confirmation`).
 """
 
 from __future__ import annotations
