@@ -1,6 +1,7 @@
 """Imports point one way, a layer per folder: the order in which the documentation names them."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.paths import PACKAGE
+from tests.paths import PACKAGE, ROOT
 
 LAYERS = (
     # Ground: what all share.
@@ -157,3 +158,54 @@ def test_the_command_starts_without_what_computes(words: tuple[str, ...]) -> Non
     code = f"{ours}; print('loaded', [m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
+
+
+WORDS = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)`(?!`)")
+"""Names in single backticks: of the package, where they are Python's."""
+
+ELSEWHERE = {"retropole", "tf", "tf2_ros", "fork", "scipy", "optimize", "ndimage"}
+"""Names of other programs, and what no module assigns."""
+
+
+def names_in(tree: ast.Module) -> set[str]:
+    """All names that a module uses, defines or takes."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.Name(id=name):
+                found.add(name)
+            case ast.arg(arg=name) | ast.Attribute(attr=name) | ast.keyword(arg=str(name)):
+                found.add(name)
+            case ast.alias(name=name):
+                found.update(name.split("."))
+    return found
+
+
+@cache
+def all_names() -> frozenset[str]:
+    every = {part for name in MODULES for part in name}
+    return frozenset(every.union(*(names_in(tree_of(path)) for path in FILES)))
+
+
+def test_names_in_docstrings_exist() -> None:
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                for word in WORDS.findall(node.value):
+                    unknown = set(word.split(".")) - all_names() - ELSEWHERE
+                    assert not unknown, f"{path}:{node.lineno} names `{word}`"
+
+
+def test_names_of_modules_in_docstrings_and_architecture_exist() -> None:
+    """Of `room.module` and `module.name` both parts are where they are said to be."""
+    by_stem: dict[str, set[str]] = {}
+    for name, path in MODULES.items():
+        inside = names_in(tree_of(path)) | {m[-1] for m in MODULES if m[:-1] == name}
+        by_stem.setdefault(name[-1], set()).update(inside)
+    texts = [(path, path.read_text(encoding="utf-8")) for path in FILES]
+    page = ROOT / "docs" / "architecture.md"
+    for path, text in [*texts, (page, page.read_text(encoding="utf-8"))]:
+        for word in WORDS.findall(text):
+            first, _, rest = word.removeprefix("retropole.").partition(".")
+            if rest and first in by_stem and rest not in {"py", "toml"}:
+                assert rest.partition(".")[0] in by_stem[first], f"{path} names `{word}`"

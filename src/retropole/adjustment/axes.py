@@ -117,7 +117,7 @@ def find_axes(
 def maximise_from_lines(
     beams: Beams, radius: float, log_noise: Array | None = None
 ) -> tuple[State, Array]:
-    """Climb as `climb_alone` does from lines fitted to the returns.
+    """Find the maximum from lines fitted to the returns.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ class Adjusted:
     converged
         Whether poles and refinement came to rest.
     poles, refined
-        From `searched_as_pair`.
+        From `search_as_pair`.
     """
 
     datum: Datum

@@ -259,7 +259,7 @@ def list_hypotheses(answer: Calibration, chosen: Chosen, by_hand: str | None) ->
     answer
         Its hypotheses begin with the one that was taken.
     chosen
-        From `taken_by_hand`.
+        From `take_by_hand`.
     by_hand
         The name of the hypothesis, where a person chose it.
     """

@@ -29,7 +29,7 @@ def link_by_place(
     """Link groups of LiDARs by one pole that both see, where the place tells the rest.
 
     Every pair between two groups is asked: where two of them tell different poses, they do not go
-    together (`choice.choose_poses`), and the site has no answer.
+    together (`joint_choice.choose_poses`), and the site has no answer.
 
     Parameters
     ----------
