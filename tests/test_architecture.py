@@ -209,3 +209,23 @@ def test_names_of_modules_in_docstrings_and_architecture_exist() -> None:
             first, _, rest = word.removeprefix("retropole.").partition(".")
             if rest and first in by_stem and rest not in {"py", "toml"}:
                 assert rest.partition(".")[0] in by_stem[first], f"{path} names `{word}`"
+
+
+METHOD = ("extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict")
+
+
+def test_a_constant_has_one_meaning_in_the_method() -> None:
+    """Of a name that is set in two modules a reader would take one for the other."""
+    seen: dict[str, tuple[str, ...]] = {}
+    for module, path in MODULES.items():
+        if module[0] not in METHOD:
+            continue
+        for node in tree_of(path).body:
+            if not isinstance(node, ast.Assign | ast.AnnAssign):
+                continue
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            for name in (n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)):
+                if name.isupper() and len(name) > 1:
+                    assert seen.setdefault(name, module) == module, (
+                        f"{name}: {seen[name]}, {module}"
+                    )

@@ -10,7 +10,7 @@ from retropole.adjustment import blunders
 from retropole.adjustment.agreement import WARN_MAHALANOBIS_SQ
 from retropole.adjustment.answer import SiteCalibration
 from retropole.adjustment.blunders import (
-    SIGNIFICANT,
+    BLUNDER,
     Suspect,
     _likeliest,
     significant,
@@ -53,7 +53,7 @@ def test_a_pole_that_was_bumped_is_named_and_left_out() -> None:
     assert found.status == "warn"
     (reason,) = (each for each in found.reasons if each.code == "pole_moved")
     assert reason.values["placement"] == simulated.placements[blunder.placements[0]]
-    assert float(reason.values["w"]) > SIGNIFICANT
+    assert float(reason.values["w"]) > BLUNDER
     # It is not among those that are left, the others are.
     bumped = simulated.poles[blunder.placements[0]][blunder.pole]
     T = simulated.T_world_lidar[0]

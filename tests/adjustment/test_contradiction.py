@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from retropole.adjustment import contradiction
-from retropole.adjustment.blunders import SIGNIFICANT, without_blunders, worst_test
-from retropole.adjustment.contradiction import LEAST, conflicting_poles, more_coincide
+from retropole.adjustment.blunders import BLUNDER, without_blunders, worst_test
+from retropole.adjustment.contradiction import MORE_PATCHES, conflicting_poles, more_coincide
 from retropole.adjustment.datum import Datum, without_poles
 from retropole.adjustment.site import Adjusted, Recorded
 from retropole.base import se3
@@ -96,7 +96,7 @@ def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     assert 0.3 < apart.translation < 0.9
     more = {k: more for k, _, more in conflicting_poles(own.recorded, bad)}
     assert max(more, key=lambda k: more[k]) == which
-    assert LEAST < more[which] < 2000
+    assert MORE_PATCHES < more[which] < 2000
     left, (reason,) = without_blunders(own.recorded, bad)
     assert reason.code == "pole_moved"
     assert reason.values["pole"] == bad.datum.poles[which].name(own.site)
@@ -131,8 +131,8 @@ def test_little_else_than_ground_tells() -> None:
 def test_of_two_suspects_that_leave_what_fits_the_surroundings_tell(own: Steps) -> None:
     """Poles that do not fit, where without the right one the rest fits as well."""
     bad = own.again(displaced(without_poles(own.datum, {1}), 1, 0.2))
-    assert worst_test(bad.tests, SIGNIFICANT) is not None
+    assert worst_test(bad.tests, BLUNDER) is not None
     assert worst_test(own.again(without_poles(bad.datum, {0})).tests) is None
     left, (reason,) = without_blunders(own.recorded, bad)
     assert reason.values["pole"] == bad.datum.poles[1].name(own.site)
-    assert more_coincide(bad.end, left.end) > LEAST
+    assert more_coincide(bad.end, left.end) > MORE_PATCHES

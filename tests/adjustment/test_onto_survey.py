@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.adjustment.onto_survey import NEAR, Fit, order, pole_at, transformed
+from retropole.adjustment.onto_survey import NEAR_SURVEYED, Fit, order, pole_at, transformed
 from retropole.adjustment.shared import SharedPole
 from retropole.adjustment.survey_check import lay_on_survey
 from retropole.base import se3
@@ -137,7 +137,7 @@ def test_what_most_is_met_by_well_comes_first() -> None:
     assert sorted([drawn, chance, exact, rough], key=order) == [rough, exact, drawn, chance]
     assert order(fit(10, 0.01)) < order(fit(10, 0.02))
     # What is met at the limit is as good as nothing.
-    assert order(fit(10, NEAR))[0] == order(fit(0, 0.0))[0] == 0.0
+    assert order(fit(10, NEAR_SURVEYED))[0] == order(fit(0, 0.0))[0] == 0.0
 
 
 def test_a_pole_in_another_frame_and_back(steps: Steps) -> None:

@@ -96,7 +96,7 @@ def test_every_condition_is_needed(confirmed: Confirmed) -> None:
     assert is_confirmed(paired, answer.hypotheses, 0.02)
     rival = replace(others[0], score=best.score - 0.99 * scene_support.MIN_CONFIRMED_MARGIN)
     assert not is_confirmed(paired, (best, rival), 0.02)
-    least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.LEAST_OVERLAP
+    least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.SUPPORT_LEAST_OVERLAP
     small = replace(best, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
     assert is_confirmed(paired, (small, *others), 0.02)
     for worse in (
@@ -222,8 +222,8 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
     answer, paired = confirmed
     first, *others = answer.hypotheses
     first = settled(first) if is_settled else first
-    most, least = scene_support.MIN_OVERLAP, scene_support.MIN_COVISIBLE
-    of_all = scene_support.LEAST_OVERLAP
+    most, least = scene_support.SUPPORT_OVERLAP, scene_support.SUPPORT_COVISIBLE
+    of_all = scene_support.SUPPORT_LEAST_OVERLAP
     clear = replace(first, free_space_violation=0.99 * scene_support.MAX_CERTAIN_VIOLATION)
     by_all = replace(clear, overlap=1.01 * most, covisible_overlap=0.99 * least)
     by_covisible = replace(clear, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
@@ -255,8 +255,8 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
         free_space_violation=0.0,
     )
     assert not is_confirmed(paired, (clear, rival), 0.02)
-    little = replace(rival, overlap=0.99 * scene_support.MIN_OVERLAP)
-    unshared = replace(little, covisible_overlap=0.99 * scene_support.MIN_COVISIBLE)
+    little = replace(rival, overlap=0.99 * scene_support.SUPPORT_OVERLAP)
+    unshared = replace(little, covisible_overlap=0.99 * scene_support.SUPPORT_COVISIBLE)
     seen_through = replace(rival, free_space_violation=1.01 * scene_support.MIN_CONTRADICTED)
     for contradicted in (unshared, seen_through):
         assert is_confirmed(paired, (clear, contradicted), 0.02) is is_settled

@@ -12,7 +12,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Match, Placement, Pole
 from retropole.hypotheses import one_pole as about
 from retropole.hypotheses.evidence import scenes_of
-from retropole.hypotheses.one_pole import ANGLES, CELL, LAYERS, SLIDE, matches_about
+from retropole.hypotheses.one_pole import ANGLES, CELL_ABOUT_POLE, LAYERS, SLIDE, matches_about
 from retropole.simulation import SimulatedPair
 from retropole.surfaces.scans import find_poles
 
@@ -94,5 +94,5 @@ def test_the_highest_peak_is_where_the_points_are(
     total = fft.irfft2(spectrum, s=(about.ANGLES, about.LAYERS))
     found = list(about._highest(total[:, np.r_[-SLIDE : SLIDE + 1]]))
     assert abs((np.degrees(found[0][0]) - turn + 180) % 360 - 180) <= 1.0
-    assert abs(found[0][1] - slide) <= CELL
+    assert abs(found[0][1] - slide) <= CELL_ABOUT_POLE
     assert found[0][2] > 2 * found[1][2]

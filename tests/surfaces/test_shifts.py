@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from retropole.base import se3
-from retropole.surfaces.shifts import NEAR, PEAKS, _with_neighbours, best_lifts, best_shifts
+from retropole.surfaces.shifts import PEAKS, SAME_SHIFT, _with_neighbours, best_lifts, best_shifts
 
 POINTS = np.random.default_rng(0).uniform([-15, -15, 0.5], [15, 15, 4], (1500, 3))
 """A wood: nothing repeats."""
@@ -28,7 +28,7 @@ def test_at_the_right_pose_no_shift_is_better() -> None:
     assert gains == sorted(gains, reverse=True)
     assert gains[0] < 0.5
     steps = [np.zeros(3), *(shift.step for shift in found)]
-    assert all(np.abs(a - b).max() > NEAR for a, b in combinations(steps, 2))
+    assert all(np.abs(a - b).max() > SAME_SHIFT for a, b in combinations(steps, 2))
 
 
 def test_a_lift_off_the_ground_is_found_in_any_frame() -> None:

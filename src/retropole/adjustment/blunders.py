@@ -15,14 +15,14 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from .agreement import MAX_AXES_CHI2, WARN_MAHALANOBIS_SQ
 from .answer import Test
-from .contradiction import LEAST, conflicting_poles, least_conflicting, more_coincide
+from .contradiction import MORE_PATCHES, conflicting_poles, least_conflicting, more_coincide
 from .datum import Datum, without_poles, without_survey
 from .links import find_links
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, without_observations
 from .starts import distance_sq
 
-SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
+BLUNDER, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it
 fits poorly, with so much χ² for each degree of freedom: with many degrees of freedom small errors
 that are not modelled add up. The last is what a pair's poles are allowed (`agreement`). Of 11
@@ -33,7 +33,7 @@ before (blunders, seeds 0 to 59)."""
 MOST_BLUNDERS = 3
 """So many are left out at most."""
 
-MOST_TRIED = 5
+MOST_SUSPECTS = 5
 """So many suspects are tried by turns, the worst first."""
 
 
@@ -60,13 +60,13 @@ class Suspect:
     point: str | None = None
 
 
-def worst_test(tests: Sequence[Test], above: float = SIGNIFICANT) -> Test | None:
+def worst_test(tests: Sequence[Test], above: float = BLUNDER) -> Test | None:
     """Find the test that fits worst, of those that do not fit."""
     poor = significant(tests, above)
     return max(poor, key=lambda test: test.chi2 - 2 * test.freedom, default=None)
 
 
-def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]:
+def significant(tests: Sequence[Test], above: float = BLUNDER) -> list[Test]:
     """Tests of what does not fit: whose w is above a limit."""
     return [test for test in tests if is_poor(test.w, test.chi2, test.freedom, above)]
 
@@ -129,10 +129,10 @@ def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, lis
     assert worst is not None
     raise Refusal(
         "site_inconsistent",
-        f"{worst.name} does not fit the others (w {worst.w:.1f}, {SIGNIFICANT:g} is the most to "
+        f"{worst.name} does not fit the others (w {worst.w:.1f}, {BLUNDER:g} is the most to "
         "expect), and no few observations explain it: did poles move between the recordings, or "
         "is a file of another placement?",
-        {"w": worst.w, "chi2": worst.chi2, "allowed": SIGNIFICANT},
+        {"w": worst.w, "chi2": worst.chi2, "allowed": BLUNDER},
     )
 
 
@@ -242,7 +242,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                 own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
                 if own:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
-    worst = list(found.values())[:MOST_TRIED]
+    worst = list(found.values())[:MOST_SUSPECTS]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
     # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
     of_end = {end.name: end.axis for end in now.datum.surveyed.ends}
@@ -293,7 +293,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         name = pole.name(site)
         seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
         values |= place_of(site, pole)
-        misfit = f"w {test.w:.1f}" if test.w > SIGNIFICANT else "a pole that it checks does not fit"
+        misfit = f"w {test.w:.1f}" if test.w > BLUNDER else "a pole that it checks does not fit"
         return Suspect(
             Reason(
                 "pole_moved",
@@ -339,7 +339,7 @@ def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
         f"{pole.name(site)} does not stand at one place for all that see it ({seen}): without it "
         f"{more:.0f} more patches of their surroundings coincide, and it was left out: did it "
         "move between the recordings?",
-        {"more": more, "allowed": LEAST, **place_of(site, pole)},
+        {"more": more, "allowed": MORE_PATCHES, **place_of(site, pole)},
     )
 
 

@@ -31,10 +31,10 @@ CLOSE = 0.02
 taken for where nothing is known of it, and a tenth of what a pose is off by that a moved pole makes
 wrong."""
 
-APART = 2 * CLOSE
+PLACED_APART = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""
 
-LEAST, MORE = 5.0, 2.0
+MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
 """So many more patches must coincide under another answer, and so many times as many. Without a
 pole that stood still no patch was placed differently, and of every fourth up to 32 where none
 coincided either way (tuning seeds 3 to 40 of tests/site/test_contradiction.py, 30 to 90 of
@@ -59,13 +59,13 @@ def more_coincide(before: End, after: End, near: frozenset[int] | None = None) -
     Returns
     -------
     float
-        0 where they are not `MORE` times as many.
+        0 where they are not `TIMES_PATCHES` times as many.
     """
     sets = {term.lidars: term.sets for term in after.scene}
     was = [replace(term, sets=sets.get(term.lidars, term.sets)) for term in before.scene]
     count = _coinciding(before, was, after, near)
     left = _coinciding(after, after.scene, before, near)
-    return left - count if left > MORE * count else 0.0
+    return left - count if left > TIMES_PATCHES * count else 0.0
 
 
 def _coinciding(
@@ -84,7 +84,7 @@ def _coinciding(
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
         apart = patches.residuals + patches.by_error @ errors
         weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
-        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > APART
+        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_APART
         count += float(np.sum(weights[differ]))
     return count
 
@@ -148,17 +148,17 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
         others = tuple(one for one in datum.hanging if one is not each)
         parted = replace(datum, hanging=others, poles=each.parted(datum.poles))
         some = _without(recorded, adjusted, parted, [each.lidars], few=True)
-        if some is not None and some[1] < LEAST / FEW and _is_held(each, some[0]):
+        if some is not None and some[1] < MORE_PATCHES / FEW and _is_held(each, some[0]):
             continue
         every = _without(recorded, adjusted, parted, [each.lidars], few=False)
         names = ", ".join(datum.poles[k].name(site) for k in across)
-        if every is not None and every[1] >= LEAST:
+        if every is not None and every[1] >= MORE_PATCHES:
             raise Refusal(
                 "site_inconsistent",
                 f"{names} moved between the recordings of {each.names(site)}, which nothing else "
                 f"links: without it {every[1]:.0f} more patches of their surroundings coincide; "
                 "record the placement again",
-                {"poles": names, "more": every[1], "allowed": LEAST},
+                {"poles": names, "more": every[1], "allowed": MORE_PATCHES},
             )
         if every is None or not _is_held(each, every[0]):
             yield Reason(
@@ -179,10 +179,10 @@ def _conflicting(
     """Adjust without some poles, and count how many more patches coincide; None where few do."""
     # A part of the patches is enough to see that nothing moved, but may hold too little.
     some = _without(recorded, adjusted, datum, across, few=True)
-    if some is not None and some[1] < LEAST / FEW:
+    if some is not None and some[1] < MORE_PATCHES / FEW:
         return None
     every = _without(recorded, adjusted, datum, across, few=False)
-    return every if every is not None and every[1] >= LEAST else None
+    return every if every is not None and every[1] >= MORE_PATCHES else None
 
 
 def _without(

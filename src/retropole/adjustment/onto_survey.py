@@ -15,11 +15,11 @@ from ..base.errors import Refusal
 from ..hypotheses.correspondence import match_poles
 from .shared import SharedPole
 
-NEAR = 0.5
+NEAR_SURVEYED = 0.5
 """A surveyed end or control point lies so near what the LiDARs see of it, metres: the poses may be
 off by as much before they are adjusted, and a blunder of a decimetre is to be found, not missed."""
 
-WITHIN = 0.3
+BESIDE_END = 0.3
 """Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
 a wrong end of the tape, and the poles' pose along the pole."""
 
@@ -90,7 +90,7 @@ def order(fit: Fit) -> tuple[float, float]:
     A truncated quadratic (Torr and Zisserman 2000): one more that is met to half a metre, with
     all others pulled along, is no more than what fits to centimetres.
     """
-    return -fit.ends * (1.0 - (fit.rms / NEAR) ** 2), fit.rms
+    return -fit.ends * (1.0 - (fit.rms / NEAR_SURVEYED) ** 2), fit.rms
 
 
 def fixes_frame(site: Site, poles: frozenset[int], points: frozenset[int]) -> bool:
@@ -152,7 +152,7 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
         own = list(some)
         T = _onto(a[own], b[own])
         # Triangles of another shape are none of the same points.
-        if T is not None and se3.lengths(se3.apply(T, b[own]) - a[own]).max() < NEAR:
+        if T is not None and se3.lengths(se3.apply(T, b[own]) - a[own]).max() < NEAR_SURVEYED:
             yield T
 
 
@@ -192,7 +192,7 @@ def _fit(
     for q, point in enumerate(site.points):
         for k, seen in sightings_of(site, q, origins, poses):
             gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
-            if gap < NEAR:
+            if gap < NEAR_SURVEYED:
                 gaps.append(gap)
                 sightings.add((q, k))
     lines = sum(_is_line(site.poles[k]) for k in met)
@@ -213,7 +213,7 @@ def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | Non
         pole
         for pole in poles
         if pole.placement == each.placement
-        and farthest_beside(each, pole) < NEAR
+        and farthest_beside(each, pole) < NEAR_SURVEYED
         and _is_between(each, pole)
     ]
     return min(near, key=lambda pole: farthest_beside(each, pole), default=None)
@@ -238,7 +238,7 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
         # All on one side of it.
-        return bool(min(along.max(), -along.min()) < WITHIN)
+        return bool(min(along.max(), -along.min()) < BESIDE_END)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
     between = min(along.max(), length) - max(along.min(), 0.0)
@@ -247,7 +247,7 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
 
 def _same(T: Array, other: Array, poles: Sequence[SharedPole]) -> bool:
     at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
-    return se3.difference_at(T, other, at).translation < NEAR
+    return se3.difference_at(T, other, at).translation < NEAR_SURVEYED
 
 
 def transformed(pole: SharedPole, T: Array) -> SharedPole:

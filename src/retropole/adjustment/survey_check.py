@@ -18,7 +18,7 @@ from ..base.description import Site, SurveyedPole
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
 from .onto_survey import (
-    NEAR,
+    NEAR_SURVEYED,
     ROUGH,
     Fit,
     ends_of,
@@ -32,7 +32,7 @@ from .onto_survey import (
 )
 from .shared import SharedPole
 
-UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
+SURVEY_UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """Units that coordinates come in beside metres, metres each."""
 
 MOST_RMS = 0.02
@@ -150,10 +150,10 @@ def _other_ways() -> Iterator[tuple[str, float, bool]]:
     """Name, factor, and whether mirrored, of how coordinates may be written wrongly."""
     mirror = "as a mirror image (are x and y exchanged, or is a sign wrong?)"
     yield mirror, 1.0, True
-    for unit, metres in UNITS.items():
+    for unit, metres in SURVEY_UNITS.items():
         yield f"in {unit}", metres, False
         yield f"in {unit}, and {mirror}", metres, True
-    yield "in metres, where they are taken for feet", 1.0 / UNITS["feet"], False
+    yield "in metres, where they are taken for feet", 1.0 / SURVEY_UNITS["feet"], False
 
 
 def _rewritten(site: Site, factors: Array) -> Site:
@@ -228,7 +228,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
     if gaps:
         values["gap_m"] = min(gaps)
         near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
-    if gaps and min(gaps) < NEAR:
+    if gaps and min(gaps) < NEAR_SURVEYED:
         near = "what the LiDARs see there reaches beyond its surveyed ends"
     return Reason(
         "survey_unmet",

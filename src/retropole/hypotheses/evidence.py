@@ -27,7 +27,7 @@ from ..surfaces.consistency import (
     is_ground_on_ground,
     standing_in,
 )
-from ..surfaces.shifts import NEAR, best_lifts, best_shifts
+from ..surfaces.shifts import SAME_SHIFT, best_lifts, best_shifts
 from ..surfaces.times import recorded_together
 from .correspondence import are_alike
 from .placements import PairedPlacement, is_by_place
@@ -178,7 +178,7 @@ def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
     Grounds that lie on each other conflict with all lifts, and are not among the points.
     """
     return any(
-        abs((target.ground - se3.apply(T, source.ground)) @ target.up) > NEAR
+        abs((target.ground - se3.apply(T, source.ground)) @ target.up) > SAME_SHIFT
         for target, source in scenes
     )
 

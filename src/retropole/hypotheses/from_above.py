@@ -41,7 +41,7 @@ HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
 PER_TURN = 3
 """Shifts that are looked at for each rotation, where most cells coincide."""
 
-APART = np.radians(8.0), 1.2
+POSES_APART = np.radians(8.0), 1.2
 """Peaks nearer to each other than this are one, rad and m."""
 
 
@@ -126,7 +126,7 @@ def _apart(peaks: Sequence[Peak]) -> Iterator[Peak]:
     kept: list[Peak] = []
     for peak in peaks:
         gaps = [se3.difference(peak.T, other.T) for other in kept]
-        if any(gap.rotation < APART[0] and gap.translation < APART[1] for gap in gaps):
+        if any(gap.rotation < POSES_APART[0] and gap.translation < POSES_APART[1] for gap in gaps):
             continue
         kept.append(peak)
         yield peak

@@ -28,7 +28,7 @@ from .distinct import same_pose
 from .extension import EXTENSION_RMS, extended
 from .icp_refinement import registered
 
-CELL, ANGLES = 0.5, 360
+CELL_ABOUT_POLE, ANGLES = 0.5, 360
 """Depth and height of a cell, metres, and cells about the pole: 0.5 m wide at 30 m."""
 
 RINGS, LAYERS = 80, 64
@@ -38,7 +38,7 @@ SLIDE = 8
 """Slides that are tried, in cells: 4 m. The middles of what two LiDARs see of one pole lie no
 farther apart than it is long."""
 
-APART = 10, 2
+PEAKS_APART = 10, 2
 """Peaks nearer to each other than this are one, in cells of angle and of slide."""
 
 MOST_POLES, MOST_SETTLED = 4, 6
@@ -181,14 +181,14 @@ def _screw(turn: float, slide: float, is_flipped: bool) -> Array:
 def _spectrum(points: Array) -> NDArray[np.complex64]:
     """Sort points (N, 3) about a pole into cells, and transform them over angle and height."""
     away = np.hypot(points[:, 0], points[:, 1])
-    ring = (away / CELL).astype(np.intp)
+    ring = (away / CELL_ABOUT_POLE).astype(np.intp)
     angle = np.round(np.arctan2(points[:, 1], points[:, 0]) * (ANGLES / (2 * np.pi)))
-    layer = np.round(points[:, 2] / CELL).astype(np.intp)
+    layer = np.round(points[:, 2] / CELL_ABOUT_POLE).astype(np.intp)
     kept = (ring > 0) & (ring < RINGS) & (np.abs(layer) < LAYERS // 2 - SLIDE)
     grid = np.zeros((RINGS, ANGLES, LAYERS), dtype=np.float32)
     grid[ring[kept], angle[kept].astype(np.intp) % ANGLES, layer[kept] % LAYERS] = 1.0
     # Near the pole cells are narrow, and one thing fills many.
-    width = (np.arange(RINGS) + 0.5) * CELL * (2 * np.pi / ANGLES)
+    width = (np.arange(RINGS) + 0.5) * CELL_ABOUT_POLE * (2 * np.pi / ANGLES)
     grid *= np.sqrt(np.minimum(width / SCORING_VOXEL, 1.0, dtype=np.float32))[:, None, None]
     return np.asarray(fft.rfft2(grid))
 
@@ -219,6 +219,6 @@ def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]
         height = float(total[k, m])
         if height <= 0:
             return
-        yield 2 * np.pi * float(k) / ANGLES, CELL * float(m - SLIDE), height
-        turns = np.arange(k - APART[0], k + APART[0] + 1) % ANGLES
-        total[turns, max(m - APART[1], 0) : m + APART[1] + 1] = 0.0
+        yield 2 * np.pi * float(k) / ANGLES, CELL_ABOUT_POLE * float(m - SLIDE), height
+        turns = np.arange(k - PEAKS_APART[0], k + PEAKS_APART[0] + 1) % ANGLES
+        total[turns, max(m - PEAKS_APART[1], 0) : m + PEAKS_APART[1] + 1] = 0.0

@@ -21,7 +21,7 @@ from .correspondence import match_poles
 from .placements import AGREE_ANGLE, AGREE_DISTANCE
 from .scans import SiteScans, Views
 
-MAX_CONFLICTING = 0.06
+MAX_CONFLICTING_IN_LOOPS = 0.06
 """Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
 closed with it. On bare ground the right one, 0.3° off, had up to 0.046 more than one that lays the
 scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
@@ -263,5 +263,7 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
 
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
-    uncontradicted = each.free_space_violation <= best.free_space_violation + MAX_CONFLICTING
+    uncontradicted = (
+        each.free_space_violation <= best.free_space_violation + MAX_CONFLICTING_IN_LOOPS
+    )
     return uncontradicted and each.score >= best.score - MIN_OVERLAP

@@ -27,7 +27,7 @@ CERTAIN_MARGIN, MIN_CONTRADICTED = 0.15, 0.03
 """By so much a certain hypothesis leads, in score, one with so much that stands where the other
 LiDAR looked through; …"""
 
-MIN_OVERLAP, MIN_COVISIBLE, LEAST_OVERLAP = 0.25, 0.35, 0.2
+SUPPORT_OVERLAP, SUPPORT_COVISIBLE, SUPPORT_LEAST_OVERLAP = 0.25, 0.35, 0.2
 """… or one in which less of the points has a neighbour than the first, and less than the second of
 those that both LiDARs could see, or than the last of all: alone it would be refused. Of a certain
 hypothesis so much is enough."""
@@ -72,13 +72,15 @@ def _is_certain(best: Hypothesis) -> bool:
 
 
 def _overlaps(
-    hypothesis: Hypothesis, least: float = MIN_OVERLAP, covisible: float = MIN_COVISIBLE
+    hypothesis: Hypothesis, least: float = SUPPORT_OVERLAP, covisible: float = SUPPORT_COVISIBLE
 ) -> bool:
-    """Whether so much of all overlaps, or of what both LiDARs could see and `LEAST_OVERLAP` of all;
-    as much as is asked of confirmed poles where nothing else is said.
+    """Whether so much of all overlaps, or of what both LiDARs could see and `SUPPORT_LEAST_OVERLAP`
+    of all; as much as confirmed poles need where nothing else is said.
     """
     is_covisible = (hypothesis.covisible_overlap or 0.0) >= covisible
-    return hypothesis.overlap >= least or (is_covisible and hypothesis.overlap >= LEAST_OVERLAP)
+    return hypothesis.overlap >= least or (
+        is_covisible and hypothesis.overlap >= SUPPORT_LEAST_OVERLAP
+    )
 
 
 def _icp_stays(best: Hypothesis) -> bool:

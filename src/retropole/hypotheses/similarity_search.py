@@ -21,7 +21,7 @@ from .evidence import MIN_TOTAL
 from .line_pairs import pair_starts
 from .similar import Change, changed_cloud, changed_pole, factors_of
 
-TRIED = 3
+CHANGES_TRIED = 3
 """So many rigid poses, the best scored first, and factors, the most frequent first, are fitted."""
 
 POLES_TRIED = 6
@@ -35,7 +35,7 @@ voxels are no fewer than by the last: 2 % of scale are within the tolerance of t
 mirrored clouds that were answered off bare ground (benchmarks/deception.py, seeds below 120) the
 product was 1.18 in a street of plain fronts, and 1.7 and more in the others."""
 
-MAX_CONFLICTING = 0.1
+MAX_CONFLICTING_CHANGED = 0.1
 """What fits is confirmed where no larger share of the voxels conflicts with it, of `MIN_TOTAL` or
 more."""
 
@@ -94,7 +94,7 @@ def find_change(
         best = _best(place, Change(), _matched(place, Change()))
         return (best, None) if best is not None and _is_confirmed(best.agreed) else None
     starts = rigid or _any_way(place.target, place.source)
-    rivals = _fitted(place, Change(), starts, TRIED, free_factor=False)
+    rivals = _fitted(place, Change(), starts, CHANGES_TRIED, free_factor=False)
     for change in _changes(place):
         # Poles that nearly meet tell no factor; the scene may.
         found = _best(place, change, starts if change == Change() else _matched(place, change))
@@ -141,7 +141,7 @@ def _prepared(placement: Placement) -> _Place | None:
 
 def _changes(place: _Place) -> Iterator[Change]:
     yield Change(mirrored=True)
-    yield from (Change(each) for each in factors_of(place.target, place.source, TRIED))
+    yield from (Change(each) for each in factors_of(place.target, place.source, CHANGES_TRIED))
     yield Change()
 
 
@@ -238,7 +238,7 @@ def _standing(cloud: PointCloud) -> Standing:
 
 def _is_confirmed(agreed: Confirmation) -> bool:
     """Whether as much agrees, and as little conflicts, as in an answer that the scene confirms."""
-    return agreed.total >= MIN_TOTAL and agreed.contradicted <= MAX_CONFLICTING
+    return agreed.total >= MIN_TOTAL and agreed.contradicted <= MAX_CONFLICTING_CHANGED
 
 
 def _is_better(found: Found, rigid: Found) -> bool:

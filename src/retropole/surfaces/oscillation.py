@@ -32,7 +32,7 @@ SPACING, RESOLVED = 0.15, 0.7
 """From one frequency that is tried to the next: as a part of it, and in what a recording tells
 apart, which is one over its length."""
 
-BESIDE = 0.1
+FREQUENCY_SPREAD = 0.1
 """A mast does not keep its frequency exactly: so far beside it, as a part, it moves as well."""
 
 BROAD = 10
@@ -61,7 +61,7 @@ half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by 
 SHIFTED = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 """Root of the covariance of such a shift, of one metre."""
 
-SEEN, LEAST = 3.0, float(np.radians(0.003))
+SEEN, LEAST_SWAY = 3.0, float(np.radians(0.003))
 """Logarithm of how much more probable the returns are with sway than without, or with a shift
 alone, from which it is seen, 20 times; and its least angle, rad, 1.5 mm at 30 m."""
 
@@ -103,7 +103,7 @@ class Motion:
     @property
     def is_seen(self) -> bool:
         """Whether it is sway, and so large that it counts."""
-        return self.evidence > SEEN and self.angle > LEAST
+        return self.evidence > SEEN and self.angle > LEAST_SWAY
 
     @property
     def angle(self) -> float:
@@ -248,7 +248,7 @@ def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
     middles = np.array(tried)
     shares = np.gradient(middles) / middles**2
     for f, share in zip(middles.tolist(), (shares / shares.sum()).tolist(), strict=True):
-        beside = min(BESIDE * f, 0.5 / length)
+        beside = min(FREQUENCY_SPREAD * f, 0.5 / length)
         yield f, share / 3, waves(times, f + beside * np.array([-1.0, 0.0, 1.0]))
         first = waves(times, f + beside * np.array([-1.0, 1.0]))
         faster = waves(times, f * FASTER)

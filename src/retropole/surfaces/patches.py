@@ -66,7 +66,7 @@ CONFIRMING, CONFIRMING_REACH = 12, 0.5
 """Number of nearest patches that may confirm a patch of two lines, within its own width or this
 distance, metres. One confirms it that continues its plane, …"""
 
-BEYOND = float(np.radians(0.1))
+BEYOND_RINGS = float(np.radians(0.1))
 """… where its beams reach so much higher or lower, rad: other rings, …"""
 
 CONFIRMING_ANGLE, CONFIRMING_OFF = float(np.radians(10.0)), (0.02, 0.03)
@@ -293,7 +293,7 @@ def _doubted(patches: Patches) -> Patches:
     parallel = np.abs(np.einsum("mi,mki->mk", own, other)) > np.cos(CONFIRMING_ANGLE)
     beyond = (patches.elevations[near] - patches.elevations[doubtful][:, None]) * [-1.0, 1.0]
     reach = np.maximum(2.0 * patches.extent[doubtful], CONFIRMING_REACH)[:, None]
-    confirms = (distance < reach) & parallel & (beyond > BEYOND).any(axis=2)
+    confirms = (distance < reach) & parallel & (beyond > BEYOND_RINGS).any(axis=2)
     confirms &= off < CONFIRMING_OFF[0] + CONFIRMING_OFF[1] * distance
     doubtful = doubtful[~confirms.any(axis=1)]
     variance, tilt = patches.variance.copy(), patches.tilt.copy()

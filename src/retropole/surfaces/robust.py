@@ -15,7 +15,7 @@ START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
 """Where the search for the scale begins, about the square of the mean: its place for normal ones,
 logarithms."""
 
-ROUNDING = 1e-12
+LOG_ROUNDING = 1e-12
 """Step of a logarithm at which its place is found."""
 
 LEAST_SCATTER = 1e-6
@@ -23,7 +23,7 @@ LEAST_SCATTER = 1e-6
 predicted: less is rounding."""
 
 
-MOST_STEPS = 100
+MOST_HALVINGS = 100
 """Of `_root`, which halves where it cannot step: enough for any bracket of logarithms."""
 
 
@@ -100,13 +100,13 @@ def _root(
     `scipy.optimize` has the same, but takes longer to import than all its calls to run.
     """
     x = min(max(start, low), high)
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_HALVINGS):
         value, slope = function(x)
         low, high = (x, high) if value > 0.0 else (low, x)
         new = x - value / slope if slope < 0.0 else np.inf
         if not low <= new <= high:
             new = 0.5 * (low + high)
-        if abs(new - x) < ROUNDING:
+        if abs(new - x) < LOG_ROUNDING:
             return new
         x = new
     return x

@@ -17,18 +17,18 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray
 from .disambiguation import SCORING_VOXEL
 
-CELL, LAYER = SCORING_VOXEL, 0.75
+SHIFT_CELL, LAYER = SCORING_VOXEL, 0.75
 """Side and height of a cell, metres; where heights are compared, the height and the side."""
 
-REACH = 6.0
+LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
-NEAR = 0.5
+SAME_SHIFT = 0.5
 """Shifts up to this are the same pose, metres."""
 
 PEAKS = 4
-"""So many shifts are found, farther from each other than `NEAR`: where most cells coincide need not
-be where most of the scene agrees."""
+"""So many shifts are found, farther from each other than `SAME_SHIFT`: where most cells coincide
+need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
 """Cells so far about the middle of the source's points are compared, metres."""
@@ -69,7 +69,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     """
     if not len(target) or not len(source):
         return []
-    axes, cells, shape = _cells(target, source, up, T, np.array([CELL, CELL, LAYER]))
+    axes, cells, shape = _cells(target, source, up, T, np.array([SHIFT_CELL, SHIFT_CELL, LAYER]))
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
     spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
@@ -80,7 +80,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
             spectrum += fft.rfft2(grids[0] / 2) * np.conj(fft.rfft2(grids[1]))
     total = fft.irfft2(spectrum, s=fast)
     # The shifts about the pose as it is, from one end to the other.
-    reach = int(REACH / CELL)
+    reach = int(LARGEST_SHIFT / SHIFT_CELL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     return _peaks(total, axes[:2])
 
@@ -93,8 +93,8 @@ def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]
     """
     if not len(target) or not len(source):
         return []
-    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, CELL]))
-    reach = int(REACH / CELL)
+    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, SHIFT_CELL]))
+    reach = int(LARGEST_SHIFT / SHIFT_CELL)
     # Room above and below for what is lifted.
     occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)
     occupied[a[:, 0], a[:, 1], a[:, 2] + reach] = True
@@ -115,8 +115,8 @@ def _cells(
     axes = np.concatenate([level[1:], up[None, :]])
     a, b = target @ axes.T, se3.apply(T, source) @ axes.T
     middle = np.median(b, axis=0)
-    low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - REACH
-    high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + REACH
+    low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - LARGEST_SHIFT
+    high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + LARGEST_SHIFT
     shape = np.ceil((high - low) / size).astype(np.int64)
     cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
     cells = [one[np.all((one >= 0) & (one < shape), axis=1)] for one in cells]
@@ -124,19 +124,21 @@ def _cells(
 
 
 def _peaks(total: NDArray[np.float32], axes: Array) -> list[Shift]:
-    """The best shifts along some axes (rows), of the cells that coincide at each up to `REACH`."""
-    place = (np.moveaxis(np.indices(total.shape), 0, -1) - int(REACH / CELL)) * CELL
+    """The best shifts along some axes (rows), of the cells that coincide at each."""
+    place = (
+        np.moveaxis(np.indices(total.shape), 0, -1) - int(LARGEST_SHIFT / SHIFT_CELL)
+    ) * SHIFT_CELL
     apart = np.abs(place).max(axis=-1)
-    here = max(float(total[apart <= CELL].max()), 1.0)
-    left = np.where(apart > NEAR, total, -1.0)
+    here = max(float(total[apart <= SHIFT_CELL].max()), 1.0)
+    left = np.where(apart > SAME_SHIFT, total, -1.0)
     found = []
     for _ in range(PEAKS):
         best = np.unravel_index(int(np.argmax(left)), left.shape)
         if left[best] <= 0:
             break
-        at = place[best] + CELL * _beside_peak(total, best)
+        at = place[best] + SHIFT_CELL * _beside_peak(total, best)
         found.append(Shift(at @ axes, float(left[best]) / here))
-        left[np.abs(place - place[best]).max(axis=-1) <= NEAR] = -1.0
+        left[np.abs(place - place[best]).max(axis=-1) <= SAME_SHIFT] = -1.0
     return found
 
 

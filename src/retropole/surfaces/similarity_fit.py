@@ -20,7 +20,7 @@ from .registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
 DISTANCES = 1.5, 1.0, 0.6, 0.35, 0.35, 0.25, 0.25, 0.15, 0.15, 0.15
 """Largest distance of corresponding points, step by step, metres."""
 
-WIDTH = 0.25
+RESIDUAL_WIDTH = 0.25
 """Residuals of this part of that distance have a quarter weight."""
 
 MAX_CHANGE = 0.15
@@ -83,7 +83,7 @@ def fit_similarity(
         arms = points - middle
         J = np.column_stack([np.cross(arms, normals), normals, np.sum(arms * normals, axis=1)])
         J = J if free_factor else J[:, :6]
-        weights = 1.0 / (1.0 + (residuals / (WIDTH * limit)) ** 2) ** 2
+        weights = 1.0 / (1.0 + (residuals / (RESIDUAL_WIDTH * limit)) ** 2) ** 2
         information = (J * weights[:, None]).T @ J
         # A little, where surfaces leave a direction free.
         information += ROUNDING * np.trace(information) / len(information) * np.eye(J.shape[1])

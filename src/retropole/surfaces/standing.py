@@ -21,7 +21,7 @@ from .visibility import View, compare_views
 SAME_PLACE = 0.5
 """Least share of points that two recordings of one LiDAR have in common where it stood still."""
 
-REACH = 1.0
+CORRESPONDING = 1.0
 """Largest distance of corresponding points where two recordings are registered, metres."""
 
 TURNED, PUSHED = float(np.radians(0.5)), 0.1
@@ -30,7 +30,7 @@ of recordings of LiDARs that stood still came to 0.02° and 6 mm, on bare ground
 13 of LiDARs that turned by 1.0 to 4.5° to 0.01° of that (benchmarks/contradictions.py, seeds 400 to
 465, and sites of all kinds from seeds 600 to 629)."""
 
-WITHIN, MORE = 0.1, 0.05
+WITHIN, MORE_COINCIDES = 0.1, 0.05
 """Points with a neighbour so near, metres, coincide; and so much more of them do after the
 registration, as a part of all. Where nothing but ground is seen it may slide anywhere, and no more
 coincides: up to 0.005 (the same seeds). Of those that turned 0.16 and more did."""
@@ -123,7 +123,9 @@ def _moved_between(
     if one is None or other is None:
         return still
     try:
-        found = register(one, other, np.eye(4), method="GICP", max_correspondence_distance=REACH)
+        found = register(
+            one, other, np.eye(4), method="GICP", max_correspondence_distance=CORRESPONDING
+        )
     except Refusal:
         return still
     apart = _apart(np.eye(4), T := found.T_target_source)
@@ -132,4 +134,4 @@ def _moved_between(
     before, after = (
         compare_views(*views, at, within=WITHIN, limit=WITHIN).overlap for at in (np.eye(4), T)
     )
-    return (T, apart) if after - before > MORE else still
+    return (T, apart) if after - before > MORE_COINCIDES else still

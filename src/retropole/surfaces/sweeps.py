@@ -19,7 +19,7 @@ from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.se3 import lengths
 from .ordering import numbered, order_of
 
-SIDES = (2.0, 1.0, 6.0)
+CELL_SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
 rings lie so far apart that no smaller one has two."""
 
@@ -247,7 +247,7 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
     left = np.arange(len(xyz))
     rays = xyz - origin
     rays /= lengths(rays)[:, None]
-    for side in SIDES:
+    for side in CELL_SIDES:
         if len(left) < LEAST_RETURNS:
             return
         corner = np.floor((xyz[left] - _free(xyz[left], side)) / side).astype(np.int64)

@@ -16,10 +16,10 @@ from ..base.quantities import error
 from ..surfaces.patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
 from ..surfaces.patches import Patches, selected, surface_patches
 
-REACH = 0.5
+SURFACE_REACH = 0.5
 """A patch belongs to the surface of a patch of the other cloud so near, metres."""
 
-WIDTH = 0.03
+HALF_COUNTED = 0.03
 """Distance across the surface at which a patch counts for half, metres: that of a movement that
 matters. Nothing counts for more than one, however far it is off."""
 
@@ -112,13 +112,13 @@ def preferences(
 
 def _losses(target: Patches, tree: cKDTree, source: Patches, T: Array) -> Array:
     moved = se3.apply(T, source.centres)
-    distance, near = tree.query(moved, distance_upper_bound=REACH)
+    distance, near = tree.query(moved, distance_upper_bound=SURFACE_REACH)
     met = np.isfinite(distance)
     at = np.where(met, near, 0)
     cosine = np.abs(np.einsum("mi,mi->m", source.normals @ T[:3, :3].T, target.normals[at]))
     across = np.einsum("mi,mi->m", moved - target.centres[at], target.normals[at])
     return np.where(
-        met & (cosine > np.cos(MAX_NORMAL_ANGLE)), across**2 / (across**2 + WIDTH**2), 1.0
+        met & (cosine > np.cos(MAX_NORMAL_ANGLE)), across**2 / (across**2 + HALF_COUNTED**2), 1.0
     )
 
 

@@ -25,7 +25,7 @@ from ..io.recognition import guess_sensors
 from ..io.units import METRES, Unit, in_metres
 from ..surfaces.scans import find_poles
 
-TRIED: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
+UNITS_TRIED: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
 """Units that coordinates may be in."""
 
 WIDTHS = 0.75, 2.0
@@ -85,7 +85,7 @@ def common_unit(
         Intensity from which a return counts as retro-reflective, in each cloud.
     """
     fitting = []
-    for unit in TRIED:
+    for unit in UNITS_TRIED:
         target = _read_in(unit, placement.target, thresholds[0], radius)
         source = target and _read_in(unit, placement.source, thresholds[1], radius)
         if target is None or source is None:
@@ -122,7 +122,7 @@ def unit_of_one(cloud: PointCloud, radius: float) -> PolesInUnit | None:
     scan = find_poles(cloud, sensor=None, threshold=None, radius=radius)
     if len(scan.poles) > 1:
         return None
-    read = [_read_in(unit, scan, None, radius) for unit in TRIED]
+    read = [_read_in(unit, scan, None, radius) for unit in UNITS_TRIED]
     fitting = [each for each in read if each is not None]
     return fitting[0] if len(fitting) == 1 else None
 
