@@ -18,7 +18,7 @@ from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.consistency import Standing
 from ..surfaces.disambiguation import score_hypotheses
-from .choice import NOT_SYMMETRIC, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, ambiguous
+from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .distinct import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
 from .evidence import count as agreement
@@ -187,16 +187,16 @@ def _told(grounds: Grounds, T: Array) -> Confirmation:
 def _rivals(grounds: Grounds, T: Array, others: Sequence[Match]) -> list[Match]:
     """Find the poses that what stands off the ground does not rule out beside one (4, 4).
 
-    That more agrees with one rules out no other: near each other LiDARs see the same things. The
-    rule is that of `choice.check_choice`, of patches off the ground.
+    The rule is `choice.is_not_ruled_out`, of patches off the ground.
     """
     own, lifted = _told(grounds, T), _lifts(grounds, T)
     found = []
     for other in others:
         told = _told(grounds, other.T_target_source)
-        stands = told.agreeing >= RIVAL_OVERLAP * own.agreeing
-        stands &= told.contradicted <= own.contradicted + RIVAL_FREE_SPACE_VIOLATION
-        if stands and (lifted or not _lifts(grounds, other.T_target_source)):
+        possible = is_not_ruled_out(
+            told.agreeing, told.contradicted, own.agreeing, own.contradicted
+        )
+        if possible and (lifted or not _lifts(grounds, other.T_target_source)):
             found.append(other)
     return found
 

@@ -28,12 +28,9 @@ from .placements import (
     rank_joint_hypotheses,
 )
 
-RIVAL_OVERLAP = 0.62
-RIVAL_FREE_SPACE_VIOLATION = 0.025
-"""A hypothesis is a rival of the best where it has so much of its overlap, and where no more than
-this share of the points beyond the best's own speaks against it. The score alone does not do: it
-favours, by up to 0.2, whatever brings the LiDARs near each other, since near each other they see
-the same things (see docs/hypotheses.md)."""
+RIVAL_OVERLAP, RIVAL_FREE_SPACE_VIOLATION = 0.62, 0.025
+"""A hypothesis is a rival of the best if it has so much of its overlap, and if no more than this
+share of the points beyond the best's own speaks against it (see docs/hypotheses.md)."""
 
 WARN_MARGIN = 0.1
 """Below this margin the answer stands, but a person should look at the hypotheses."""
@@ -142,13 +139,36 @@ def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRI
     )
 
 
-def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
+def is_not_ruled_out(
+    agreeing: float, conflicting: float, best_agreeing: float, best_conflicting: float
+) -> bool:
+    """Whether the surroundings leave a pose as possible as the best one.
+
+    The score alone does not do: it favours, by up to 0.2, whatever brings the LiDARs near each
+    other, since near each other they see the same things.
+
+    Parameters
+    ----------
+    agreeing, best_agreeing
+        How much of the surroundings agrees with either pose: a share or a count.
+    conflicting, best_conflicting
+        Shares of the surroundings that conflict with them.
+    """
     return (
-        hypothesis.match.exact
-        and hypothesis.overlap >= RIVAL_OVERLAP * best.overlap
-        and hypothesis.free_space_violation
-        <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
+        agreeing >= RIVAL_OVERLAP * best_agreeing
+        and conflicting <= best_conflicting + RIVAL_FREE_SPACE_VIOLATION
     )
+
+
+def is_as_possible(each: Scored, best: Scored) -> bool:
+    """Whether `is_not_ruled_out` holds by the overlap and the free space of two poses."""
+    return is_not_ruled_out(
+        each.overlap, each.free_space_violation, best.overlap, best.free_space_violation
+    )
+
+
+def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
+    return hypothesis.match.exact and is_as_possible(hypothesis, best)
 
 
 def check_overlap(

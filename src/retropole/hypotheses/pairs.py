@@ -16,7 +16,7 @@ from ..base.datatypes import Array, Hypothesis, Match
 from ..base.errors import Reason, Refusal
 from ..surfaces.scans import why_few_poles
 from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views
-from .choice import MIN_OVERLAP, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
+from .choice import MIN_OVERLAP, check_overlap, is_as_possible
 from .correspondence import match_poles
 from .placements import AGREE_ANGLE, AGREE_DISTANCE
 from .scans import SiteScans, Views
@@ -250,16 +250,11 @@ def _no_overlap(best: Hypothesis) -> Refusal | None:
 
 
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:
-    """Whether the scene leaves a hypothesis standing, as `hypotheses.choice` has it for one pair.
+    """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
 
     Scenes that do not overlap tell nothing apart.
     """
-    if best.overlap < LEAST_TOLD:
-        return _is_possible(each, best)
-    uncontradicted = (
-        each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
-    )
-    return uncontradicted and each.overlap >= RIVAL_OVERLAP * best.overlap
+    return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
 
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
