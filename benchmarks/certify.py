@@ -19,7 +19,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole.base.datatypes import Placement
-from retropole.scene.scans import find_poles
+from retropole.certify.certification import FieldTest, certify
 from retropole.simulation import (
     FIELD,
     TYPICAL,
@@ -30,7 +30,7 @@ from retropole.simulation import (
     record_again,
     simulate_pair,
 )
-from retropole.site.certification import FieldTest, certify
+from retropole.surfaces.scans import find_poles
 
 SCENES = ("street", "harbor", "corridor")
 SENSORS = (("XT32", "PandarQT"), ("VLP-16", "VLP-16"), ("XT32", "XT32"), ("HDL-32E", "XT32"))

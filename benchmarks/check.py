@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from insertion import insert_poles
+from retropole.adjustment.refinement import refine
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.sensors import Sensor
@@ -39,7 +40,6 @@ from retropole.monitoring.movement import CheckResult
 from retropole.monitoring.new_pose import search_covariance
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
-from retropole.scene.refinement import refine
 from retropole.simulation import (
     NOISE_MODELS,
     SimulationError,

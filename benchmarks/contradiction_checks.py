@@ -41,9 +41,9 @@ from scipy.special import chdtri, chndtr, ndtr
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.description import SurveyedPole
 from retropole.base.systematic import STATED_WIDTH
 from retropole.simulation.sites import SimulatedSite
-from retropole.site.description import SurveyedPole
 
 SEEN = 0.005
 """1 σ of what a LiDAR sees of an end of a pole across it, and of a control point, metres: what the

@@ -45,15 +45,15 @@ from contradiction_checks import (
     radius_is_checkable,
     survey_is_checkable,
 )
+from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.description import ControlPoint, Site, SurveyedPole
 from retropole.base.errors import Reason
+from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site.answer import SiteCalibration
-from retropole.site.calibration import calibrate_site
-from retropole.site.description import ControlPoint, Site, SurveyedPole
 from site_blunders import Blunder, axis_of, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")

@@ -22,17 +22,17 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, BoolArray, Calibration, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.pipeline import calibrate
-from retropole.scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
-from retropole.scene.visibility import (
+from retropole.simulation import FIELD, TYPICAL, Device, draw_device
+from retropole.simulation.pairs import DEFAULT_SENSORS
+from retropole.simulation.scenes import SURROUNDINGS
+from retropole.surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
+from retropole.surfaces.visibility import (
     OVERLAP_DISTANCE,
     OWN_VEHICLE,
     cells_of,
     compare_views,
     view_of,
 )
-from retropole.simulation import FIELD, TYPICAL, Device, draw_device
-from retropole.simulation.pairs import DEFAULT_SENSORS
-from retropole.simulation.scenes import SURROUNDINGS
 
 PLACES = tuple(SURROUNDINGS)
 NOISES = {"typical": TYPICAL, "field": FIELD}

@@ -41,11 +41,14 @@ from multiprocessing import get_context
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.description import Frame, Site, SiteLidar
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
+from retropole.pipeline_of_sites import calibrate_site
 from retropole.planning.candidates import Candidates, leaning, who_sees
 from retropole.planning.choice import error_of, errors_of, rules_of
 from retropole.planning.information import divergences_of, network_of
@@ -66,9 +69,6 @@ from retropole.simulation.recording import Arrangement, Recorders, poles_in_view
 from retropole.simulation.scanning import scan
 from retropole.simulation.site_places import stands_free
 from retropole.simulation.sites import DrawnSite, draw_site
-from retropole.site.answer import SiteCalibration
-from retropole.site.calibration import calibrate_site
-from retropole.site.description import Frame, Site, SiteLidar
 
 KINDS = ("street", "harbor", "square", "camber", "kerb", "bare")
 ROUGH = np.radians(4.0), 0.4

@@ -28,15 +28,15 @@ from typing import Literal
 
 import numpy as np
 
+from retropole.adjustment.refinement import refine
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.systematic import ErrorModel, sizes_of
 from retropole.base.uncertainty import predicted_error
 from retropole.base.uncertainty.purpose import Need
 from retropole.pipeline import calibrate
-from retropole.scene.refinement import refine
-from retropole.scene.registration import prepare, register
 from retropole.simulation import SimulationError
+from retropole.surfaces.registration import prepare, register
 from semireal import PAIRS, Loaded, Pair, insert, load
 
 WIDE = np.diag(np.r_[np.full(3, np.radians(3.0)), np.full(3, 0.3)] ** 2 / 3)

@@ -26,16 +26,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from insertion import InsertedSite, insert_into_site
+from retropole import pipeline_of_sites as calibration
+from retropole.adjustment.answer import LoopClosure, SiteCalibration
+from retropole.adjustment.closures import close_loops
+from retropole.adjustment.descent import End
+from retropole.adjustment.solved import Solved
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array
-from retropole.scene.descent import End
-from retropole.scene.registration import prepare, register
+from retropole.base.description import Site, SiteLidar
 from retropole.simulation import SimulationError
-from retropole.site import calibration
-from retropole.site.answer import LoopClosure, SiteCalibration
-from retropole.site.closures import close_loops
-from retropole.site.description import Site, SiteLidar
-from retropole.site.solved import Solved
+from retropole.surfaces.registration import prepare, register
 from semireal import PAIRS, WEAK, Loaded, load
 from wrong_files import REACH, VOXEL, registered
 

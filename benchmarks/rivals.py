@@ -40,8 +40,8 @@ from retropole.evaluation.rivals import ALL_METHODS, RIVALS, load_rival, missing
 from retropole.evaluation.rivals.fpfh import fpfh_ransac
 from retropole.evaluation.rivals.kiss import kiss_matcher
 from retropole.pipeline import calibrate
-from retropole.scene.consistency import consistency, standing_in
 from retropole.simulation import simulate_pair
+from retropole.surfaces.consistency import consistency, standing_in
 
 SUCCESS_M = 0.1
 """Largest e_rt of a success."""

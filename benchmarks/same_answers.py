@@ -29,8 +29,10 @@ from msgspec import Struct, structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
+from retropole.base.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.pipeline import calibrate
+from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation import (
     FIELD,
     TYPICAL,
@@ -41,8 +43,6 @@ from retropole.simulation import (
 )
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site.calibration import calibrate_site
-from retropole.site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from site_blunders import simulate_blunder
 
 PAIRS, SITES, FIRST_SEED = 120, 30, 7000

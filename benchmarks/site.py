@@ -16,7 +16,7 @@
 - ``time``: 8 LiDARs, 4 placements, 100,000 points in each recording.
 
 Seeds below 1000 are for tuning, from 2000 on they state the figure. What was set on tuning seeds:
-`blunders.SIGNIFICANT`, `patch_pairs.MAX_LEAN`, `verdict.OPEN`.
+`blunders.BLUNDER`, `patch_pairs.MAX_LEAN`, `verdict.OPEN`.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from multiprocessing import get_context
 import numpy as np
 
 from coverage import STATING
+from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason
 from retropole.base.relative import joint_of, relative
 from retropole.pipeline import calibrate
+from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site.answer import SiteCalibration
-from retropole.site.calibration import calibrate_site
 from site_blunders import Blunder, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")

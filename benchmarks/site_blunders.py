@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.description import SurveyedPole
 from retropole.base.errors import UsageError
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scenes import UP
@@ -21,7 +22,6 @@ from retropole.simulation.site_arrangement import Seen, are_linked, arrange
 from retropole.simulation.site_survey import Survey, Surveyed
 from retropole.simulation.sites import DrawnSite, SimulatedSite, draw_site, record_site
 from retropole.simulation.writing import write_site
-from retropole.site.description import SurveyedPole
 
 BLUNDERS = "pole", "slide", "files", "control"
 """What can go wrong."""

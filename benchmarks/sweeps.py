@@ -25,7 +25,7 @@ from retropole.base.datatypes import DEFAULT_RADIUS, Array, Calibration, PointCl
 from retropole.base.sensors import Sensor
 from retropole.base.systematic import BAND, TAPE
 from retropole.base.uncertainty import predicted_error
-from retropole.matching.placements import PairedPlacement, align
+from retropole.hypotheses.placements import PairedPlacement, align
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
 from retropole.simulation.devices import Device

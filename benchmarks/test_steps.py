@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from retropole.adjustment.refinement import refine
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
 from retropole.base import se3
@@ -21,13 +22,12 @@ from retropole.base.datatypes import Calibration
 from retropole.evaluation.entropy import rqe
 from retropole.evaluation.metrics import RQE_POINTS
 from retropole.extraction.poles import extract_poles
-from retropole.matching.correspondence import match_poles
+from retropole.hypotheses.correspondence import match_poles
 from retropole.pipeline import calibrate
 from retropole.report import render_report
 from retropole.result import InputDoc, RunConfig, result_document
-from retropole.scene.disambiguation import score_hypotheses
-from retropole.scene.refinement import refine
 from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.surfaces.disambiguation import score_hypotheses
 
 
 @pytest.fixture(scope="module", autouse=True)

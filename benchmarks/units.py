@@ -22,8 +22,8 @@ import numpy as np
 from retropole.base.datatypes import PointCloud
 from retropole.io.units import METRES, Unit
 from retropole.pipeline import calibrate
-from retropole.scene.same_unit import unit_of_one
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
+from retropole.verdict.same_unit import unit_of_one
 
 SCENES = "corridor", "street", "harbor"
 SENSORS = ("XT32", "VLP-16"), ("Pandar64", "OS1"), ("HDL-32E", "PandarQT"), ("VLP-32C", "XT32")

@@ -43,8 +43,8 @@ from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
-from retropole.scene.registration import prepare, register
 from retropole.simulation import SimulationError
+from retropole.surfaces.registration import prepare, register
 from semireal import COMPOSED, DIRECT, PAIRS, UP, WRONG_DEG, WRONG_M, Outcome, load
 from semireal import run as run_right
 

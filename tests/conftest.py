@@ -8,6 +8,15 @@ from threadpoolctl import threadpool_limits
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole
+from tests.adjustment.fixtures import (  # noqa: F401
+    found,
+    pair_site,
+    pair_steps,
+    simulated,
+    simulated_survey,
+    steps,
+    surveyed,
+)
 from tests.tiers import Tiers
 
 # No test asserts a wall-clock time: a busy machine is no counterexample. Examples are the same in

@@ -1,6 +1,7 @@
 """Imports point one way, a layer per folder: the order in which the documentation names them."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -9,15 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from tests.paths import PACKAGE
+from tests.paths import PACKAGE, ROOT
 
 LAYERS = (
     # Ground: what all share.
     "base",
-    # The steps: a match is solved by alignment, and the scene scores matches.
-    *("io", "extraction", "alignment", "matching", "scene"),
+    # The steps, by what they return: poles, their pose, what two clouds have in common at a pose,
+    # which poses there may be, the poses of all LiDARs, what follows from them.
+    *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
+    # The field test, and frames of maps.
+    *("certify", "world"),
     # The method and its answer.
-    *("verdict", "pipeline", "site", "result"),
+    *("pipeline", "pipeline_of_sites", "result"),
     # Around the method, and what people touch.
     *("simulation", "planning", "export", "report", "evaluation", "monitoring", "watching"),
     "api",
@@ -37,11 +41,11 @@ DOORS = {
     "cli": {"api", "base", "fleet", "report", "result"},
     # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
     "report": {
-        *("base", "result", "export", "site"),
-        *("extraction", "alignment", "matching", "scene"),
+        *("base", "result", "export", "certify"),
+        *("extraction", "alignment", "surfaces", "hypotheses", "adjustment"),
     },
     # A recording is written in the frames that one is read in, a tree in the frames of a site.
-    "export": {"base", "io", "result", "site"},
+    "export": {"base", "io", "result", "world"},
 }
 """Rooms that what stands outermost may import; with time fewer."""
 
@@ -133,7 +137,7 @@ def test_modules_stay_small() -> None:
 
 def test_the_top_holds_the_method_alone() -> None:
     top = {path.name for path in PACKAGE.glob("*.py")}
-    assert top == {"__init__.py", "__main__.py", "pipeline.py"}
+    assert top == {"__init__.py", "__main__.py", "pipeline.py", "pipeline_of_sites.py"}
 
 
 def test_import_leaves_heavy_parts_alone() -> None:
@@ -154,3 +158,74 @@ def test_the_command_starts_without_what_computes(words: tuple[str, ...]) -> Non
     code = f"{ours}; print('loaded', [m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
+
+
+WORDS = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)`(?!`)")
+"""Names in single backticks: of the package, where they are Python's."""
+
+ELSEWHERE = {"retropole", "tf", "tf2_ros", "fork", "scipy", "optimize", "ndimage"}
+"""Names of other programs, and what no module assigns."""
+
+
+def names_in(tree: ast.Module) -> set[str]:
+    """All names that a module uses, defines or takes."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.Name(id=name):
+                found.add(name)
+            case ast.arg(arg=name) | ast.Attribute(attr=name) | ast.keyword(arg=str(name)):
+                found.add(name)
+            case ast.alias(name=name):
+                found.update(name.split("."))
+    return found
+
+
+@cache
+def all_names() -> frozenset[str]:
+    every = {part for name in MODULES for part in name}
+    return frozenset(every.union(*(names_in(tree_of(path)) for path in FILES)))
+
+
+def test_names_in_docstrings_exist() -> None:
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                for word in WORDS.findall(node.value):
+                    unknown = set(word.split(".")) - all_names() - ELSEWHERE
+                    assert not unknown, f"{path}:{node.lineno} names `{word}`"
+
+
+def test_names_of_modules_in_docstrings_and_architecture_exist() -> None:
+    """Of `room.module` and `module.name` both parts are where they are said to be."""
+    by_stem: dict[str, set[str]] = {}
+    for name, path in MODULES.items():
+        inside = names_in(tree_of(path)) | {m[-1] for m in MODULES if m[:-1] == name}
+        by_stem.setdefault(name[-1], set()).update(inside)
+    texts = [(path, path.read_text(encoding="utf-8")) for path in FILES]
+    page = ROOT / "docs" / "architecture.md"
+    for path, text in [*texts, (page, page.read_text(encoding="utf-8"))]:
+        for word in WORDS.findall(text):
+            first, _, rest = word.removeprefix("retropole.").partition(".")
+            if rest and first in by_stem and rest not in {"py", "toml"}:
+                assert rest.partition(".")[0] in by_stem[first], f"{path} names `{word}`"
+
+
+METHOD = ("extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict")
+
+
+def test_a_constant_has_one_meaning_in_the_method() -> None:
+    """Of a name that is set in two modules a reader would take one for the other."""
+    seen: dict[str, tuple[str, ...]] = {}
+    for module, path in MODULES.items():
+        if module[0] not in METHOD:
+            continue
+        for node in tree_of(path).body:
+            if not isinstance(node, ast.Assign | ast.AnnAssign):
+                continue
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            for name in (n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)):
+                if name.isupper() and len(name) > 1:
+                    assert seen.setdefault(name, module) == module, (
+                        f"{name}: {seen[name]}, {module}"
+                    )

@@ -14,10 +14,10 @@ from retropole.base.errors import Refusal
 from retropole.base.sensors import Sensor
 from retropole.base.systematic import sizes_of
 from retropole.base.uncertainty import predicted_error
-from retropole.matching.placements import Chosen, PlacementHypotheses
+from retropole.hypotheses import icp_refinement
+from retropole.hypotheses.placements import Chosen, PlacementHypotheses
+from retropole.hypotheses.search import choose_after_icp
 from retropole.pipeline import calibrate
-from retropole.scene import icp_refinement
-from retropole.scene.search import choose_after_icp
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 

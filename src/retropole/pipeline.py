@@ -10,6 +10,9 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from .adjustment.agreement import check_contradiction, without_misplaced
+from .adjustment.one_mast import align_on_one_mast
+from .adjustment.refinement import Refinement, refine_by_scene
 from .alignment.adjustment import BeamAlignment
 from .alignment.origins import beam_origins
 from .base.datatypes import (
@@ -25,21 +28,18 @@ from .base.timing import timed
 from .base.uncertainty import predicted_error, weakest_direction
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
-from .matching.placements import Chosen, PairedPlacement, has_no_poles, leave_one_out
-from .matching.prior import RotationPrior
-from .scene.agreement import check_contradiction, without_misplaced
-from .scene.by_place import align_by_place_where_open, check_held, check_told
-from .scene.choice import list_hypotheses, margin_of, take_by_hand
-from .scene.confirmation import check_confirmation, confirm
-from .scene.one_mast import align_on_one_mast
-from .scene.preference import check_near_poles
-from .scene.refinement import Refinement, refine_by_scene
-from .scene.scans import find_poles
-from .scene.search import choose, choose_with_candidates
-from .scene.similarity import check_similarity, explain
-from .scene.static import check_poles
+from .hypotheses.by_place import align_by_place_where_open, check_held, check_told
+from .hypotheses.choice import list_hypotheses, margin_of, take_by_hand
+from .hypotheses.evidence import check_confirmation, confirm
+from .hypotheses.placements import Chosen, PairedPlacement, has_no_poles, leave_one_out
+from .hypotheses.prior import RotationPrior
+from .hypotheses.search import choose, choose_with_candidates
+from .surfaces.scans import find_poles
+from .surfaces.static import check_poles
 from .verdict import advising_no_poles, state_refusal, weaknesses
 from .verdict.fitness import judge
+from .verdict.preference import check_near_poles
+from .verdict.similarity import check_similarity, explain
 
 
 def calibrate(
@@ -161,7 +161,7 @@ def calibrate(
                 placements = leave_one_out(paired, aligned, **known)
             with step("refine"):
                 refined = refine_by_scene(paired, aligned) if scene else None
-                check_held(paired, refined)
+                check_held(paired, None if refined is None else refined.pose)
                 check_contradiction(refined)
                 check_near_poles(aligned, refined)
             with step("confirm"):

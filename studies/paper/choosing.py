@@ -12,11 +12,11 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Hypothesis, Pole
 from retropole.base.errors import Refusal
 from retropole.extraction.poles import extract_poles
-from retropole.matching.correspondence import match_poles
+from retropole.hypotheses.correspondence import match_poles
 from retropole.report.figures import BLUE, GREEN, ORANGE
-from retropole.scene.disambiguation import SCORING_VOXEL, score_hypotheses
-from retropole.scene.registration import Surface, as_surface, register, voxel_downsample
 from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.surfaces.disambiguation import SCORING_VOXEL, score_hypotheses
+from retropole.surfaces.registration import Surface, as_surface, register, voxel_downsample
 from studies.paper.exhibit import Exhibit
 
 if TYPE_CHECKING:

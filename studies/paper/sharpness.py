@@ -13,8 +13,8 @@ from retropole.base.datatypes import Array
 from retropole.evaluation.entropy import KERNEL_WIDTH, rqe
 from retropole.evaluation.metrics import EVALUATION_VOXEL, e_rt
 from retropole.report.figures import BLUE, ORANGE
-from retropole.scene.registration import voxel_downsample
 from retropole.simulation import SimulatedPair
+from retropole.surfaces.registration import voxel_downsample
 from studies.paper.exhibit import Cell, Exhibit
 
 if TYPE_CHECKING:

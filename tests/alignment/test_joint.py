@@ -10,8 +10,8 @@ from retropole.alignment.posterior import Posterior
 from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
+from tests.adjustment.adjusting import Steps
 from tests.numeric import numeric_jacobian
-from tests.site.adjusting import Steps
 from tests.tiers import first_of
 
 pytestmark = pytest.mark.full

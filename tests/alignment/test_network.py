@@ -8,8 +8,8 @@ from retropole.alignment.unknowns import Unknowns
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.systematic import band_of
-from tests.site import geodetic
-from tests.site.adjusting import Steps
+from tests.adjustment import geodetic
+from tests.adjustment.adjusting import Steps
 from tests.tiers import first_of
 
 pytestmark = pytest.mark.full

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import PointCloud, Scan
+from retropole.base.description import Site
 from retropole.io import write_pcd
-from retropole.site.answer import SiteCalibration
-from retropole.site.description import Site
 from tests.report.site.made_up import made_up_site
 
 NAMES = ("mast-a", "mast-b", "gate")

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import retropole as rp
+from retropole.adjustment.answer import SiteCalibration
 from retropole.api import site as api_site
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
+from retropole.base.description import Site
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.base.relative import joint_of, relative
 from retropole.result.decoding import decode_site
-from retropole.site.answer import SiteCalibration
-from retropole.site.description import Site
 from tests.api.site_files import NAMES, answer_to, recorded, write_site
 
 

@@ -15,7 +15,7 @@ import retropole as rp
 from retropole.api.stored_site import MOST_NOTES, scans_of
 from retropole.io import read_cloud, write_pcd
 from retropole.simulation.writing import write_site
-from tests.site.adjusting import made
+from tests.adjustment.adjusting import made
 
 pytestmark = pytest.mark.full
 

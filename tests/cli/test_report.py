@@ -12,8 +12,8 @@ import pytest
 
 from retropole.io import read_cloud, write_pcd
 from retropole.simulation.writing import write_site
+from tests.adjustment.adjusting import made
 from tests.cli.commands import retropole_here
-from tests.site.adjusting import made
 
 pytestmark = pytest.mark.full
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from retropole.adjustment.answer import SiteCalibration
 from retropole.api import site as api_site
 from retropole.base.bounded import Status
+from retropole.base.description import Site
 from retropole.cli import run
 from retropole.result.decoding import decode_site
-from retropole.site.answer import SiteCalibration
-from retropole.site.description import Site
 from tests.api.site_files import answer_to, write_recordings, write_site
 from tests.cli.commands import retropole_here
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from retropole.base.description import Frame
 from retropole.result.site import SiteDoc
-from retropole.site import world
-from retropole.site.description import Frame
+from retropole.world import world
 from tests.report.site.made_up import document_of, made_up_site
 
 UTM = 25832

@@ -12,7 +12,7 @@ from retropole.base.errors import UsageError
 from retropole.export.tree import tree_of
 from retropole.export.tree_formats import write_geojson
 from retropole.result.site import SiteDoc
-from retropole.site.geodesy import local_of
+from retropole.world.geodesy import local_of
 from tests.export import sites
 
 

@@ -13,7 +13,7 @@ from retropole.monitoring.drift import check
 from retropole.monitoring.movement import CheckResult
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
-from tests.scene import swaying
+from tests.surfaces import swaying
 
 pytestmark = pytest.mark.full
 

@@ -8,14 +8,14 @@ import pytest
 from msgspec import structs
 
 from retropole import pipeline
+from retropole.adjustment.refinement import Refinement, refine
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from retropole.base.errors import UsageError
+from retropole.hypotheses.evidence import MAX_CONFLICTING
 from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
-from retropole.scene.confirmation import MAX_CONFLICTING
-from retropole.scene.refinement import Refinement, refine
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 from tests.tiers import first_of
 

@@ -9,10 +9,10 @@ import retropole as rp
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
 from retropole.base.sensors import SENSORS
+from retropole.hypotheses.evidence import count, scenes_of
 from retropole.monitoring.swapped import NEAR_TRANSLATION, swapped_clouds, swapped_sensors
-from retropole.scene.confirmation import count, scenes_of
-from retropole.scene.consistency import Standing
 from retropole.simulation import SimulatedPair
+from retropole.surfaces.consistency import Standing
 
 SCENES = ("street", "harbor", "corridor")
 

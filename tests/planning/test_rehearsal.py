@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Calibration
 from retropole.base.sensors import find_sensor
@@ -8,7 +9,6 @@ from retropole.base.uncertainty import predicted_error
 from retropole.planning.planner import worst_at
 from retropole.planning.rehearsal import rehearse
 from retropole.planning.stations import stand_drawn
-from retropole.site.answer import SiteCalibration
 from tests.planning.places import BOXES, POSES, planned, pose
 
 pytestmark = pytest.mark.full

@@ -6,11 +6,11 @@ from itertools import combinations
 import pytest
 
 from retropole.base.errors import Reason
+from retropole.certify.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
+from retropole.certify.repetition import Spread, SpreadTest
 from retropole.report.field_test import describe_field_test, field_test_section, render_field_test
 from retropole.report.layout import LINES, WIDTH
 from retropole.result.certification import FieldTestDoc, field_test_document
-from retropole.site.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
-from retropole.site.repetition import Spread, SpreadTest
 
 
 def made_up(poles: int = 4, *, off: float = 0.004, placements: int = 1) -> FieldTest:

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from retropole.base import se3
 from retropole.base.datatypes import Match
 from retropole.base.errors import Refusal
-from retropole.matching.prior import agreeing_with_prior, rotation_prior
+from retropole.hypotheses.prior import agreeing_with_prior, rotation_prior
 from retropole.report.hypotheses import (
     axis_words,
     deciding,

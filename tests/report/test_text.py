@@ -35,8 +35,8 @@ from retropole.result import (
 )
 from retropole.result.contents import detection_document
 from retropole.result.site import SiteDoc
-from retropole.scene.scans import find_poles
 from retropole.simulation import simulate_pair
+from retropole.surfaces.scans import find_poles
 from tests.report.made_up import made_up
 from tests.report.pages import of_each_kind, with_each_verdict
 from tests.report.site.made_up import document_of, made_up_site

@@ -8,6 +8,7 @@ from dataclasses import replace as replaced
 import pytest
 from msgspec.structs import replace
 
+from retropole.adjustment.blunders import is_poor
 from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.confirmation import UNUSABLE, Confirmation
@@ -22,7 +23,6 @@ from retropole.report.uncertainty import certainty
 from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.site import SiteDoc
-from retropole.site.blunders import is_poor
 from tests.report.made_up import Page, made_up
 from tests.report.pages import of_each_kind, subject_of
 from tests.report.site.made_up import document_of, made_up_site

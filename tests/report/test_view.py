@@ -15,8 +15,8 @@ from retropole.report.plan import Plan, plan_of
 from retropole.report.subject import Subject, of_pair, of_site
 from retropole.report.view import MAX_CONTRADICTING, PageView, embed_json, page_view
 from retropole.result import ResultDoc
-from retropole.scene.consistency import contradicting_points, standing_in
 from retropole.simulation import simulate_pair
+from retropole.surfaces.consistency import contradicting_points, standing_in
 from tests.report.made_up import AS_SHOWN, HOSTILE, T_TRUE, made_up
 from tests.report.site.made_up import document_of, made_up_site
 from tests.report.test_points import unpacked

@@ -2,9 +2,9 @@
 
 import json
 
+from retropole.certify.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 from retropole.result import encode
 from retropole.result.certification import field_test_document
-from retropole.site.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 
 
 def test_the_document_holds_every_distance() -> None:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from retropole.adjustment.answer import LoopClosure
 from retropole.result import encode
 from retropole.result.decoding import decode_site
 from retropole.result.site import joint_order
-from retropole.site.answer import LoopClosure
 from tests.report.site.made_up import NAMES, document_of, made_up_site
 
 SMALL = made_up_site("warn", lidars=3, placements=2, count=20, surveyed=True)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from retropole.adjustment.places import FLAT, SCATTER
 from retropole.alignment.certainty import DEPTH, FLOOR, POLES, SWAY
 from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import Reason
@@ -15,7 +16,6 @@ from retropole.base.systematic import RADIUS_KIND
 from retropole.base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
-from retropole.scene.places import FLAT, SCATTER
 from retropole.verdict.fitness import DOUBTS, judge
 
 pytestmark = pytest.mark.full

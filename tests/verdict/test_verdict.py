@@ -7,6 +7,15 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from retropole.adjustment.agreement import (
+    MAX_AXES_CHI2,
+    MAX_MAHALANOBIS_SQ,
+    WARN_MAHALANOBIS_SQ,
+    check_axes,
+    check_contradiction,
+)
+from retropole.adjustment.descent import End
+from retropole.adjustment.refinement import Refinement
 from retropole.alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
 from retropole.alignment.axes_test import AxesTest
 from retropole.alignment.factor import gaussian_factor
@@ -26,24 +35,15 @@ from retropole.base.se3 import PoseDifference
 from retropole.base.sensors import SENSORS
 from retropole.base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
 from retropole.base.uncertainty.confirmation import DECEIVING, Confirmation
-from retropole.matching.placements import PairedPlacement
-from retropole.scene.agreement import (
-    MAX_AXES_CHI2,
-    MAX_MAHALANOBIS_SQ,
-    WARN_MAHALANOBIS_SQ,
-    check_axes,
-    check_contradiction,
-)
-from retropole.scene.confirmation import (
+from retropole.hypotheses.evidence import (
     MAX_CONFLICTING,
     MAX_WRONG,
     MIN_TOTAL,
     check_confirmation,
     check_unconfirmed,
 )
-from retropole.scene.descent import End
-from retropole.scene.patches import surface_patches
-from retropole.scene.refinement import Refinement
+from retropole.hypotheses.placements import PairedPlacement
+from retropole.surfaces.patches import surface_patches
 from retropole.verdict import check_returns, weaknesses
 from tests.conftest import PoleMaker
 

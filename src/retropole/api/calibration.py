@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from ..base.datatypes import Placement, Scan
-from ..matching.prior import rotation_prior
+from ..hypotheses.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from ..verdict import state_refusal

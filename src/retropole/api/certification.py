@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ..base.datatypes import Placement
 from ..base.errors import UsageError
+from ..certify import certification
 from ..result import RunConfig
 from ..result.certification import FieldTestDoc, field_test_document
-from ..site import certification
 from .inputs import SILENT, CloudSource, Listener, input_documents, read_placements
 from .site_inputs import read_site
 

@@ -18,7 +18,7 @@ from ..io.rings import rings_fault, with_trusted_rings
 from ..io.units import NAMES, Unit
 from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
-from ..scene.same_unit import PolesInUnit, beyond_sensors, unit_of_one
+from ..verdict.same_unit import PolesInUnit, beyond_sensors, unit_of_one
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""

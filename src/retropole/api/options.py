@@ -15,10 +15,10 @@ from msgspec.structs import replace
 
 from ..base.errors import UsageError, said
 from ..base.sensors import name_from
-from ..matching.prior import rotation_prior
+from ..hypotheses.choice import is_hypothesis_name
+from ..hypotheses.prior import rotation_prior
 from ..result import RunConfig
 from ..result.options import OPTIONS, UNITS, radius_in_metres
-from ..scene.choice import is_hypothesis_name
 
 
 def keyword(field: str) -> str:

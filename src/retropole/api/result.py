@@ -23,7 +23,7 @@ from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
 from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
 from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
-from ..scene.consistency import contradicting_points, standing_in
+from ..surfaces.consistency import contradicting_points, standing_in
 from .stored import StoredInputs, decode_pair, loaded, placements_of
 from .travelling import AnyDoc, named_from
 

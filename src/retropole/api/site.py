@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..adjustment.answer import LidarPose, SiteCalibration
 from ..base.datatypes import Array, Scan
+from ..base.description import Site
 from ..base.errors import Refusal, UsageError
 from ..base.files import write_atomically
 from ..base.quantities import error as in_words
 from ..base.relative import RelativePose, joint_of, relative
+from ..hypotheses.scans import SiteScans
+from ..pipeline_of_sites import calibrate_site as find_poses
+from ..pipeline_of_sites import state_refusal
 from ..report import render_site
 from ..report.listings import pose_rows
 from ..result import refusal_of
 from ..result.decoding import decode_site
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
-from ..site.answer import LidarPose, SiteCalibration
-from ..site.calibration import calibrate_site as find_poses
-from ..site.calibration import state_refusal
-from ..site.description import Site
-from ..site.scans import SiteScans
 from .inputs import Input, Listener
 from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
@@ -247,7 +247,7 @@ def calibrate_site(
     Parameters
     ----------
     site
-        A site file, or the folder that holds ``site.toml``; or a `site.description.Site` that was
+        A site file, or the folder that holds ``site.toml``; or a `base.description.Site` that was
         put together in Python.
     progress
         Called with the name of each step as it starts, and with which recording of how many is

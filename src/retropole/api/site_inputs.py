@@ -10,16 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, Refusal
-from ..base.files import path_in_text
-from ..base.quantities import error as length
-from ..base.quantities import step_of
-from ..base.sensors import sensor_or_auto
-from ..base.uncertainty.purpose import Need
-from ..io import sha256_of
-from ..io.failures import naming
-from ..result.site import RecordingDoc, SiteConfig, recording_document
-from ..site.description import (
+from ..base.description import (
     ControlPoint,
     Frame,
     Geodetic,
@@ -29,8 +20,17 @@ from ..site.description import (
     SurveyedPole,
     Up,
 )
-from ..site.projection import projected
-from ..site.world import in_metres
+from ..base.errors import ReadError, Refusal
+from ..base.files import path_in_text
+from ..base.quantities import error as length
+from ..base.quantities import step_of
+from ..base.sensors import sensor_or_auto
+from ..base.uncertainty.purpose import Need
+from ..io import sha256_of
+from ..io.failures import naming
+from ..result.site import RecordingDoc, SiteConfig, recording_document
+from ..world.projection import projected
+from ..world.world import in_metres
 from .inputs import SILENT, Input, Listener, input_documents, read_input, refuse_repeated
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 
@@ -139,7 +139,7 @@ def inputs_of(site: Site) -> SiteInputs:
     Raises
     ------
     MissingExtraError, UsageError
-        Where its frame is a projected one, as `site.world.in_metres`.
+        Where its frame is a projected one, as `world.world.in_metres`.
     """
     inputs = {
         (k, n): Input(cloud, cloud, lidar.sensor, lidar.threshold)

@@ -262,7 +262,7 @@ class Scan:
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
     detection, refusal, sway, motion
         What was found; why it cannot be searched for poles; how the LiDAR swayed, and (B, 6) turn
-        and shift that were taken out of the parts of the cloud (`scene.sway`); each or None.
+        and shift that were taken out of the parts of the cloud (`surfaces.sway`); each or None.
     """
 
     cloud: PointCloud

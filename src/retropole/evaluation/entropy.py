@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.errors import Refusal
-from ..scene.registration import CORES
+from ..surfaces.registration import CORES
 
 KERNEL_WIDTH = 0.05
 """σ of the kernel of Rényi's entropy, metres. Xue et al. 2019 state none; chosen: a few times the

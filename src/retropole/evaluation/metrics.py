@@ -14,9 +14,9 @@ from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
-from ..scene.consistency import Line, consistency, standing_in
-from ..scene.registration import CORES, prepare, voxel_downsample
-from ..scene.visibility import OVERLAP_DISTANCE, overlap
+from ..surfaces.consistency import Line, consistency, standing_in
+from ..surfaces.registration import CORES, prepare, voxel_downsample
+from ..surfaces.visibility import OVERLAP_DISTANCE, overlap
 from .entropy import KERNEL_WIDTH, Entropy, rqe
 
 PAPER_RANGES = 1.0, 60.0
@@ -88,7 +88,7 @@ class Alignment:
     ----------
     overlap
         Share of the downsampled points with a neighbour in the other cloud within
-        `scene.visibility.OVERLAP_DISTANCE`, mean of both directions.
+        `surfaces.visibility.OVERLAP_DISTANCE`, mean of both directions.
     plane_residual
         Median distance of overlapping source points from the target's surface, metres; None where
         nothing overlaps.

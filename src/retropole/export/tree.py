@@ -13,14 +13,14 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
+from ..base.description import Frame
 from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
 from ..result import refusal_of
 from ..result.site import LidarDoc, SiteDoc
 from ..result.verdict import verdict_line
-from ..site.description import Frame
-from ..site.projection import Grid, grid_at
-from ..site.world import geodetic, site_in_frame, to_frame
+from ..world.projection import Grid, grid_at
+from ..world.world import geodetic, site_in_frame, to_frame
 from .transform import Found, Transform
 
 MAP, SITE = "map", "site"

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec import structs, to_builtins
 
+from ..base.description import Frame, Geodetic
 from ..base.errors import printable
 from ..result import plain
 from ..result.site import LidarDoc
-from ..site.description import Frame, Geodetic
-from ..site.world import OnWgs84, heading, on_wgs84, pose_in_frame
+from ..world.world import OnWgs84, heading, on_wgs84, pose_in_frame
 from .documents import TREE_SCHEMA, transform_fields, write_yaml
 from .ros import write_launch
 from .transform import ROS_COVARIANCE_ORDER, Transform, covariance_to_ros

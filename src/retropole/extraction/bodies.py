@@ -15,14 +15,14 @@ from ..base.se3 import lengths
 from .acceptance_shape import Failure
 from .lines import LITTLE, MIN_LINE_POINTS, MOST, Line, distance_and_place, to_nearest
 
-REACH = 0.65
+BODY_REACH = 0.65
 """A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
 0.3 m deep, half of it seen."""
 
 AIR = 1.1
 """Up to this distance from the band, metres, there is air about a body."""
 
-BEYOND = 0.15
+BEYOND_BAND = 0.15
 """A body goes on beyond both ends by this and by a step from ring to ring, metres."""
 
 
@@ -35,14 +35,14 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
         The cloud, and the line found in it.
     """
     low, high = line.low, line.high
-    beyond = max(BEYOND, line.step)
+    beyond = max(BEYOND_BAND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
     reach = float(np.hypot(half, AIR))
     near = cloud.xyz[np.abs(cloud.xyz[:, 0] - line.point[0]) < reach]
     near = near[lengths(near - line.point) < reach]
     distance, along = distance_and_place(near, line.point, line.direction)
-    body = (distance > line.tube) & (distance <= REACH)
-    around = (distance > REACH) & (distance <= AIR)
+    body = (distance > line.tube) & (distance <= BODY_REACH)
+    around = (distance > BODY_REACH) & (distance <= AIR)
 
     def is_free(part: BoolArray) -> bool:
         """Whether there is something of a body in a part (M,), and air about it."""
@@ -61,7 +61,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
     return Failure(
         "on_a_body",
-        f"{counted(count, 'return')} up to {REACH:g} m beside it "
+        f"{counted(count, 'return')} up to {BODY_REACH:g} m beside it "
         f"{'goes' if count == 1 else 'go'} on beyond both its ends, with air about "
         "them: a band that a person wears or holds",
     )

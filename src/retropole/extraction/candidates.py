@@ -2,7 +2,7 @@
 
 They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
 of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
-(`matching.confirmation`).
+(`hypotheses.candidate_confirmation`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ CLINGING = 0.06
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
 itself is nearer than `MAX_CLOSE`."""
 
-NEAR, POINTING = 8.0, 0.002
+NEAR_POLES_END, POINTING = 8.0, 0.002
 """Limits of scatter were set on poles no farther than the first, metres; beyond, what beams point
 beside where they should scatters the returns of a candidate by this more, rad: 25 mm at 15 m. Of
 tubes of 6 and 11 cm at 13 to 17 m (benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
@@ -238,7 +238,7 @@ def _slim_or_wide(
 def _from_afar(cloud: PointCloud, line: Line) -> Line:
     """Grant a far line the scatter across the beams that grows with the distance."""
     away = float(np.linalg.norm(line.point - cloud.origin))
-    more = POINTING * np.sqrt(max(away**2 - NEAR**2, 0.0))
+    more = POINTING * np.sqrt(max(away**2 - NEAR_POLES_END**2, 0.0))
     return replace(line, beam_scatter=float(np.hypot(line.beam_scatter, more)))
 
 

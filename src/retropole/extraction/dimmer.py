@@ -29,7 +29,7 @@ def with_dimmer_candidates(
     cloud
         The cloud of the detection.
     detection
-        As `extract_poles` or `with_doubtful` gives it.
+        As `extract_poles` or `with_candidates` gives it.
     radius
         Of the poles, metres.
     sensor

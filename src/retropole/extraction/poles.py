@@ -103,7 +103,7 @@ def extract_poles(
     -------
     Detection
         Poles with the most returns first; none at all is an answer. Its `candidates` pass all
-        rules but those of `certainty`; `doubtful.with_doubtful` adds others.
+        rules but those of `certainty`; `candidates.with_candidates` adds others.
 
     Raises
     ------

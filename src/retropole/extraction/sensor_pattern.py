@@ -20,7 +20,7 @@ from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
 from ..io.recognition import MIN_RING_POINTS, guess_sensors
 from ..io.rings import MAX_RING_SPREAD, RING_SAMPLE, elevations, ring_spread
 
-BEYOND = float(np.radians(2.0))
+BEYOND_VIEW = float(np.radians(2.0))
 """So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
 of one model differ by some tenths of a degree; the largest step between rings at the end of a field
 of view is 10° (RS-LiDAR-32), inside it."""
@@ -154,8 +154,8 @@ def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
     are.
     """
     low, high = sensor.elevation_span
-    upright = (elevation < low - BEYOND) | (elevation > high + BEYOND)
-    hanging = (-elevation < low - BEYOND) | (-elevation > high + BEYOND)
+    upright = (elevation < low - BEYOND_VIEW) | (elevation > high + BEYOND_VIEW)
+    hanging = (-elevation < low - BEYOND_VIEW) | (-elevation > high + BEYOND_VIEW)
     return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
 
 

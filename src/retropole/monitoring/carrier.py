@@ -2,7 +2,7 @@
 
 A vehicle that is said to stand may creep. Where its LiDARs recorded some time apart, it was
 elsewhere in between, and the pose between them is off by its motion: that is no movement of the
-rig. The sweeps of a recording show the motion (`scene.sway.velocity_of`), and it is taken out. A
+rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is taken out. A
 single sweep shows none; then only how fast a carrier creeps that is taken to stand bounds it.
 """
 
@@ -19,8 +19,8 @@ from ..base.datatypes import Array, PointCloud
 from ..base.errors import Reason
 from ..base.quantities import error, value_and_error
 from ..io.recordings import time_of_recording
-from ..scene.static import MAX_TURN
-from ..scene.sway import velocity_of, without_velocity
+from ..surfaces.static import MAX_TURN
+from ..surfaces.sway import velocity_of, without_velocity
 from .certainty import FALSE_ALARM, ROTATION, TRANSLATION, least_certain
 
 CREEP = 0.07

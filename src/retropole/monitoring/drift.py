@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import structs
 from scipy.special import chdtri
 
+from ..adjustment.one_mast import on_one_mast
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..base.errors import Reason, Refusal, UsageError
@@ -24,11 +25,10 @@ from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import error_sizes
-from ..matching.placements import left_in
+from ..hypotheses.evidence import MAX_CONFLICTING, count, is_in_conflict, scenes_of
+from ..hypotheses.placements import left_in
 from ..pipeline import calibrate
-from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
-from ..scene.one_mast import on_one_mast
-from ..scene.preference import preferences
+from ..verdict.preference import preferences
 from .carrier import CarrierMotion, carrier_motion
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses

@@ -9,17 +9,17 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..adjustment.refinement import refine
 from ..base.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from ..base.errors import Reason
 from ..base.quantities import error
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty
-from ..matching.prior import RotationPrior
-from ..scene.choice import MIN_OVERLAP
-from ..scene.disambiguation import SCORING_VOXEL
-from ..scene.refinement import refine
-from ..scene.registration import MIN_CLOUD_POINTS
-from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
+from ..hypotheses.choice import MIN_OVERLAP
+from ..hypotheses.prior import RotationPrior
+from ..surfaces.disambiguation import SCORING_VOXEL
+from ..surfaces.registration import MIN_CLOUD_POINTS
+from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
 from .certainty import ROTATION, TRANSLATION
 
 PARTS = ROTATION, TRANSLATION

@@ -16,8 +16,8 @@ from ..base.errors import Reason, Refusal
 from ..base.sensors import Sensor
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import check_sensor
-from ..scene.confirmation import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict
-from ..scene.consistency import Standing
+from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict
+from ..surfaces.consistency import Standing
 
 NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
 """A pose that was found is the stored one reversed where it is so near to it, rad and m. Twice the

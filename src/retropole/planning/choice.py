@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from ..adjustment.descent import inverse_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
-from ..scene.descent import inverse_of
 from .candidates import Candidates, leans_of
 
 UNSURE = 0.3, 3.0

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..adjustment.descent import inverse_of
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
-from ..scene.descent import inverse_of
 from .choice import Design, unsure
 
 SHARED = (24, 36, 48)

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..adjustment.descent import RefinementProblem, minimise
+from ..adjustment.places import parts_of
+from ..adjustment.terms import ScenePair, scene_pairs
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.factor import PoleFactor
@@ -17,10 +20,7 @@ from ..base.relative import joint_of, relative
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import BudgetEntry
 from ..extraction.sensor_pattern import error_sizes
-from ..scene.descent import RefinementProblem, minimise
-from ..scene.patches import surface_patches
-from ..scene.places import parts_of
-from ..scene.terms import ScenePair, scene_pairs
+from ..surfaces.patches import surface_patches
 from .candidates import Candidates
 from .information import network_of
 from .place import Station

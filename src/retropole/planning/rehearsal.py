@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..adjustment.answer import SiteCalibration
 from ..base.datatypes import Calibration, PointCloud
+from ..base.description import Site, SiteLidar
 from ..base.uncertainty.purpose import Need
 from ..pipeline import calibrate
+from ..pipeline_of_sites import calibrate_site
 from ..simulation.inserting import in_sensor_frame, range_noise, with_poles
 from ..simulation.raycast import Cylinder
-from ..site.answer import SiteCalibration
-from ..site.calibration import calibrate_site
-from ..site.description import Site, SiteLidar
 from .information import divergences_of
 from .place import Station
 

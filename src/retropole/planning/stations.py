@@ -12,19 +12,19 @@ from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Placement, PointCloud, Scan
 from ..base.errors import Refusal
 from ..base.sensors import Sensor
-from ..scene.confirmation import count, grounds_of, under
-from ..scene.consistency import OTHER_GROUND, Standing, standing_in
-from ..scene.disambiguation import SCORING_VOXEL
-from ..scene.from_above import matches_from_above
-from ..scene.icp_refinement import registered
-from ..scene.registration import prepare, voxel_downsample
-from ..scene.scans import find_poles
-from ..scene.visibility import tree_of
+from ..hypotheses.evidence import count, grounds_of, under
+from ..hypotheses.from_above import matches_from_above
+from ..hypotheses.icp_refinement import registered
 from ..simulation.devices import TYPICAL
 from ..simulation.raycast import Box, Surface
 from ..simulation.recorded import recorded_beams
 from ..simulation.scanning import scan
 from ..simulation.scenes import ASPHALT, ground
+from ..surfaces.consistency import OTHER_GROUND, Standing, standing_in
+from ..surfaces.disambiguation import SCORING_VOXEL
+from ..surfaces.registration import prepare, voxel_downsample
+from ..surfaces.scans import find_poles
+from ..surfaces.visibility import tree_of
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)

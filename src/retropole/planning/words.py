@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from ..adjustment.answer import SiteCalibration
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted, error, percent
@@ -34,7 +35,6 @@ from ..result.pole_plan import (
     TapeDoc,
     below,
 )
-from ..site.answer import SiteCalibration
 from .candidates import beams_met
 from .information import divergences_of
 from .place import Station

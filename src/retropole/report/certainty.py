@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from ..adjustment.blunders import POOR, is_poor
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..result import ResultDoc
 from ..result.site import LidarDoc, LoopDoc, SiteDoc, TestDoc
-from ..site.blunders import POOR, is_poor
 from .subject import Subject
 
 BUDGET_RANGE = 30.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..base.quantities import UNKNOWN, counted, percent
+from ..certify.certification import DistanceTest, Verdict
+from ..certify.repetition import SpreadTest
 from ..result.certification import FieldTestDoc, PairTestDoc
-from ..site.certification import DistanceTest, Verdict
-from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .listings import Listing, columns

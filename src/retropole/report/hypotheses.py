@@ -11,7 +11,7 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted
 from ..base.reasons import plain
-from ..matching.prior import MAX_SIGMAS, RotationPrior
+from ..hypotheses.prior import MAX_SIGMAS, RotationPrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
 from .certainty import number

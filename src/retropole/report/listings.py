@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..adjustment.blunders import POOR
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc
 from ..result.site import FoundDoc, PairDoc, SiteDoc
-from ..site.blunders import POOR
 from .certainty import around, far_error, number, probability
 from .subject import Subject, hypothesis_name, pair_name
 

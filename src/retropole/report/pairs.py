@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..adjustment.blunders import POOR
 from ..result.site import SiteDoc
-from ..site.blunders import POOR
 from . import listings
 from .certainty import number
 from .page import EMPTY, Html, fill, join, listed

@@ -10,10 +10,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..adjustment.answer import WithoutPlacement
 from ..base.datatypes import Placement, Scan
+from ..base.description import Frame
 from ..base.errors import UsageError, shortened
 from ..base.quantities import counted
 from ..base.uncertainty.confirmation import UNUSABLE
+from ..hypotheses.choice import hypothesis_name
 from ..result import ResultDoc
 from ..result.site import (
     FoundDoc,
@@ -24,9 +27,6 @@ from ..result.site import (
     recording_document,
 )
 from ..result.verdict import chance_wrong
-from ..scene.choice import hypothesis_name
-from ..site.answer import WithoutPlacement
-from ..site.description import Frame
 
 __all__ = ["LIDARS", "Subject", "hypothesis_name", "input_names", "of_pair", "of_site"]
 

@@ -13,7 +13,7 @@ from ..base.datatypes import Array, Scan
 from ..base.errors import visible
 from ..base.quantities import counted
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
-from ..scene.consistency import contradicting_points, standing_in
+from ..surfaces.consistency import contradicting_points, standing_in
 from .page import Html
 from .plan import Plan
 from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points

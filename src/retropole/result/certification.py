@@ -11,8 +11,8 @@ from typing import Literal
 import msgspec
 
 from ..base.bounded import Share, Size, Text
-from ..site.certification import DistanceTest, FieldTest, PolesSeen, Verdict
-from ..site.repetition import SpreadTest
+from ..certify.certification import DistanceTest, FieldTest, PolesSeen, Verdict
+from ..certify.repetition import SpreadTest
 from . import InputDoc, ReasonDoc, document_of, made_now
 
 FIELD_TEST_SCHEMA: Literal["retropole/field-test/1"] = "retropole/field-test/1"

@@ -14,6 +14,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ..adjustment.answer import (
+    MOST_LIDARS,
+    Indices,
+    LidarPose,
+    SiteCalibration,
+    SitePole,
+    WithoutPlacement,
+)
 from ..base.bounded import (
     LONGEST_LIST,
     Count,
@@ -26,19 +34,11 @@ from ..base.bounded import (
     Text,
 )
 from ..base.datatypes import Array, Scan
+from ..base.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Fitness, Need
 from ..io.downsampling import MAX_POINTS
 from ..io.units import Unit
-from ..site.answer import (
-    MOST_LIDARS,
-    Indices,
-    LidarPose,
-    SiteCalibration,
-    SitePole,
-    WithoutPlacement,
-)
-from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from . import (
     COVARIANCE_ORDER,
     DEFAULT_CONFIG,
@@ -124,7 +124,7 @@ class RecordingDoc(InputDoc, frozen=True, kw_only=True):
 
 
 class PairDoc(msgspec.Struct, frozen=True):
-    """Two LiDARs, and how well they agree; `site.answer.PairCheck`."""
+    """Two LiDARs, and how well they agree; `adjustment.answer.PairCheck`."""
 
     lidars: tuple[Count, Count]
     shared_poles: Count
@@ -137,7 +137,7 @@ class PairDoc(msgspec.Struct, frozen=True):
 class LoopDoc(
     msgspec.Struct, frozen=True, rename={"rotation": "rotation_rad", "translation": "translation_m"}
 ):
-    """What the pairwise poses around a loop fail to close by; `site.answer.LoopClosure`."""
+    """What the pairwise poses around a loop fail to close by; `adjustment.answer.LoopClosure`."""
 
     lidars: Indices
     rotation: Size | None
@@ -152,7 +152,7 @@ class TestDoc(
     frozen=True,
     rename={"minimal_detectable": "minimal_detectable_m", "external": "external_at_30m_m"},
 ):
-    """One observation, or what several share, tested against all others; `site.answer.Test`."""
+    """One observation, or several, tested against all others; `adjustment.answer.Test`."""
 
     kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
     name: Text

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from ..base import se3
 from ..base.datatypes import Array
+from ..base.description import ControlPoint, Sighting, SurveyedPole
 from ..base.sensors import Sensor
-from ..site.description import ControlPoint, Sighting, SurveyedPole
 from .raycast import Cylinder, cast
 from .recording import SimulationError
 from .site_places import SitePlace

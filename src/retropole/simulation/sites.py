@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.datatypes import DEFAULT_RADIUS, MAX_POLES, Array, IntArray, PointCloud
+from ..base.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
 from ..base.errors import UsageError
 from ..base.sensors import Sensor, find_sensor
-from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
 from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .raycast import Cylinder, Surface
 from .recording import Recorders, SimulationError, is_seen, record_in_turn

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from ..adjustment.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..adjustment.refinement import Refinement
 from ..alignment.adjustment import BeamAlignment
 from ..base import quantities
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Pole, Scan
@@ -14,16 +16,14 @@ from ..base.sensors import Sensor
 from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import sensor_doubt
-from ..matching.confirmation import candidate_reasons
-from ..matching.correspondence import widest_angle
-from ..matching.extension import left_out
-from ..matching.placements import PairedPlacement, is_by_place
-from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
-from ..scene.by_place import LEAN_ANOTHER, STAND_TWO
-from ..scene.choice import WARN_MARGIN, margin_of
-from ..scene.confirmation import check_unconfirmed
-from ..scene.refinement import Refinement
-from ..scene.times import other_times
+from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
+from ..hypotheses.candidate_confirmation import candidate_reasons
+from ..hypotheses.choice import WARN_MARGIN, margin_of
+from ..hypotheses.correspondence import widest_angle
+from ..hypotheses.evidence import check_unconfirmed
+from ..hypotheses.extension import left_out
+from ..hypotheses.placements import PairedPlacement, is_by_place
+from ..surfaces.times import other_times
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""

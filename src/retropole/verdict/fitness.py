@@ -30,7 +30,7 @@ DOUBTS = (
 )
 """Warnings that the pose may be another one, which its covariance does not count."""
 
-MOST = 0.5
+MOST_OF_VARIANCE = 0.5
 """Sources of error are named, two at most, until they make this share of the variance."""
 
 
@@ -120,7 +120,7 @@ def _remedies(answer: Calibration) -> dict[str, str]:
     helping: dict[str, list[str]] = {}
     share, unit = 0.0, f" of the variance at {BUDGET_RANGE:g} m"
     for entry in [each for each in budget if each.name != FLOOR][:2]:
-        if share < MOST:
+        if share < MOST_OF_VARIANCE:
             part = quantities.percent(entry.share_at_30m) + unit
             unknown = None if entry.sensor is None or is_known[entry.sensor] else entry.sensor
             words = f"{source_words(entry.name, entry.sensor)} ({part})"

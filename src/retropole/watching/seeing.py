@@ -14,8 +14,8 @@ from ..base.sensors import Sensor
 from ..extraction.candidates import with_candidates
 from ..extraction.dimmer import with_dimmer_candidates
 from ..extraction.poles import extract_poles
-from ..matching.correspondence import widest_angle
-from ..matching.line_pairs import line_pair
+from ..hypotheses.correspondence import widest_angle
+from ..hypotheses.line_pairs import line_pair
 
 STILL = 1.0
 """A pole that stood where it does for so long stands still, s."""

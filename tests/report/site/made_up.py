@@ -10,6 +10,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from retropole.adjustment.answer import (
+    LidarPose,
+    LoopClosure,
+    PairCheck,
+    SiteCalibration,
+    SitePole,
+    Test,
+    WithoutPlacement,
+)
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import (
@@ -21,22 +30,7 @@ from retropole.base.datatypes import (
     RejectedCluster,
     Scan,
 )
-from retropole.base.errors import Reason, Refusal
-from retropole.base.sensors import SENSORS
-from retropole.base.uncertainty import BudgetEntry, predicted_error
-from retropole.base.uncertainty.purpose import Fitness, Need
-from retropole.result import InputDoc
-from retropole.result.site import SiteConfig, SiteDoc, recording_document, site_document
-from retropole.site.answer import (
-    LidarPose,
-    LoopClosure,
-    PairCheck,
-    SiteCalibration,
-    SitePole,
-    Test,
-    WithoutPlacement,
-)
-from retropole.site.description import (
+from retropole.base.description import (
     ControlPoint,
     Frame,
     Geodetic,
@@ -46,6 +40,12 @@ from retropole.site.description import (
     SurveyedPole,
     Up,
 )
+from retropole.base.errors import Reason, Refusal
+from retropole.base.sensors import SENSORS
+from retropole.base.uncertainty import BudgetEntry, predicted_error
+from retropole.base.uncertainty.purpose import Fitness, Need
+from retropole.result import InputDoc
+from retropole.result.site import SiteConfig, SiteDoc, recording_document, site_document
 
 NAMES = ("mast-a", "mast-b", "gate", "crane-low", "crane-high", "quay-n", "quay-s", "shed")
 

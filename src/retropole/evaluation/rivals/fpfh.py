@@ -17,7 +17,7 @@ import numpy as np
 from ...base.datatypes import Array, PointCloud, PoseEstimate
 from ...base.errors import MissingExtraError, Refusal
 from ...base.quantities import counted
-from ...scene.registration import MIN_CLOUD_POINTS, voxel_downsample
+from ...surfaces.registration import MIN_CLOUD_POINTS, voxel_downsample
 from .registration import register_clouds
 
 FPFH_VOXELS = (0.7, 0.5)

@@ -17,7 +17,7 @@ import numpy as np
 from ...base import se3
 from ...base.datatypes import Array, PointCloud, PoseEstimate
 from ...base.errors import MissingExtraError, Refusal
-from ...scene.registration import MIN_CLOUD_POINTS
+from ...surfaces.registration import MIN_CLOUD_POINTS
 from .registration import register_clouds
 
 KISS_VOXELS = (1.0, 0.5, 0.2)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ...base.datatypes import Array, IntArray, PointCloud
 from ...base.se3 import principal_axes
-from ...scene.registration import voxel_downsample
+from ...surfaces.registration import voxel_downsample
 
 PLANE_VOXEL = 0.15
 """Clouds are downsampled to one point per cube of this side, metres, so that support means area."""

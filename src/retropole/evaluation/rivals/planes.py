@@ -23,7 +23,7 @@ import numpy as np
 from ...base import se3
 from ...base.datatypes import Array, BoolArray, PointCloud, PoseEstimate
 from ...base.errors import Refusal
-from ...scene.visibility import View, compare_views, view_of
+from ...surfaces.visibility import View, compare_views, view_of
 from .plane_extraction import MAX_ROUNDS, PlaneSearch, extract_planes, triples
 from .plane_poses import (
     MAX_REFINE_STEPS,

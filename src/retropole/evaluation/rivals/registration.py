@@ -17,7 +17,14 @@ from scipy.spatial import cKDTree
 from ...base import se3
 from ...base.datatypes import Array, PointCloud, PoseEstimate
 from ...base.errors import Refusal
-from ...scene.registration import CORES, MIN_CLOUD_POINTS, Registration, Surface, prepare, register
+from ...surfaces.registration import (
+    CORES,
+    MIN_CLOUD_POINTS,
+    Registration,
+    Surface,
+    prepare,
+    register,
+)
 
 REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""

@@ -54,8 +54,8 @@ def result_figure(
     poles
         Of the target and of the source, paired.
     contradicting
-        (N, 3) of the target and (M, 3) of the source, what `scene.consistency` finds to contradict
-        the answer; drawn in red.
+        (N, 3) of the target and (M, 3) of the source, what `surfaces.consistency` finds to
+        contradict the answer; drawn in red.
 
     Raises
     ------

@@ -1,0 +1,215 @@
+"""Whether what was seen agrees: the poles with each other, with the radius, and with the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
+from ..base.errors import Reason, Refusal
+from ..base.quantities import error, value, value_and_error
+from ..base.uncertainty import RadiusEstimate
+from ..hypotheses.placements import PairedPlacement, align
+from .refinement import Refinement, refine_by_scene
+
+WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = 22.5, 100.0
+"""Squared Mahalanobis distance of the refined pose from the poles' own above which it is said, and
+above which the answer is refused. χ² with 6 degrees of freedom exceeds the first once in a thousand
+times. In 56 simulated recordings between which a pole was moved by 3 to 15 cm, the refined pose was
+off by more than 0.1 m or 1° only beyond the second, or where the poles were found inconsistent."""
+
+MAX_AXES_CHI2 = 7.0
+"""Most χ² of the poles' test for each degree of freedom: with two, what is exceeded once in 1,100
+times. Poles that stood still came up to 2.9 in 166 recordings (benchmarks/coverage.py, tuning
+families, seeds 0 to 20), and to 5.2 in 189 of four pairs of sensors (its ordinary noise and its
+field, seeds 0 to 23 for each pair), there with a PandarQT, and to 3.1 in 45 with inserted poles
+(benchmarks/semireal.py, its first seeds)."""
+
+MOST_LEFT_OUT = 6
+"""So many poles are left out in turn at most, those first that explain most of what does not fit:
+each takes an alignment of all others, seconds for a row of posts."""
+
+
+def without_misplaced(
+    paired: Sequence[PairedPlacement],
+    aligned: BeamAlignment,
+    *,
+    radius: float,
+    radius_sigma: float,
+    scene: bool = True,
+) -> tuple[Sequence[PairedPlacement], BeamAlignment]:
+    """Leave out the pole, of three or more, that does not stand as the others do, if one does not.
+
+    Each is left out in turn, and the others are tested. Two that are left of three fit each other
+    easily, so where that mends it for several, the scene says for which: only without the pole that
+    moved, or is another object, do the others agree with it.
+
+    Parameters
+    ----------
+    paired, aligned
+        The poles of all placements, paired; and aligned.
+    radius, radius_sigma
+        Of the poles, and its 1 σ, metres.
+    scene
+        Whether the scene may be asked.
+
+    Raises
+    ------
+    Refusal
+        ``poles_inconsistent``.
+    """
+    if _stand_alike(aligned):
+        return paired, aligned
+    T, found = aligned.pose.T_target_source, []
+    explained = iter(aligned.axes_test.by_pole)
+    least = np.sort(aligned.axes_test.by_pole)[::-1][:MOST_LEFT_OUT][-1]
+    for k, each in enumerate(paired):
+        for pair in each.hypothesis.match.pairs:
+            if next(explained) < least or len(each.target_poles) <= 2:
+                continue
+            fewer = [*paired[:k], each.without(pair), *paired[k + 1 :]]
+            try:
+                other = align(fewer, T, radius=radius, radius_sigma=radius_sigma)
+            except Refusal:
+                continue
+            if _stand_alike(other):
+                found.append((fewer, other))
+    if len(found) > 1:
+        found = [one for one in found if scene and _scene_agrees(refine_by_scene(*one))]
+    if len(found) != 1:
+        check_axes(aligned)
+    return found[0]
+
+
+def _scene_agrees(refined: Refinement | None) -> bool:
+    return refined is not None and refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ
+
+
+def _stand_alike(aligned: BeamAlignment) -> bool:
+    test = aligned.axes_test
+    return test.chi2 <= MAX_AXES_CHI2 * test.freedom
+
+
+def check_axes(aligned: BeamAlignment) -> None:
+    """Refuse poles that did not stand to each other alike when each LiDAR recorded them.
+
+    Raises
+    ------
+    Refusal
+        ``poles_inconsistent``.
+    """
+    test = aligned.axes_test
+    limit = MAX_AXES_CHI2 * test.freedom
+    if not _stand_alike(aligned):
+        # Of two poles neither can be told to be the one that moved.
+        worst = int(np.argmax(test.by_pole)) if len(test.by_pole) > 2 else None
+        named = "" if worst is None else f", freeing pole {worst} explains most of it"
+        raise Refusal(
+            "poles_inconsistent",
+            "the poles do not stand to each other alike in both recordings: χ² is "
+            f"{test.chi2:.0f} with {test.freedom} degrees of freedom, {limit:.0f} are allowed"
+            f"{named}; did one move between the recordings, or is one another object?",
+            {
+                "chi2": test.chi2,
+                "limit": limit,
+                "dof": test.freedom,
+                "pole": -1 if worst is None else worst,
+            },
+        )
+
+
+def check_contradiction(refined: Refinement | None) -> None:
+    """Refuse poles and a scene that give poses further apart than both allow by far.
+
+    Raises
+    ------
+    Refusal
+        ``poles_scene_contradict``.
+    """
+    if refined is None or refined.mahalanobis_sq <= MAX_MAHALANOBIS_SQ:
+        return
+    apart = refined.from_poles
+    raise Refusal(
+        "poles_scene_contradict",
+        f"the scene has the LiDARs {error(apart.translation, 'm')} and "
+        f"{error(apart.rotation, 'rad')} from where the poles have them, "
+        f"{np.sqrt(refined.mahalanobis_sq / 6):.0f} times what their uncertainty allows: did a "
+        "pole move between the two recordings, or is one another object?",
+        {
+            "mahalanobis_sq": refined.mahalanobis_sq,
+            "moved_m": apart.translation,
+            "turned_rad": apart.rotation,
+        },
+    )
+
+
+def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason]:
+    """Warn where the returns conflict with the radius that was given, by so many σ."""
+    if contradicted > RADIUS_CONFLICT:
+        yield Reason(
+            "radius_differs",
+            f"the returns conflict with the given radius, {value(radius.given, radius.sigma)}, by "
+            f"{contradicted:.0f} σ and have "
+            f"{value_and_error(radius.estimated, radius.sigma)}: is --radius a diameter? The "
+            "answer uses what the returns have",
+            {"given_m": radius.given, "estimated_m": radius.estimated, "sigma_m": radius.sigma},
+        )
+
+
+def check_minima(refined: Refinement | None) -> Iterator[Reason]:
+    """Warn where the scene leads to different poses from within the poles' uncertainty."""
+    if refined is not None and refined.other_minima:
+        furthest = max(refined.other_minima, key=lambda step: float(np.linalg.norm(step[3:])))
+        metres, radians = (float(np.linalg.norm(part)) for part in (furthest[3:], furthest[:3]))
+        yield Reason(
+            "several_minima",
+            "from other starts within the poles' uncertainty the scene leads to another pose, "
+            f"{error(metres, 'm')} and {error(radians, 'rad')} away; the one that more of the "
+            "scene agrees with is given",
+            {"apart_m": metres, "apart_rad": radians, "starts": 1 + len(refined.other_minima)},
+        )
+
+
+def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
+    """Warn where one place alone decides a direction of the pose."""
+    for place in () if refined is None else refined.decisive:
+        radians, metres = (float(np.linalg.norm(part)) for part in np.split(place.apart, 2))
+        x, y, z = (float(v) for v in place.at)
+        yield Reason(
+            "one_place_decides",
+            f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
+            f"the target, holds {place.share:.0%} of what is known of the pose along one "
+            f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
+            "elsewhere. What is stated is that of the rest: add a placement of the poles, or "
+            "record where more stands around",
+            {
+                "share": place.share,
+                "x_m": x,
+                "y_m": y,
+                "z_m": z,
+                "apart_m": metres,
+                "apart_rad": radians,
+            },
+        )
+
+
+def check_agreement(refined: Refinement | None) -> list[Reason]:
+    """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
+    if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
+        return []
+    apart = refined.from_poles
+    return [
+        Reason(
+            "poles_and_scene_disagree",
+            f"the scene moves the pose {1000 * apart.translation:.0f} mm and "
+            f"{np.degrees(apart.rotation):.2f}° away from the poles, "
+            f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
+            "something move between the two recordings, or is --radius wrong?",
+            {
+                "pull": refined.mahalanobis_sq,
+                "moved_m": apart.translation,
+                "turned_rad": apart.rotation,
+            },
+        )
+    ]

@@ -1,0 +1,233 @@
+"""Where the frame of a site is: laid on what was surveyed, levelled, or that of a LiDAR.
+
+Surveyed poles are matched to those that the LiDARs see as the poles of one more LiDAR would be;
+control points are known by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..alignment.survey import KnownPoint, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd
+from ..base import se3
+from ..base.datatypes import Array, BoolArray
+from ..base.description import Site
+from ..base.errors import Reason
+from ..base.quantities import counted
+from .hanging import Hanging, hanging_off, known_poses
+from .onto_survey import Fit, pole_at, transformed
+from .shared import SharedPole
+from .survey_check import lay_on_survey, list_unmet
+
+
+@dataclass(frozen=True, eq=False)
+class Datum:
+    """The frame of a site, and what is known in it.
+
+    Attributes
+    ----------
+    poses
+        From the index of a LiDAR to its pose (4, 4) in that frame, about its beam origin.
+    poles
+        The shared poles in that frame, those that were surveyed marked.
+    surveyed
+        What is known of them.
+    free
+        (6 L,) which parameters of the poses are estimated.
+    words
+        What fixes the frame.
+    unmet
+        What was surveyed and nothing that the LiDARs see meets.
+    hanging
+        What hangs on a link that the place gives a part of, off what the frame is laid on.
+    """
+
+    poses: dict[int, Array]
+    poles: list[SharedPole]
+    surveyed: Surveyed
+    free: BoolArray
+    words: str
+    unmet: tuple[Reason, ...] = ()
+    hanging: tuple[Hanging, ...] = ()
+
+
+def find_datum(
+    site: Site,
+    origins: Array,
+    poses: dict[int, Array],
+    poles: Sequence[SharedPole],
+    hanging: Sequence[Hanging] = (),
+) -> Datum:
+    """Lay the frame of the site on what was surveyed; without, level it, or leave it a LiDAR's.
+
+    Parameters
+    ----------
+    site
+        With what was surveyed.
+    origins
+        (L, 3) where the beams of each LiDAR start in its own frame.
+    poses, poles
+        In the frame of the first of the linked LiDARs.
+    hanging
+        By `find_hanging`: what the place gives a part of is held there (`Surveyed.poses`).
+
+    Raises
+    ------
+    Refusal
+        ``survey_unmatched`` where nothing surveyed fits what the LiDARs see, ``survey_ambiguous``
+        where it fits in several ways, ``survey_contradicts`` where parts of it do in different
+        ways.
+    """
+    count = len(site.lidars)
+    free = np.zeros((count, 6), dtype=bool)
+    free[list(poses)] = True
+    up = tuple(
+        MeasuredUp(f"up of {lidar.name}", i, lidar.up.direction, lidar.up.sigma)
+        for i, lidar in enumerate(site.lidars)
+        if lidar.up is not None and i in poses
+    )
+    if site.poles or site.points:
+        fit = lay_on_survey(site, origins, poses, poles)
+        T = fit.T
+        moved = {i: T @ pose for i, pose in poses.items()}
+        found = [transformed(pole, T) for pole in poles]
+        marked = [_marked(pole, site) for pole in found]
+        marked = [each for each in marked if len(each.seen) > 1 or each.surveyed is not None]
+        surveyed = replace(_known(site, origins, marked, moved, fit), up=up)
+        off = tuple(hanging_off(hanging, _most_surveyed(marked, surveyed, moved), frozenset(moved)))
+        surveyed = replace(surveyed, poses=known_poses(off, moved))
+        what = " and ".join(_counts(surveyed))
+        words = f"{site.frame.name}, by {what}"
+        unmet = tuple(list_unmet(site, origins, poses, poles, fit))
+        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet, off)
+    reference = site.reference if site.reference in poses else next(iter(poses))
+    name = site.lidars[reference].name
+    kept = [pole for pole in poles if len(pole.seen) > 1]
+    if up:
+        level = _levelling(up, poses)
+        T = se3.from_rt(level, np.zeros(3)) @ se3.inverse(_unturned(poses[reference]))
+        # Turning about the vertical and shifts are nobody's to say: they are the reference's.
+        free[reference] = [True, True, False, False, False, False]
+        words = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
+    else:
+        T = se3.inverse(poses[reference])
+        # Where its beams start in its own frame is where they start in the site's.
+        T = se3.from_rt(np.eye(3), origins[reference]) @ T
+        free[reference] = False
+        words = f"frame of {name}; nothing was surveyed"
+    moved = {i: T @ pose for i, pose in poses.items()}
+    off = tuple(hanging_off(hanging, reference, frozenset(moved)))
+    return Datum(
+        moved,
+        [transformed(pole, T) for pole in kept],
+        Surveyed(up=up, poses=known_poses(off, moved)),
+        free.reshape(-1),
+        words,
+        hanging=off,
+    )
+
+
+def _most_surveyed(poles: Sequence[SharedPole], surveyed: Surveyed, poses: dict[int, Array]) -> int:
+    """The LiDAR that sees most of what was surveyed: what it sees does not hang on the others."""
+    counts = dict.fromkeys(poses, 0)
+    for end in surveyed.ends:
+        for i in poles[end.axis].seen:
+            counts[i] += 1
+    for sight in surveyed.seen:
+        counts[sight.lidar] += 1
+    return max(counts, key=lambda i: counts[i])
+
+
+def _unturned(T: Array) -> Array:
+    return se3.from_rt(np.eye(3), T[:3, 3])
+
+
+def _levelling(up: Sequence[MeasuredUp], poses: dict[int, Array]) -> Array:
+    """(3, 3) shortest rotation that turns what the LiDARs say is up, on average, upright."""
+    mean = np.sum([poses[each.lidar][:3, :3] @ each.direction for each in up], axis=0)
+    mean /= np.linalg.norm(mean)
+    axis = np.cross(mean, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return np.eye(3) if mean[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return se3.exp_so3(axis / sine * np.arctan2(sine, mean[2]))
+
+
+def _marked(pole: SharedPole, site: Site) -> SharedPole:
+    for k, each in enumerate(site.poles):
+        if pole_at(each, [pole]) is not None:
+            return replace(pole, surveyed=k)
+    return pole
+
+
+def _known(
+    site: Site,
+    origins: Array,
+    poles: Sequence[SharedPole],
+    poses: dict[int, Array],
+    fit: Fit,
+) -> Surveyed:
+    """Write what was surveyed and is met as observations of axes and points."""
+    ends = []
+    for k, pole in enumerate(poles):
+        if pole.surveyed is None:
+            continue
+        each = site.poles[pole.surveyed]
+        for name, end in (("foot", each.foot), ("top", each.top)):
+            if end is not None:
+                ends.append(SurveyedEnd(f"{name} of {each.name}", k, end, each.sigma))
+    known, seen = [], []
+    for q, point in enumerate(site.points):
+        sights = [sight for k, sight in enumerate(point.seen) if (q, k) in fit.sightings]
+        if not sights:
+            continue
+        known.append(KnownPoint(point.name, point.at, point.sigma))
+        for sight in sights:
+            name = f"{point.name} as {site.lidars[sight.lidar].name} sees it"
+            at = sight.at - origins[sight.lidar]
+            seen.append(SeenPoint(name, sight.lidar, len(known) - 1, at, sight.sigma))
+    return Surveyed(tuple(ends), tuple(known), tuple(seen))
+
+
+def _counts(surveyed: Surveyed) -> Iterator[str]:
+    if surveyed.ends:
+        yield f"{counted(len(surveyed.ends), 'surveyed end')} of poles"
+    if surveyed.known:
+        yield counted(len(surveyed.known), "control point")
+
+
+def without_poles(datum: Datum, gone: set[int]) -> Datum:
+    """Leave out some poles, with what was surveyed of them."""
+    kept = [k for k in range(len(datum.poles)) if k not in gone]
+    ends = tuple(
+        replace(end, axis=kept.index(end.axis))
+        for end in datum.surveyed.ends
+        if end.axis not in gone
+    )
+    return replace(
+        datum,
+        poles=[datum.poles[k] for k in kept],
+        surveyed=replace(datum.surveyed, ends=ends),
+    )
+
+
+def without_survey(surveyed: Surveyed, name: str) -> Surveyed:
+    """Leave out one surveyed end or control point, by name."""
+    if any(each.name == name for each in surveyed.known):
+        number = next(q for q, each in enumerate(surveyed.known) if each.name == name)
+        seen = tuple(
+            replace(each, point=each.point - (each.point > number))
+            for each in surveyed.seen
+            if each.point != number
+        )
+        known = tuple(each for each in surveyed.known if each.name != name)
+        return replace(surveyed, known=known, seen=seen)
+    return replace(
+        surveyed,
+        ends=tuple(each for each in surveyed.ends if each.name != name),
+        seen=tuple(each for each in surveyed.seen if each.name != name),
+        up=tuple(each for each in surveyed.up if each.name != name),
+    )

@@ -1,0 +1,256 @@
+"""Down to the poses that poles and scenes agree on: one linear problem after the other.
+
+Minimised together over the steps x of all poses and the errors b of all LiDARs:
+
+    Σ_i w_i ρ( n_i · (R c_i + t − d_i) + D_i b )  +  ½ zᵀΛz − ηᵀz  +  ½ bᵀB⁻¹b,    z = [x, b]
+
+with R, t the pose of one LiDAR of a pair in the other's frame, c_i the centre of a patch of the
+one, d_i of the other's surface near it, n_i the mean of their normals, and Λ, η what the poles (and
+a survey) say. A direction that the scenes do not hold (along a corridor, over open ground) has no
+part in the first sum and stays where the poles put it. The sizes of the errors are estimated too.
+Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from ..alignment.error_sizes import group_scales, prior_precision, working_sigma
+from ..alignment.factor import PoleFactor
+from ..alignment.solver import MAX_ITERATIONS
+from ..alignment.unknowns import POSE
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.systematic import Groups
+from ..surfaces.patch_pairs import PatchSets
+from .terms import ScenePair, SceneTerm, scene_term
+
+STEP = 5e-8
+"""Stop where a step is below this, rad and m. Forces of poles, survey and scenes that balance each
+other turn with a step, to first order by half of it; steps of 2e-7 left 1.3e-6 of 1 σ at one of a
+hundred sites (tests/site/test_independent.py, seed 69)."""
+
+MAX_STRIDE = 4.0
+"""Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
+and fro, each −2 times the one before, and a third of one is right."""
+
+FEW_STEP = 3e-4
+"""The approach takes a part of the patches, until a step is below this, rad and m."""
+
+NARROWING, INFORMATION_SHARE = 0.06, 4.0
+"""Patches look for their partners as far as so many times the variance that independent residuals
+would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
+once, the search clings to whatever the first step found."""
+
+SUPPORT_WIDTH = 0.01
+"""Residual that halves the support of a pair when minima are compared, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementProblem:
+    """What stays the same from step to step: poles, scenes, groups of errors, their sizes (G,).
+
+    `origins_known` as `refinement.refine` has it.
+    """
+
+    factor: PoleFactor
+    scenes: tuple[ScenePair, ...]
+    groups: Groups
+    known: Array
+    origins_known: bool = False
+
+    def without_rings(self) -> RefinementProblem:
+        """Give the same without the errors of single rings.
+
+        An approach does without what moves a pose by millimetres, in a third of the time.
+        """
+        factor = self.factor.without_bands()
+        scenes = tuple(scene.without_rings() for scene in self.scenes)
+        return replace(self, factor=factor, scenes=scenes, groups=factor.unknowns.groups())
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    T
+        (L, 4, 4) the poses.
+    about
+        (L, 4, 4) where patches were paired and the terms of the scenes count from.
+    errors
+        (B,) of the LiDARs and the radius.
+    sigma
+        (G,) 1 σ of each group of errors.
+    precision
+        (B,) of the prior that they were estimated with.
+    inverse
+        (K, K) of the information of poses and errors; zero where the datum holds a pose.
+    search
+        (6 L, 6 L) covariance as far as which patches look for their partners.
+    scene
+        The terms of the last step.
+    converged, iterations
+        Whether the last step was small enough, and how many were taken.
+    """
+
+    T: Array
+    about: Array
+    errors: Array
+    sigma: Array
+    precision: Array
+    inverse: Array
+    search: Array
+    scene: tuple[SceneTerm, ...]
+    converged: bool = False
+    iterations: int = 0
+
+
+def support_of(end: End) -> float:
+    """How much of the scenes agrees at an end: the sum of robust weights, each at most 1."""
+    return sum(
+        float(np.sum(pairs.agreement / (1.0 + square)))
+        for pairs in (term.pairs for term in end.scene)
+        for square in [pairs.residuals**2 / (pairs.variance + SUPPORT_WIDTH**2)]
+    )
+
+
+def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = False) -> End:
+    """Descend as far as the poles (and a survey) leave the poses open.
+
+    Parameters
+    ----------
+    problem
+        What is minimised; without scenes the poles alone decide.
+    T
+        (L, 4, 4) where to start; None takes the poses of the poles.
+    few
+        Whether a part of the patches is enough.
+    """
+    start = problem.factor.T if T is None else T
+    searched = _solve(problem, start, (), problem.known).search
+    if few:
+        return approach(problem, start, searched)
+    return converge(problem, approach(problem.without_rings(), start, searched), searched)
+
+
+def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
+    """Descend with a part of the patches.
+
+    Parameters
+    ----------
+    problem
+        What is minimised.
+    T, covariance
+        (L, 4, 4) and (6 L, 6 L) from where, and how far that may be off.
+    """
+    begin = _Begin(T, covariance, problem.known)
+    near = _descend(problem, [each.few for each in problem.scenes], begin, covariance, FEW_STEP)
+    if near.scene or not problem.scenes:
+        return near
+    # A scene with little in it needs all of it.
+    return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
+
+
+def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
+    """Descend with all patches from where an approach ended, with rings or without, to rest."""
+    return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
+
+
+class _Begin(NamedTuple):
+    """From where a descent starts; see `End`."""
+
+    T: Array
+    search: Array
+    sigma: Array
+    iterations: int = 0
+
+
+def _descend(
+    problem: RefinementProblem,
+    scenes: Sequence[PatchSets],
+    begin: _Begin | End,
+    covariance: Array,
+    tolerance: float,
+) -> End:
+    """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
+    T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
+    before: Array | None = None
+    unknowns = problem.factor.unknowns
+    for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
+        found = (
+            scene_term(each.lidars, sets, T, search, unknowns, problem.origins_known)
+            for each, sets in zip(problem.scenes, scenes, strict=True)
+        )
+        terms = tuple(term for term in found if term is not None)
+        end = _solve(problem, T, terms, sigma)
+        step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
+        small = bool(np.abs(step).max() < tolerance)
+        stride, before = _stride_of(step, np.diag(end.inverse)[: len(step)], before)
+        # The last step is whole: the answer solves the problem that its covariance is of.
+        T = end.T if small else _moved(T, stride * step)
+        narrowed = NARROWING**iteration * covariance
+        search = INFORMATION_SHARE * end.inverse[: len(step), : len(step)] + narrowed
+        sigma = end.sigma
+        end = replace(end, T=T, search=search, converged=small, iterations=iteration)
+        if small:
+            break
+    return end
+
+
+def _moved(T: Array, step: Array) -> Array:
+    steps = step.reshape(-1, POSE)
+    return np.stack([se3.retract(one, by) for one, by in zip(T, steps, strict=True)])
+
+
+def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
+    """How much of a step to go, and what of it to remember for the next (Aitken 1926).
+
+    Weights and partners change with the pose, so that each step is followed by a smaller one in the
+    same direction, or back where it was too long. Of two steps the second tells the ratio, and
+    thereby the sum of all to come.
+    """
+    free = variance > 0
+    scaled = step[free] / np.sqrt(variance[free])
+    if before is None:
+        return 1.0, scaled
+    ratio = float(scaled @ before / max(float(before @ before), 1e-300))
+    return 1.0 / min(max(1.0 - ratio, 1.0 / MAX_STRIDE), MAX_STRIDE), None
+
+
+def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], sigma: Array) -> End:
+    """Solve the problem about some poses, and estimate the sizes of the errors."""
+    working = working_sigma(problem.groups, sigma, poles_alone=not terms)
+    precision = prior_precision(problem.groups, working)
+    # The poles count from where they were expanded, the scenes' terms from here.
+    factor = problem.factor.about(T)
+    poses, free = factor.unknowns.poses, factor.estimated
+    information, gradient = factor.information, factor.vector
+    index = np.arange(poses, len(gradient))
+    information[index, index] += precision
+    for term in terms:
+        information[np.ix_(term.place, term.place)] += term.information
+        np.add.at(gradient, term.place, term.slope_without_errors)
+    inverse = np.zeros_like(information)
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
+    best = inverse @ gradient
+    errors, variance = best[poses:], np.diag(inverse)[poses:]
+    sizes = group_scales(problem.groups, problem.known, precision, errors, variance)
+    search = inverse[:poses, :poses]
+    return End(_moved(T, best[:poses]), T, errors, sizes, precision, inverse, search, terms)
+
+
+def inverse_of(information: Array) -> Array:
+    """Invert a positive definite matrix, in a third of the time that a general one takes."""
+    root, failed = lapack.dpotrf(information)
+    half, _ = lapack.dpotri(root)
+    upper = np.triu(half)
+    if failed or not np.isfinite(upper).all():
+        return np.asarray(np.linalg.inv(information))
+    return np.asarray(upper + np.triu(upper, 1).T)

@@ -1,0 +1,162 @@
+"""All unknowns of a site at the answer, axes and control points too, and what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..alignment.certainty import Part
+from ..alignment.error_sizes import considered
+from ..alignment.network import Network, Observation, about
+from ..base.datatypes import Array
+from ..base.systematic import Groups
+from .descent import End
+from .places import FLAT, SCATTER
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """All unknowns of a site at the answer.
+
+    Attributes
+    ----------
+    network
+        The observations, in steps from the answer.
+    values
+        (Z,) the unknowns.
+    inverse
+        (Z, Z) of all information; zero where the datum holds a pose.
+    wide
+        (Z, R) errors that are considered and not estimated, each of 1 σ.
+    sigma
+        (B,) 1 σ of each error.
+    remainder
+        (Z,) slope of everything together by the unknowns at the answer: zero but for what the
+        iterations left.
+    scene_information
+        (Z, Z) what of all information is the scene's.
+    scene
+        (Z, R) steps of all unknowns that the scatter of the surfaces makes, and that they are not
+        flat, each of 1 σ: a wall's patches are no independent observations, and that information
+        promises too much where they alone decide.
+    """
+
+    network: Network
+    values: Array
+    inverse: Array
+    wide: Array
+    sigma: Array
+    remainder: Array
+    scene_information: Array
+    scene: Array
+
+    @cached_property
+    def by_wide(self) -> Array:
+        """(Z, R) how far the errors that are considered move the slope of all observations."""
+        return np.asarray(self.network.total()[0] @ self.wide)
+
+    def slope(self, one: Observation) -> Array:
+        """(P,) slope of an observation's log-likelihood at the answer."""
+        away = (self.values - self.network.start)[one.place]
+        return np.asarray(one.gradient - one.information @ away)
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """An adjusted axis of a pole.
+
+    Attributes
+    ----------
+    point, direction
+        (3,) in the frame of the site.
+    covariance
+        (4, 4) of the point along two directions across the axis, and of its direction likewise.
+    """
+
+    point: Array
+    direction: Array
+    covariance: Array
+
+    def nearest(self, at: Array) -> Array:
+        """(3,) point of the axis that is nearest to another."""
+        return np.asarray(self.point + self.direction * ((at - self.point) @ self.direction))
+
+    def sigma_at(self, at: Array) -> float:
+        """1 σ across the axis at one of its points, metres, the way that it is largest."""
+        by = np.hstack([np.eye(2), (at - self.point) @ self.direction * np.eye(2)])
+        return _largest_sigma(by @ self.covariance @ by.T)
+
+    @property
+    def direction_sigma(self) -> float:
+        """1 σ of the direction, rad, the way that it is largest."""
+        return _largest_sigma(self.covariance[2:, 2:])
+
+
+def _largest_sigma(covariance: Array) -> float:
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def axes_of(at: Solved) -> list[Axis]:
+    """Give the axes of all poles as they were adjusted."""
+    state, unknowns = at.network.state, at.network.unknowns
+    tangents = state.of(0, np.arange(unknowns.axes)).tangents
+    found = []
+    for k in range(unknowns.axes):
+        own = unknowns.axis(np.array([k]))
+        step = at.values[own].reshape(2, 2) @ tangents[k].T
+        direction = state.directions[k] + step[1]
+        # What is considered and not estimated moves the axes as well.
+        wide = at.inverse[own] @ at.by_wide
+        covariance = at.inverse[np.ix_(own, own)] + wide @ wide.T
+        direction /= np.linalg.norm(direction)
+        found.append(Axis(state.points[k] + step[0], direction, covariance))
+    return found
+
+
+def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part]) -> Solved:
+    """Solve for all unknowns, axes and control points too, at the answer.
+
+    Parameters
+    ----------
+    network, end
+        What was adjusted, and where it ended.
+    groups
+        The errors.
+    parts
+        Every source of error, those of the surfaces among them.
+    """
+    network = about(network, end.T)
+    unknowns, poses = network.unknowns, network.unknowns.poses
+    information, gradient = network.total()
+    kept = np.r_[np.zeros(poses), end.errors]
+    gone = slice(unknowns.kept, None)
+    start = network.start
+    pull = gradient[gone] - information[gone, : unknowns.kept] @ (kept - start[: unknowns.kept])
+    values = np.r_[kept, start[gone] + np.linalg.solve(information[gone, gone], pull)]
+    remainder = gradient - information @ (values - start)
+    index = np.arange(poses, unknowns.kept)
+    information[index, index] += end.precision
+    remainder[index] -= end.precision * end.errors
+    by_scene = np.zeros_like(information)
+    for term in end.scene:
+        by_scene[np.ix_(term.place, term.place)] += term.information
+        np.add.at(remainder, term.place, term.slope(values, poses))
+    information += by_scene
+    free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - poses, dtype=bool)])
+    inverse = np.zeros_like(information)
+    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    sigma = considered(groups, end.sigma)
+    which = np.flatnonzero(sigma)
+    wide = np.zeros((unknowns.size, len(which)))
+    wide[poses + which, np.arange(len(which))] = sigma[which]
+    # What moves the poses by so much takes all else along.
+    moved = np.flatnonzero(network.free)
+    surfaces = [part.root for part in parts if part.name in (SCATTER, FLAT)]
+    by_scene_moved = np.hstack([np.zeros((poses, 0)), *surfaces])[moved]
+    along = inverse[:, moved] @ np.linalg.solve(inverse[np.ix_(moved, moved)], by_scene_moved)
+    return Solved(
+        network, values, inverse, wide, end.sigma[groups.label], remainder, by_scene, along
+    )

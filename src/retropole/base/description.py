@@ -1,0 +1,180 @@
+"""What a site is: LiDARs with their recordings, placements of the poles, and what was surveyed.
+
+A LiDAR stands still at its place in all placements of the poles. A pole stands still in one
+placement, for all LiDARs. Everything is in metres and radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from .bounded import Count, Direction, Number, Size, Text, Vector
+from .datatypes import DEFAULT_RADIUS, Array, PointCloud
+from .sensors import Sensor
+from .uncertainty.purpose import Need
+
+
+class Up(msgspec.Struct, frozen=True, eq=False, rename={"sigma": "sigma_rad"}):
+    """Which way is up, as an inertial sensor fixed to a LiDAR says.
+
+    Attributes
+    ----------
+    direction
+        (3,) unit vector in the LiDAR's frame.
+    sigma
+        1 σ of it about each level axis, rad.
+    """
+
+    direction: Direction
+    sigma: Size
+
+
+@dataclass(frozen=True, eq=False)
+class SiteLidar:
+    """One LiDAR of a site and what it recorded.
+
+    Attributes
+    ----------
+    name
+        Its name, which is also that of its frame.
+    clouds
+        One for each placement of the poles; None where it recorded none.
+    sensor, threshold
+        What it is, and the intensity from which a return counts as retro-reflective; None where not
+        known.
+    serial
+        Serial number; empty where not given.
+    up
+        Which way is up in its frame; None where nothing measured it.
+    mast_sway
+        1 σ of the angle that its mast is said to sway by, rad; None takes what its sweeps show.
+    """
+
+    name: str
+    clouds: tuple[PointCloud | None, ...]
+    sensor: Sensor | None = None
+    threshold: float | None = None
+    serial: str = ""
+    up: Up | None = None
+    mast_sway: float | None = None
+
+
+class SurveyedPole(
+    msgspec.Struct,
+    frozen=True,
+    eq=False,
+    rename={"foot": "foot_m", "top": "top_m", "sigma": "sigma_m"},
+):
+    """A taped pole of which points on the axis were surveyed.
+
+    Attributes
+    ----------
+    name, placement
+        What it is called, and the index of the placement that it stands in.
+    foot, top
+        (3,) its lower and upper end on the axis, in the frame of the site; None where not surveyed.
+    sigma
+        1 σ of each coordinate, metres.
+    """
+
+    name: Text
+    placement: Count
+    foot: Vector | None
+    top: Vector | None
+    sigma: Size
+
+
+class Sighting(msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}):
+    """Where a LiDAR sees a control point: index of the LiDAR, (3,) in its frame, 1 σ, metres."""
+
+    lidar: Count
+    at: Vector
+    sigma: Size
+
+
+class ControlPoint(
+    msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}
+):
+    """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres."""
+
+    name: Text
+    at: Vector
+    sigma: Size
+    seen: tuple[Sighting, ...]
+
+
+class Geodetic(msgspec.Struct, frozen=True):
+    """A place on an ellipsoid: latitude, longitude, rad, and height above it, metres."""
+
+    latitude_rad: Number
+    longitude_rad: Number
+    height_m: Number
+
+    @property
+    def array(self) -> Array:
+        """(3,) all three."""
+        return np.array(msgspec.structs.astuple(self))
+
+
+class Frame(msgspec.Struct, frozen=True, eq=False, rename={"offset": "offset_m"}):
+    """The frame that a site is given in.
+
+    Attributes
+    ----------
+    name
+        For a person: ``LiDAR mast-a``, ``EPSG:25832``, ``ENU at 52.1, 4.2``.
+    surveyed
+        Whether surveyed coordinates fix it; otherwise the reference LiDAR does.
+    offset
+        (3,) coordinates of the origin that computations count from, metres: what is surveyed lies
+        near it. A point of the site in the frame's own coordinates is its place plus this.
+    epsg
+        Code of a projected frame, or None.
+    geodetic
+        Origin of a local east-north-up frame; None where not known.
+    """
+
+    name: Text
+    surveyed: bool = False
+    offset: Vector = msgspec.field(default_factory=lambda: np.zeros(3))
+    epsg: Count | None = None
+    geodetic: Geodetic | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """All that a site's calibration starts from.
+
+    Attributes
+    ----------
+    name
+        What the site is called.
+    lidars
+        At least two.
+    placements
+        Names of the placements of the poles; each LiDAR has one cloud, or None, for each.
+    radius, radius_sigma
+        Of the poles, and its 1 σ, metres.
+    reference
+        Index of the LiDAR whose frame is the site's where nothing is surveyed.
+    frame
+        The frame of all coordinates that are given.
+    poles, points
+        What was surveyed, in that frame, less `Frame.offset`.
+    need
+        How accurate every pose must be; None only asks for usable.
+    """
+
+    name: str
+    lidars: tuple[SiteLidar, ...]
+    placements: tuple[str, ...]
+    radius: float = DEFAULT_RADIUS
+    radius_sigma: float = 0.0
+    reference: int = 0
+    frame: Frame = field(default_factory=lambda: Frame("reference LiDAR"))
+    poles: tuple[SurveyedPole, ...] = ()
+    points: tuple[ControlPoint, ...] = ()
+    need: Need | None = None

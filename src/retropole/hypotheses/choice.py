@@ -1,0 +1,333 @@
+"""Which hypothesis the scene leaves standing, which is taken, and the choice by hand.
+
+The poles alone cannot choose. Where the scene cannot either, a person who knows the place may: by
+the letter that a hypothesis has in the list.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import Array, Calibration, Hypothesis, Placement
+from ..base.errors import Reason, Refusal, UsageError
+from ..surfaces.consistency import ground_normal
+from ..surfaces.static import check_static
+from .candidate_confirmation import counts_candidates
+from .placements import (
+    Choice,
+    Chosen,
+    PairedPlacement,
+    PlacementHypotheses,
+    find_recurring,
+    rank_joint_hypotheses,
+)
+
+RIVAL_OVERLAP, RIVAL_FREE_SPACE_VIOLATION = 0.62, 0.025
+"""A hypothesis is a rival of the best if it has so much of its overlap, and if no more than this
+share of the points beyond the best's own speaks against it (see docs/hypotheses.md)."""
+
+WARN_MARGIN = 0.1
+"""Below this margin the answer stands, but a person should look at the hypotheses."""
+
+MIN_OVERLAP = 0.25
+"""Share of the points that must find a neighbour in the other cloud."""
+
+MIN_COVISIBLE_OVERLAP, LEAST_OVERLAP = 0.35, 0.15
+"""The same of the points that both LiDARs could see: LiDARs of different reach and field of view
+share less than `MIN_OVERLAP`, but agree where they look at the same. Then all the points need no
+more than `LEAST_OVERLAP`. Right poses have 0.43 and more of the first, of recordings from
+different places with the same poles the best has 0.30 (docs/hypotheses.md)."""
+
+SAME_VERTICAL = np.radians(10.0)
+"""The grounds that the two LiDARs see are one where their normals differ by less, rad: a plane that
+one of them takes for the ground by mistake is seldom so in the other's cloud, too."""
+
+LETTERS = 26
+"""So many hypotheses are named by letters, those after them by ``h`` and a number."""
+
+
+def hypothesis_name(k: int) -> str:
+    """Name the k-th hypothesis: a, b, c, … (Xue et al. 2019, Fig. 4)."""
+    return chr(ord("a") + k) if k < LETTERS else f"h{k}"
+
+
+def is_hypothesis_name(text: object) -> bool:
+    """Whether some hypothesis could have this name."""
+    return isinstance(text, str) and re.fullmatch(r"[a-z]|h[1-9][0-9]{1,3}", text) is not None
+
+
+def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
+    """Score of the first hypothesis over the next best; None where there is only one."""
+    if len(hypotheses) < 2:
+        return None
+    return hypotheses[0].score - max(h.score for h in hypotheses[1:])
+
+
+def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
+    """Take the hypothesis that the scenes of all placements agree on; a refusal is kept."""
+    hypotheses: tuple[Hypothesis, ...] = scored[0].hypotheses
+    choices: Sequence[Choice] = ()
+    try:
+        choices = find_recurring(scored)
+        hypotheses = rank_joint_hypotheses(choices, scored)
+        check_choice(hypotheses)
+        check_paired(choices[0].paired)
+    except Refusal as refusal:
+        return Chosen(hypotheses, (), refusal, tuple(choices), scored=tuple(scored))
+    return Chosen(hypotheses, choices[0].paired, None, tuple(choices), scored=tuple(scored))
+
+
+def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
+    """Refuse where the scene does not decide between the hypotheses, or conflicts with them all.
+
+    Raises
+    ------
+    Refusal
+        ``no_overlap`` or ``ambiguous``.
+    """
+    best = hypotheses[0]
+    check_overlap(best)
+    rivals = [h for h in hypotheses[1:] if _is_rival(h, best)]
+    if rivals:
+        raise ambiguous(best, rivals)
+
+
+class Scored(Protocol):
+    """What the scene says of a hypothesis."""
+
+    @property
+    def overlap(self) -> float:
+        """Share of the points that have a neighbour in the other cloud."""
+
+    @property
+    def free_space_violation(self) -> float:
+        """Share of them that stand where the other LiDAR looked through."""
+
+    @property
+    def score(self) -> float:
+        """The one less the other."""
+
+
+NOT_SYMMETRIC = (
+    "add another pole that leans by another angle, or move the poles, a car or a box so that the "
+    "surroundings are not symmetric about the poles"
+)
+"""What tells hypotheses apart."""
+
+
+def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRIC) -> Refusal:
+    """Say that the scene does not tell some hypotheses apart from the best."""
+    rival = max(rivals, key=lambda h: h.score)
+    return Refusal(
+        "ambiguous",
+        f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
+        f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
+        f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): {advice}",
+        {
+            "rivals": len(rivals),
+            "overlap": best.overlap,
+            "rival_overlap": rival.overlap,
+            "free_space": best.free_space_violation,
+            "rival_free_space": rival.free_space_violation,
+        },
+    )
+
+
+def is_not_ruled_out(
+    agreeing: float, conflicting: float, best_agreeing: float, best_conflicting: float
+) -> bool:
+    """Whether the surroundings leave a pose as possible as the best one.
+
+    The score alone does not do: it favours, by up to 0.2, whatever brings the LiDARs near each
+    other, since near each other they see the same things.
+
+    Parameters
+    ----------
+    agreeing, best_agreeing
+        How much of the surroundings agrees with either pose: a share or a count.
+    conflicting, best_conflicting
+        Shares of the surroundings that conflict with them.
+    """
+    return (
+        agreeing >= RIVAL_OVERLAP * best_agreeing
+        and conflicting <= best_conflicting + RIVAL_FREE_SPACE_VIOLATION
+    )
+
+
+def is_as_possible(each: Scored, best: Scored) -> bool:
+    """Whether `is_not_ruled_out` holds by the overlap and the free space of two poses."""
+    return is_not_ruled_out(
+        each.overlap, each.free_space_violation, best.overlap, best.free_space_violation
+    )
+
+
+def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
+    return hypothesis.match.exact and is_as_possible(hypothesis, best)
+
+
+def check_overlap(
+    hypothesis: Hypothesis,
+    name: str = "the best hypothesis",
+    question: str = "do both LiDARs see the same place, and the same two poles?",
+) -> None:
+    """Refuse a hypothesis under which the two clouds do not show the same place.
+
+    Raises
+    ------
+    Refusal
+        ``no_overlap``.
+    """
+    covisible = hypothesis.covisible_overlap or 0.0
+    if hypothesis.overlap < MIN_OVERLAP and (
+        hypothesis.overlap < LEAST_OVERLAP or covisible < MIN_COVISIBLE_OVERLAP
+    ):
+        raise Refusal(
+            "no_overlap",
+            f"under {name} only {hypothesis.overlap:.0%} of the points have a neighbour in "
+            f"the other cloud, and {covisible:.0%} of those that both LiDARs could see; "
+            f"{MIN_OVERLAP:.0%}, or {LEAST_OVERLAP:.0%} and {MIN_COVISIBLE_OVERLAP:.0%}, are "
+            f"needed: {question}",
+            {"overlap": hypothesis.overlap, "covisible": covisible, "needed": MIN_OVERLAP},
+        )
+
+
+def check_paired(paired: Sequence[PairedPlacement]) -> None:
+    """Refuse poles that moved while they were recorded, of those that a choice pairs.
+
+    Raises
+    ------
+    Refusal
+        ``moving_pole``.
+    """
+    for each in paired:
+        check_static("target", each.placement.target.cloud, each.target_poles)
+        check_static("source", each.placement.source.cloud, each.source_poles)
+
+
+def not_rejected(hypotheses: Sequence[Hypothesis]) -> list[bool]:
+    """Say of each hypothesis, the best first, whether the scene leaves it standing.
+
+    These are the best, its rivals, and those that fit exactly and score nearly as well.
+    """
+    return [
+        k == 0
+        or _is_rival(each, hypotheses[0])
+        or (each.match.exact and hypotheses[0].score - each.score < WARN_MARGIN)
+        for k, each in enumerate(hypotheses)
+    ]
+
+
+def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
+    """Take the hypothesis that a person names instead of the best one.
+
+    The letter is that of the list which the same run gives without one. Of the refusals only
+    ``ambiguous`` is lifted by it: that is the question which it answers.
+
+    Parameters
+    ----------
+    chosen
+        What the poles and the scene say by themselves.
+    name
+        As `hypothesis_name` gives it; None leaves the choice as it is.
+
+    Returns
+    -------
+    Chosen
+        The named hypothesis first; with a refusal where it cannot be right.
+
+    Raises
+    ------
+    UsageError
+        Where no hypothesis that fits the poles has this name.
+    """
+    if name is None or (chosen.refusal is not None and chosen.refusal.code != "ambiguous"):
+        return chosen
+    # Candidate poles count for the one hypothesis that the scene confirms, and for no other.
+    doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
+    names = [hypothesis_name(k) for k in range(1 if doubtful else len(chosen.choices))]
+    if name not in names:
+        raise UsageError(
+            f"no hypothesis {name!r} (--hypothesis) fits the poles of these recordings; those that "
+            f"do are {', '.join(names)}"
+        )
+    k = names.index(name)
+    choice = chosen.choices[k]
+    try:
+        check_overlap(
+            choice.joint, f"hypothesis {name}", "the scene conflicts with what --hypothesis says"
+        )
+        check_paired(choice.paired)
+    except Refusal as refusal:
+        return replace(chosen, paired=(), refusal=refusal)
+    others = (*chosen.hypotheses[:k], *chosen.hypotheses[k + 1 :])
+    return replace(
+        chosen, hypotheses=(choice.joint, *others), paired=choice.paired, refusal=None, place=k
+    )
+
+
+def list_hypotheses(answer: Calibration, chosen: Chosen, by_hand: str | None) -> Calibration:
+    """List the hypotheses as they are named, and say of an answer that it was chosen by hand.
+
+    Parameters
+    ----------
+    answer
+        Its hypotheses begin with the one that was taken.
+    chosen
+        From `take_by_hand`.
+    by_hand
+        The name of the hypothesis, where a person chose it.
+    """
+    if answer.hypotheses:
+        first, *others = answer.hypotheses
+        listed = (*others[: chosen.place], first, *others[chosen.place :])
+        stand = not_rejected(listed)
+        listed = tuple(replace(h, stands=s) for h, s in zip(listed, stand, strict=True))
+        answer = replace(answer, hypotheses=listed, chosen=chosen.place)
+        if sum(stand) > 1:
+            vertical = vertical_of(answer.placements[0], first.match.T_target_source)
+            answer = replace(answer, vertical=vertical)
+    if by_hand is None or answer.status == "refused":
+        return answer
+    kept = (reason for reason in answer.reasons if reason.code != "small_margin")
+    return replace(answer, status="warn", reasons=(_by_hand(answer, by_hand), *kept))
+
+
+def vertical_of(placement: Placement, T: Array) -> Array | None:
+    """Find the vertical (3,) in the target's frame: the normal of the ground that both LiDARs see.
+
+    None where their grounds do not lie on each other under the pose ``T``, (4, 4).
+    """
+    rng = np.random.default_rng(0)
+    target, source = (
+        ground_normal(scan.cloud, rng) for scan in (placement.target, placement.source)
+    )
+    if abs(target @ T[:3, :3] @ source) < np.cos(SAME_VERTICAL):
+        return None
+    return target if target @ placement.target.cloud.axis >= 0 else -target
+
+
+def _by_hand(answer: Calibration, name: str) -> Reason:
+    """Say which hypothesis a person chose, and what the scene says of it and of the best other."""
+    own = answer.hypotheses[answer.chosen]
+    roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(own.match.T_target_source[:3, :3]))
+    message = (
+        f"hypothesis {name} (roll {roll:.0f}°, pitch {pitch:.0f}°, yaw {yaw:.0f}°) was chosen by "
+        f"hand: overlap {own.overlap:.2f}, free space violated by {own.free_space_violation:.3f}"
+    )
+    values: dict[str, float | int | str] = {"hypothesis": name, "overlap": own.overlap}
+    values["free_space"] = own.free_space_violation
+    others = [(k, h) for k, h in enumerate(answer.hypotheses) if k != answer.chosen]
+    if others:
+        k, other = max(others, key=lambda each: each[1].score)
+        message += (
+            f"; the best other is {hypothesis_name(k)} with {other.overlap:.2f} and "
+            f"{other.free_space_violation:.3f}"
+        )
+        values |= {"other_overlap": other.overlap, "other_free_space": other.free_space_violation}
+    return Reason("chosen_by_hand", message, values)

@@ -1,0 +1,162 @@
+"""LiDARs that their confirmed poles link to no other: candidate poles may, where the scene confirms
+them.
+
+As for a pair alone (`candidate_confirmation`): two lines that both LiDARs see at one angle and
+distance, under a pose at which the scenes coincide and at no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+
+from ..base.datatypes import Placement, Pole, Scan
+from ..extraction.candidates import with_candidates
+from .joint_choice import linked_groups
+from .pairs import Pair, PairHypothesis
+from .placements import Chosen
+from .scans import SiteScans
+from .search import ENOUGH_CONFIRMED, choose_with_candidates, count_candidates
+
+MOST_TRIED = 12
+"""So many pairs are tried at most: each takes as long as half of a pair's calibration."""
+
+
+def link_by_candidates(
+    scans: SiteScans, pairs: Sequence[Pair], radius: float
+) -> tuple[SiteScans, tuple[Pair, ...]]:
+    """Link groups of LiDARs by candidate poles, until all are linked or nothing more is found.
+
+    Parameters
+    ----------
+    scans, pairs
+        Of the site.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    SiteScans, tuple of Pair
+        With the candidate poles that are confirmed among the poles, and the pairs that they link.
+    """
+    found = {pair.lidars: pair for pair in pairs}
+    tried = 0
+    for lidars in between_groups(scans, pairs):
+        groups = linked_groups(len(scans.by_lidar), list(found.values()))
+        if len(groups) == 1 or tried >= MOST_TRIED:
+            break
+        if any(set(lidars) <= set(group) for group in groups):
+            continue
+        tried += 1
+        linked = _linked(scans, lidars, radius)
+        if linked is not None:
+            scans, found[lidars] = linked
+    return scans, tuple(found.values())
+
+
+def with_own_candidates(scans: SiteScans, radius: float) -> SiteScans:
+    """Count the candidate poles of recordings with fewer than two confirmed ones.
+
+    They are no evidence by themselves: only a loop that closes with them, and with no other choice,
+    confirms them.
+    """
+    rows = tuple(
+        tuple(None if scan is None else _with_own_candidates(scan, radius) for scan in row)
+        for row in scans.by_lidar
+    )
+    return replace(scans, by_lidar=rows)
+
+
+def _with_own_candidates(scan: Scan, radius: float) -> Scan:
+    if scan.detection is None or len(scan.poles) >= ENOUGH_CONFIRMED:
+        return scan
+    found = with_candidates(scan.cloud, scan.detection, radius, scan.sensor)
+    return count_candidates(replace(scan, detection=found))
+
+
+def between_groups(
+    scans: SiteScans, pairs: Sequence[Pair], *, by_two: bool = True
+) -> Iterator[tuple[int, int]]:
+    """Pairs of LiDARs of different groups: those first whose recordings have most poles of either
+    kind. Where one has two confirmed ones, and two are asked for, a lower threshold may show those
+    of the other.
+    """
+    groups = linked_groups(len(scans.by_lidar), pairs)
+    of = {i: k for k, group in enumerate(groups) for i in group}
+    counts = {}
+    for pair in pairs:
+        i, j = pair.lidars
+        if of[i] != of[j]:
+            both = list(_both(scans, i, j))
+            sure = by_two and any(
+                max(len(a.poles), len(b.poles)) >= ENOUGH_CONFIRMED for a, b in both
+            )
+            most = max((min(_candidates(a), _candidates(b)) for a, b in both), default=0)
+            if most or sure:
+                counts[i, j] = most
+    yield from sorted(counts, key=lambda k: -counts[k])
+
+
+def _both(scans: SiteScans, i: int, j: int) -> Iterator[tuple[Scan, Scan]]:
+    for a, b in zip(scans.by_lidar[i], scans.by_lidar[j], strict=True):
+        if a is not None and b is not None:
+            yield a, b
+
+
+def _candidates(scan: Scan) -> int:
+    """How many clusters may be poles."""
+    found = scan.detection
+    return 0 if found is None else len(found.poles) + len(found.rejected)
+
+
+def _linked(
+    scans: SiteScans, lidars: tuple[int, int], radius: float
+) -> tuple[SiteScans, Pair] | None:
+    """Link two LiDARs, placement by placement; None where no candidate poles are confirmed."""
+    i, j = lidars
+    for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
+        if target is None or source is None:
+            continue
+        placement = Placement(target, source)
+        chosen = choose_with_candidates(
+            [placement], radius, lambda step: nullcontext(), by_place=False
+        )
+        if chosen.refusal is None:
+            return with_chosen_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
+    return None
+
+
+def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
+    best = chosen.hypotheses[0]
+    hypothesis = PairHypothesis(
+        best.match.T_target_source,
+        (placement,),
+        len(best.match.pairs),
+        best.overlap,
+        best.free_space_violation,
+        best.score,
+        True,
+    )
+    return Pair(lidars, (hypothesis,), True)
+
+
+def with_chosen_poles(
+    scans: SiteScans, lidars: tuple[int, int], placement: int, chosen: Chosen
+) -> SiteScans:
+    """Count the poles that a choice pairs among those of both LiDARs in a placement."""
+    rows = [list(row) for row in scans.by_lidar]
+    paired = chosen.paired[0]
+    for lidar, poles in zip(lidars, (paired.target_poles, paired.source_poles), strict=True):
+        scan = rows[lidar][placement]
+        assert scan is not None
+        rows[lidar][placement] = _counting(scan, poles)
+    return replace(scans, by_lidar=tuple(tuple(row) for row in rows))
+
+
+def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
+    assert scan.detection is not None
+    new = [pole for pole in poles if not any(pole is own for own in scan.poles)]
+    found = scan.detection
+    counted = replace(found, poles=(*found.poles, *new), candidates=(*found.candidates, *new))
+    return replace(scan, detection=counted)

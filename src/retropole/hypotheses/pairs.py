@@ -1,0 +1,264 @@
+"""What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
+
+A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
+same pose from several placements is one hypothesis. The scene is asked once for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ..base.datatypes import Array, Hypothesis, Match
+from ..base.errors import Reason, Refusal
+from ..surfaces.scans import why_few_poles
+from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views
+from .choice import MIN_OVERLAP, check_overlap, is_as_possible
+from .correspondence import match_poles
+from .placements import AGREE_ANGLE, AGREE_DISTANCE
+from .scans import SiteScans, Views
+
+MAX_CONFLICTING_IN_LOOPS = 0.06
+"""Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
+closed with it. On bare ground the right one, 0.3° off, had up to 0.046 more than one that lays the
+scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
+
+LEAST_TOLD = 0.1
+"""Overlap of the best hypothesis below which the scenes show different places."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairHypothesis:
+    """A pose of two LiDARs that poles of at least one placement allow.
+
+    Attributes
+    ----------
+    T
+        (4, 4) maps points of the second LiDAR into the frame of the first.
+    placements
+        Those whose poles allow it.
+    poles
+        How many poles of all placements agree.
+    overlap, free_space_violation, score
+        What the scene says of it, as `datatypes.Hypothesis` has it.
+    stands
+        Whether the scene leaves it standing beside the best of the pair.
+    possible
+        Whether it stands, or scores no less than `MIN_OVERLAP` below the best: on bare ground a
+        pose that brings the LiDARs near each other overlaps twice as much as the right one.
+    """
+
+    T: Array
+    placements: tuple[int, ...]
+    poles: int
+    overlap: float
+    free_space_violation: float
+    score: float
+    stands: bool
+    possible: bool = True
+
+    @property
+    def evidence(self) -> int:
+        """How much the poles say for it: of each placement one less than there are.
+
+        Two poles of one placement allow several poses, and one of them is right; every pole more
+        that agrees would do so by chance.
+        """
+        return self.poles - len(self.placements)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two LiDARs and their hypotheses, the best score first.
+
+    Attributes
+    ----------
+    lidars
+        Indices, the lower first.
+    hypotheses
+        Exact ones only; none where they share no two poles.
+    overlaps
+        Whether the scenes overlap under the best, so that they can be asked.
+    refusal
+        Why there is no hypothesis; None where there is one.
+    no_overlap
+        What the scenes say where they do not overlap.
+    by_place
+        Whether the place gives a part of the pose that one pole, or parallel ones, leave open.
+    """
+
+    lidars: tuple[int, int]
+    hypotheses: tuple[PairHypothesis, ...]
+    overlaps: bool
+    refusal: Reason | None = None
+    no_overlap: Refusal | None = None
+    by_place: bool = False
+
+    @property
+    def standing(self) -> tuple[PairHypothesis, ...]:
+        """Hypotheses that the scene leaves standing."""
+        return tuple(each for each in self.hypotheses if each.stands)
+
+    @property
+    def possible(self) -> tuple[PairHypothesis, ...]:
+        """Hypotheses that the scene does not rule out, even if it favours others by far."""
+        return tuple(each for each in self.hypotheses if each.possible)
+
+    def at(self, T: Array, points: Array) -> PairHypothesis | None:
+        """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
+        near = [each for each in self.possible if is_same_pose(T, each.T, points)]
+        return max(near, key=lambda each: (each.stands, each.evidence, each.score), default=None)
+
+
+def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
+    """Whether two poses are one up to what the poles of one placement leave open.
+
+    Parameters
+    ----------
+    T, other
+        (4, 4) each.
+    points
+        (N, 3) where the poles stand.
+    slack
+        So many times what poles leave open is allowed.
+    """
+    # Asked a hundred thousand times: the angle by the trace, and places only where it is small.
+    cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
+    if cosine < np.cos(slack * AGREE_ANGLE):
+        return False
+    away = points @ (T[:3, :3] - other[:3, :3]).T + (T[:3, 3] - other[:3, 3])
+    return float(np.einsum("ni,ni->n", away, away).max()) <= (slack * AGREE_DISTANCE) ** 2
+
+
+def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
+    """Find the hypotheses of every pair of LiDARs."""
+    return tuple(
+        _pair(scans, views, first, second)
+        for first, second in combinations(range(len(scans.by_lidar)), 2)
+    )
+
+
+def poles_of(scans: SiteScans, lidar: int) -> Array:
+    """(N, 3) middles of all poles that a LiDAR sees, in its own frame; its origin without any."""
+    points = [pole.point for scan in scans.used(lidar) for pole in scan.poles]
+    return np.array(points) if points else np.zeros((1, 3))
+
+
+def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
+    """Match the poles of every placement, put equal poses together, and ask the scene."""
+    found: list[tuple[Match, list[int], int]] = []
+    reason: Reason | None = None
+    at = poles_of(scans, second)
+    for placement in range(len(scans.by_lidar[first])):
+        target, source = scans.poles(first, placement), scans.poles(second, placement)
+        if min(len(target), len(source)) < 2:
+            continue
+        try:
+            matches = match_poles(target, source)
+        except Refusal as refusal:
+            reason = Reason(refusal.code, refusal.message, refusal.values)
+            continue
+        for match in matches:
+            if match.exact:
+                _add(found, match, placement, at)
+    if not found:
+        return Pair((first, second), (), False, reason or _too_few_poles(scans, (first, second)))
+    return _scored((first, second), found, views.first(first), views.first(second))
+
+
+def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
+    """Say that two LiDARs have no two poles in common, and why, if a recording shows it."""
+    words = "no placement shows both LiDARs two poles in common"
+    for which, i in zip(("first", "second"), lidars, strict=True):
+        whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
+        if any(whys):
+            words += f"; of the {which} of them, {next(filter(None, whys))}"
+    return Reason("too_few_poles", words, {})
+
+
+def _add(
+    found: list[tuple[Match, list[int], int]], match: Match, placement: int, at: Array
+) -> None:
+    """Add a match to the pose that it is, or as another one; more poles fix a pose better."""
+    T = match.T_target_source
+    for k, (known, placements, poles) in enumerate(found):
+        if is_same_pose(T, known.T_target_source, at):
+            better = known if len(known.pairs) >= len(match.pairs) else match
+            if placement not in placements:
+                placements.append(placement)
+                poles += len(match.pairs)
+            found[k] = (better, placements, poles)
+            return
+    found.append((match, [placement], len(match.pairs)))
+
+
+def _scored(
+    lidars: tuple[int, int],
+    found: Sequence[tuple[Match, list[int], int]],
+    target: View | None,
+    source: View | None,
+) -> Pair:
+    assert target is not None
+    assert source is not None
+    rows = []
+    for match, placements, poles in found:
+        T = match.T_target_source
+        seen = compare_views(target, source, T, within=OVERLAP_DISTANCE)
+        score = seen.overlap - seen.free_space_violation
+        hypothesis = Hypothesis(
+            match,
+            None,
+            None,
+            seen.overlap,
+            seen.free_space_violation,
+            score,
+            seen.covisible_overlap,
+        )
+        rows.append((hypothesis, tuple(placements), poles))
+    rows.sort(key=lambda row: -row[0].score)
+    best = rows[0][0]
+    no_overlap = _no_overlap(best)
+    return Pair(
+        lidars,
+        tuple(
+            PairHypothesis(
+                each.match.T_target_source,
+                placements,
+                poles,
+                each.overlap,
+                each.free_space_violation,
+                each.score,
+                each is best or _stands(each, best),
+                each is best or _is_possible(each, best),
+            )
+            for each, placements, poles in rows
+        ),
+        no_overlap is None,
+        no_overlap=no_overlap,
+    )
+
+
+def _no_overlap(best: Hypothesis) -> Refusal | None:
+    try:
+        check_overlap(best)
+    except Refusal as refusal:
+        return refusal
+    return None
+
+
+def _stands(each: Hypothesis, best: Hypothesis) -> bool:
+    """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
+
+    Scenes that do not overlap tell nothing apart.
+    """
+    return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
+
+
+def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
+    uncontradicted = (
+        each.free_space_violation <= best.free_space_violation + MAX_CONFLICTING_IN_LOOPS
+    )
+    return uncontradicted and each.score >= best.score - MIN_OVERLAP

@@ -1,1 +1,0 @@
-"""Which pole is which: candidate poses, what a prior allows, what several placements share."""

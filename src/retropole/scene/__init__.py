@@ -1,1 +1,0 @@
-"""What the surroundings say: registration, visibility, choice of the hypothesis, refinement."""

@@ -1,0 +1,1 @@
+"""What two clouds have in common at a pose: averages, patches, visibility, registration."""

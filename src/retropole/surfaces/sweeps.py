@@ -1,0 +1,315 @@
+"""What the sweeps of one recording say of how its LiDAR moved, on surfaces that all of them saw.
+
+The returns are put into cells of space. In a flat one, a sweep that was turned by ω and shifted by
+τ leaves residuals ``−n·(ω × p + τ)`` from the plane of the cell, whose height and two slopes are
+unknown. They are eliminated: what the cell looks like in the mean is not taken from sweeps that
+moved. A cell that beams of one elevation alone meet then says nothing: on a slanted surface such
+returns move along their beam, and any plane through it fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.se3 import lengths
+from .ordering import numbered, order_of
+
+CELL_SIDES = (2.0, 1.0, 6.0)
+"""Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
+rings lie so far apart that no smaller one has two."""
+
+CORNERS = 2 ** np.array([0, 21, 42])
+"""One number for each cell, where none is 2²⁰ from the origin."""
+
+CUTS = 20
+"""Parts of a side, in one of which cells begin."""
+
+RETURNS = 90_000
+"""That are asked, evenly of all sweeps: with so many a sweep's turn is known to 0.002°."""
+
+LEAST_RETURNS = 30
+"""Of a cell."""
+
+THICKEST, LEAST_WIDTH, FLATNESS = 0.05, 0.2, 0.02
+"""A cell is flat where the RMS of its returns across the plane is less, metres, that along the
+plane's lesser extent more, and the ratio of both variances less."""
+
+USUAL = 3.0
+"""A cell is no more than so many times as thick as most: a plane through a bush does not count.
+On a square one such cell gave the turn about the vertical alone, 0.07° off."""
+
+LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
+"""RMS of the beams' directions across the longer extent of what they cover, rad, and the least
+ratio of both variances: below, the cell is met by a single ring."""
+
+FAR = 4.0
+"""Residuals of so many σ of their cell count no more (Tukey's biweight)."""
+
+FINEST = 0.003
+"""Least σ of the residuals of a cell, metres."""
+
+PARTS = 8
+"""Parts of a sweep that the motion is told in, where returns have times."""
+
+PERIOD = 0.1
+"""Of a sweep, s, where nothing tells."""
+
+LONGEST = 0.5
+"""Times of returns that spread further over one sweep are no times of a sweep, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """The returns that are asked, and when they came.
+
+    Attributes
+    ----------
+    index
+        (N,) which of the cloud's.
+    part
+        (N,) the part of the recording that each came in.
+    times
+        (B,) middle of each part, s from the start.
+    of_all
+        For all points of the cloud the part of each.
+    """
+
+    index: IntArray
+    part: IntArray
+    times: Array
+    of_all: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Least-squares equations of the motion of B parts and the planes of C cells.
+
+    Attributes
+    ----------
+    motion
+        (B, 6, 6) information of each part's own turn and shift.
+    both
+        (3 C, 6 B) of planes and motions together.
+    plane
+        (C, 3, 3) inverse of that of each cell's height and slopes.
+    pull, pull_of_plane
+        (B, 6) and (C, 3) gradients at no motion.
+    """
+
+    motion: Array
+    both: sparse.csr_matrix
+    plane: Array
+    pull: Array
+    pull_of_plane: Array
+
+    def about(self, features: Array) -> tuple[Array, Array]:
+        """Information and gradient of the coefficients of some motions.
+
+        Parameters
+        ----------
+        features
+            (B, F) how each moves over the parts; each has six coefficients.
+
+        Returns
+        -------
+        (6 F, 6 F), (6 F,)
+            With the planes eliminated.
+        """
+        count = features.shape[1]
+        size = 6 * count
+        H = np.einsum("bi,bj,bxy->ixjy", features, features, self.motion, optimize=True)
+        spread = np.einsum("bi,xy->bxiy", features, np.eye(6)).reshape(-1, size)
+        shared = np.asarray(self.both @ spread).reshape(-1, 3, size)
+        gone = np.einsum("cij,cjk->cik", self.plane, shared)
+        left = H.reshape(size, size) - np.einsum("cik,cil->kl", shared, gone, optimize=True)
+        pull = np.einsum("bi,bx->ix", features, self.pull).reshape(-1)
+        pull = pull - np.einsum("cik,ci->k", gone, self.pull_of_plane, optimize=True)
+        return left, pull
+
+
+def timed(cloud: PointCloud) -> Timed:
+    """Choose returns evenly of all sweeps, and tell when they came.
+
+    Parameters
+    ----------
+    cloud
+        With `frame`.
+    """
+    assert cloud.frame is not None
+    frames, own = numbered(cloud.frame)
+    period = _period(cloud, frames, own)
+    start = (frames - frames[0]) * period
+    order = order_of(own)
+    by_sweep = np.split(order, np.cumsum(np.bincount(own))[:-1])
+    within = _within(cloud, own, by_sweep)
+    if within is None:
+        middles = start + period / 2
+        of_all = own
+    else:
+        later = np.minimum((within / period * PARTS).astype(np.int64), PARTS - 1)
+        middles = (start[:, None] + (np.arange(PARTS) + 0.5) * period / PARTS).reshape(-1)
+        of_all = own * PARTS + later
+    most = RETURNS // len(frames)
+    index = np.concatenate([each[:: max(1, -(-len(each) // most))] for each in by_sweep])
+    return Timed(index, of_all[index], middles, of_all)
+
+
+def _within(cloud: PointCloud, own: IntArray, by_sweep: Sequence[IntArray]) -> Array | None:
+    """(N,) time of each return since the start of its sweep, s; None where not known.
+
+    The returns of each sweep are given, and the sweep of each return.
+    """
+    if cloud.time is None or not np.isfinite(cloud.time).all():
+        return None
+    times = [cloud.time[each] for each in by_sweep]
+    first, last = (np.array([ask(each) for each in times]) for ask in (np.min, np.max))
+    spread = float(np.median(last - first))
+    return cloud.time - first[own] if 0 < spread < LONGEST else None
+
+
+def _period(cloud: PointCloud, frames: IntArray, own: IntArray) -> float:
+    """Time from one sweep to the next, s: by the returns' times, the recorder's, or the usual."""
+    numbers = float(frames[-1] - frames[0])
+    if cloud.time is not None and np.isfinite(cloud.time).all():
+        ends = [float(np.median(cloud.time[own == k])) for k in (0, len(frames) - 1)]
+        # Some drivers count the times of each sweep from its own start.
+        if ends[1] - ends[0] > PERIOD / 4 * numbers:
+            return (ends[1] - ends[0]) / numbers
+    if cloud.recorded is not None and cloud.recorded[1] > cloud.recorded[0]:
+        return (cloud.recorded[1] - cloud.recorded[0]) / numbers
+    return PERIOD
+
+
+def observe(xyz: Array, origin: Array, when: Timed, motion: Array) -> Observed:
+    """State what returns say of the motion, about the motion as it is known.
+
+    Parameters
+    ----------
+    xyz
+        (N, 3) the returns of `when`, as they were recorded.
+    origin
+        (3,) where the beams start.
+    when
+        Which part each came in.
+    motion
+        (B, 6) turn and shift of each part as they are known: cells are made of returns without it.
+    """
+    still = without(xyz, origin, motion[when.part])
+    parts = list(_cells(still, origin))
+    rows = np.concatenate([index for index, _, _, _ in parts])
+    first = np.cumsum([0] + [len(middle) for _, _, middle, _ in parts])
+    cell = np.concatenate([own + at for (_, own, _, _), at in zip(parts, first, strict=False)])
+    middle = np.concatenate([each for _, _, each, _ in parts])
+    axes = np.concatenate([each for _, _, _, each in parts])[cell]
+    part, count, cells = when.part[rows], len(when.times), len(middle)
+    from_middle = still[rows] - middle[cell]
+    normal = axes[:, :, 0]
+    plane = np.einsum("ni,nij->nj", from_middle, axes)
+    residual = plane[:, 0].copy()
+    plane[:, 0] = 1.0
+    by_motion = -np.concatenate([np.cross(still[rows] - origin, normal), normal], axis=1)
+    weights = _weights(residual, plane, cell, cells)
+    square = _sums(cell, cells, plane, plane, weights) + _ridge(weights)
+    # About no motion, whatever is known.
+    pull = weights * (residual + np.einsum("ni,ni->n", by_motion, motion[part]))
+    key, place = np.unique(cell * count + part, return_inverse=True)
+    blocks = _sums(place.reshape(-1), len(key), plane, by_motion, weights)
+    at_row = (3 * (key // count))[:, None, None] + np.arange(3)[:, None] + np.zeros((1, 6), int)
+    at_column = (6 * (key % count))[:, None, None] + np.arange(6) + np.zeros((3, 1), int)
+    both = sparse.csr_matrix(
+        (blocks.reshape(-1), (at_row.reshape(-1), at_column.reshape(-1))),
+        shape=(3 * cells, 6 * count),
+    )
+    return Observed(
+        _sums(part, count, by_motion, by_motion, weights),
+        both,
+        np.asarray(np.linalg.inv(square)),
+        _sums(part, count, by_motion, pull[:, None], np.ones(len(pull)))[:, :, 0],
+        _sums(cell, cells, plane, pull[:, None], np.ones(len(pull)))[:, :, 0],
+    )
+
+
+def without(xyz: Array, origin: Array, motion: Array) -> Array:
+    """Take small motions (N, 6), turn and shift of the LiDAR, out of its returns (N, 3)."""
+    return np.asarray(xyz + np.cross(motion[:, :3], xyz - origin) + motion[:, 3:])
+
+
+def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Array, Array]]:
+    """Yield flat cells of each size: returns, the cell of each, (C, 3) middles, (C, 3, 3) axes.
+
+    The first axis of each is its normal.
+    """
+    left = np.arange(len(xyz))
+    rays = xyz - origin
+    rays /= lengths(rays)[:, None]
+    for side in CELL_SIDES:
+        if len(left) < LEAST_RETURNS:
+            return
+        corner = np.floor((xyz[left] - _free(xyz[left], side)) / side).astype(np.int64)
+        _, own = np.unique(corner @ CORNERS, return_inverse=True)
+        returns = np.bincount(own)
+        middle, size, axes = _spread(xyz[left], own, returns)
+        _, beams, _ = _spread(rays[left], own, returns)
+        flat = (returns >= LEAST_RETURNS) & (size[:, 0] < THICKEST**2)
+        flat &= (size[:, 1] > LEAST_WIDTH**2) & (size[:, 0] < FLATNESS * size[:, 1])
+        flat &= (beams[:, 1] > LEAST_TURN**2) & (beams[:, 1] > ROUND * beams[:, 2])
+        thickness = np.sqrt(np.maximum(size[:, 0], 0.0))
+        flat &= thickness <= USUAL * np.median(thickness[flat]) if flat.any() else False
+        kept = flat[own]
+        yield left[kept], np.cumsum(flat)[own[kept]] - 1, middle[flat], axes[flat]
+        left = left[~kept]
+
+
+def _free(xyz: Array, side: float) -> Array:
+    """(3,) where cells of a side may begin along each axis: where the fewest returns are.
+
+    Ground that lies between two cells would be cut by its own noise, and by the motion.
+    """
+    step = side / CUTS
+    place = np.floor(np.mod(xyz, side) / step).astype(np.int64) % CUTS
+    fewest = [int(np.argmin(np.bincount(own, minlength=CUTS))) for own in place.T]
+    return np.asarray((np.array(fewest) + 0.5) * step)
+
+
+def _spread(xyz: Array, own: IntArray, returns: IntArray) -> tuple[Array, Array, Array]:
+    """Mean (C, 3) of the points of each cell, variances (C, 3), the least first, and their axes."""
+    ones = np.ones(len(xyz))
+    mean = _sums(own, len(returns), xyz, ones[:, None], ones)[:, :, 0] / returns[:, None]
+    apart = xyz - mean[own]
+    spread = _sums(own, len(returns), apart, apart, ones) / returns[:, None, None]
+    size, axes = np.linalg.eigh(spread)
+    return mean, size, axes
+
+
+def _weights(residual: Array, plane: Array, cell: IntArray, cells: int) -> Array:
+    """(N,) weights of residuals by the scatter of their cell, none for what lies far off."""
+    returns = np.bincount(cell, minlength=cells)
+    weights = np.ones(len(residual))
+    for _ in range(3):
+        square = _sums(cell, cells, plane, plane, weights) + _ridge(weights)
+        pull = _sums(cell, cells, plane, (weights * residual)[:, None], np.ones(len(residual)))
+        left = residual - np.einsum("ni,ni->n", plane, np.linalg.solve(square, pull)[cell, :, 0])
+        counted = weights > 0
+        scatter = np.bincount(cell, left**2 * counted, cells) / np.maximum(returns - 3, 1)
+        sigma = np.sqrt(np.maximum(scatter, FINEST**2))[cell]
+        weights = np.maximum(1 - (left / (FAR * sigma)) ** 2, 0.0) ** 2 / sigma**2
+    return weights
+
+
+def _ridge(weights: Array) -> Array:
+    """(3, 3) that keeps a cell solvable whose returns do not span it."""
+    return 1e-6 * float(weights.sum() + 1.0) / (len(weights) + 1) * np.eye(3)
+
+
+def _sums(own: IntArray, count: int, left: Array, right: Array, weights: Array) -> Array:
+    """(count, I, J) sums of weighted products of columns (N, I) and (N, J), group by group."""
+    found = np.empty((count, left.shape[1], right.shape[1]))
+    for i in range(left.shape[1]):
+        for j in range(right.shape[1]):
+            found[:, i, j] = np.bincount(own, weights * left[:, i] * right[:, j], count)
+    return found

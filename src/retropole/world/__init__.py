@@ -1,0 +1,1 @@
+"""Frames of maps: geodetic coordinates, projections, and poses in them."""

@@ -1,0 +1,155 @@
+"""An answer that the scene confirms leads all other poses; what nothing could conflict with does
+not.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from retropole.base import se3
+from retropole.base.datatypes import Calibration, Placement, Scan
+from retropole.base.uncertainty.confirmation import Confirmation
+from retropole.hypotheses.evidence import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
+from retropole.hypotheses.placements import PairedPlacement
+from retropole.pipeline import calibrate
+from retropole.simulation import SimulatedPair, simulate_pair
+from tests.tiers import first_of
+
+SCENES = ("corridor", "street", "harbor")
+
+
+def answered(pair: SimulatedPair) -> Calibration:
+    answer = calibrate(pair.target, pair.source)
+    assert answer.T_target_source is not None
+    return answer
+
+
+def held(answer: Calibration, T: np.ndarray) -> Confirmation:
+    """Hold a pose against the scene of an answer."""
+    paired = [PairedPlacement(answer.placements[0], answer.hypotheses[0])]
+    return confirm(paired, T, answer.hypotheses[1:], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
+def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
+    for seed in range(2):
+        answer = answered(simulate_pair(scene, np.random.default_rng(seed)))
+        found = answer.confirmation
+        assert found is not None
+        assert found.z_margin is not None
+        assert found.z_margin > 1
+        assert found.better_at is None
+        assert found.probability_wrong is not None
+        assert found.probability_wrong < MAX_WRONG
+        assert not is_in_conflict(found)
+
+
+@pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
+def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene: str) -> None:
+    """Walls that slide along themselves do not hide a shift."""
+    for seed in range(2):
+        pair = simulate_pair(scene, np.random.default_rng(seed))
+        along = pair.T_world_target[:3, :3].T @ np.array([2.0, 0.0, 0.0])
+        T = se3.retract(pair.T_target_source, np.r_[0, 0, 0, along])
+        found = held(answered(pair), T)
+        assert found.z_margin is not None
+        assert found.z_margin < 0
+        assert found.better_at is not None
+        assert 1.7 < found.better_at < 2.3
+        assert found.probability_wrong is not None
+        assert found.probability_wrong > MAX_WRONG
+
+
+@pytest.mark.parametrize("scene", first_of(SCENES))
+@pytest.mark.full
+def test_a_pose_that_lifts_the_grounds_off_each_other_is_found(scene: str) -> None:
+    """Walls agree with it however high it is."""
+    pair = simulate_pair(scene, np.random.default_rng(1))
+    answer = answered(pair)
+    for lift in (-2.0, 1.0):
+        up = pair.T_world_target[:3, :3].T @ np.array([0.0, 0.0, lift])
+        found = held(answer, se3.retract(pair.T_target_source, np.r_[0, 0, 0, up]))
+        assert found.z_margin is not None
+        assert found.z_margin < 0
+        assert found.better_at == pytest.approx(abs(lift), abs=0.7)
+
+
+@pytest.mark.full
+def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
+    pair = simulate_pair("street", np.random.default_rng(4))
+    answer = answered(pair)
+    right, *others = answer.hypotheses
+    paired = [PairedPlacement(answer.placements[0], right)]
+    wrong = others[0].match.T_target_source
+    found = confirm(paired, wrong, [right, *others[1:]], np.random.default_rng(0))
+    assert found.z_margin is not None
+    assert found.z_margin < 0
+    assert found.better_at is not None
+    assert found.better_at > 1
+
+
+@pytest.mark.full
+def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
+    for seed in range(3):
+        pair = simulate_pair("bare", np.random.default_rng(seed))
+        answer = calibrate(pair.target, pair.source)
+        if answer.confirmation is None:
+            continue
+        assert answer.status == "warn"
+        assert "not_confirmed" in [reason.code for reason in answer.reasons]
+        assert answer.confirmation.probability_wrong is not None
+        assert 0.1 < answer.confirmation.probability_wrong < 0.9
+        trusted = calibrate(pair.target, pair.source, trust_poles=True)
+        assert "not_confirmed" not in [reason.code for reason in trusted.reasons]
+        assert trusted.confirmation == structs.replace(answer.confirmation, trusted=True)
+
+
+@pytest.mark.full
+def test_a_cloud_in_which_nothing_stands_gives_finite_figures() -> None:
+    pair = simulate_pair("street", np.random.default_rng(4))
+    answer = answered(pair)
+    (placement,) = answer.placements
+    poles = np.concatenate([pole.index for pole in placement.source.poles])
+    bare = replace(placement.source, cloud=placement.source.cloud.select(np.sort(poles)))
+    paired = [PairedPlacement(replace(placement, source=bare), answer.hypotheses[0])]
+    T, rng = pair.T_target_source, np.random.default_rng(0)
+    found = confirm(paired, T, answer.hypotheses[1:], rng)
+    assert found.z_margin is not None
+    assert np.isfinite(found.z_margin)
+    assert found.better_at is None or np.isfinite(found.better_at)
+    assert found.total < 60
+
+
+def test_swapping_the_clouds_changes_nothing_but_rounding() -> None:
+    pair = simulate_pair("harbor", np.random.default_rng(2))
+    scans = Scan(pair.target, None, None), Scan(pair.source, None, None)
+    there, back = (
+        count(scenes_of([Placement(*two)], np.random.default_rng(0)), T)
+        for two, T in (
+            (scans, pair.T_target_source),
+            (scans[::-1], se3.inverse(pair.T_target_source)),
+        )
+    )
+    assert there.agreeing == pytest.approx(back.agreeing, rel=0.02)
+    assert abs(there.conflicting - back.conflicting) <= 5
+
+
+@pytest.mark.full
+def test_placements_check_each_other_only_where_their_poles_stand_otherwise() -> None:
+    pair, other = (simulate_pair("bare", np.random.default_rng(seed)) for seed in (0, 3))
+    one, two = (answered(each) for each in (pair, other))
+    first = PairedPlacement(one.placements[0], one.hypotheses[0])
+    second = PairedPlacement(two.placements[0], two.hypotheses[0])
+    T, rng = one.hypotheses[0].match.T_target_source, np.random.default_rng(0)
+    assert not confirm([first], T, (), rng).redundant
+    assert not confirm([first, first], T, (), rng).redundant
+    assert confirm([first, second], T, (), rng).redundant
+    # A single pole has no shape that could tell two placements apart.
+    match = replace(first.hypothesis.match, pairs=first.hypothesis.match.pairs[:1])
+    alone = replace(first, hypothesis=replace(first.hypothesis, match=match))
+    assert not confirm([alone, alone], T, (), rng).redundant
+    assert not confirm([alone, second], T, (), rng).redundant

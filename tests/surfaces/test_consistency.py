@@ -1,0 +1,135 @@
+"""What stands in a scene: at the right pose it agrees, elsewhere it conflicts with the pose."""
+
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.uncertainty.confirmation import Confirmation
+from retropole.extraction.poles import extract_poles
+from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.surfaces.consistency import (
+    EXPECTED,
+    Standing,
+    consistency,
+    contradicting_points,
+    standing_in,
+)
+
+
+def standing(pair: SimulatedPair) -> tuple[Standing, Standing]:
+    rng = np.random.default_rng(0)
+    return standing_in(pair.target, rng), standing_in(pair.source, rng)
+
+
+def elsewhere(T: np.ndarray, angle: float, distance: float) -> np.ndarray:
+    """Turn a pose about the height of a level target, and move it along the ground."""
+    return se3.retract(T, np.array([0.0, 0.0, angle, distance, -distance, 0.0]))
+
+
+@pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
+@pytest.mark.full
+def test_the_right_pose_is_confirmed_and_others_are_conflicting(scene: str) -> None:
+    for seed in range(3):
+        pair = simulate_pair(scene, np.random.default_rng(seed))
+        target, source = standing(pair)
+        right = consistency(target, source, pair.T_target_source)
+        assert right.agreeing > 100
+        assert right.contradicted < 0.06
+        assert right.missing == 0
+        wrong = consistency(target, source, elsewhere(pair.T_target_source, 1.0, 2.0))
+        assert wrong.contradicted > 0.2
+        assert wrong.agreeing < right.agreeing / 2
+
+
+def test_bare_ground_confirms_nothing() -> None:
+    pair = simulate_pair("bare", np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    poles = [
+        extract_poles(cloud, sensor=None, threshold=None, radius=0.02).poles
+        for cloud in (pair.target, pair.source)
+    ]
+    target, source = (
+        standing_in(pair.target, rng, poles[0]),
+        standing_in(pair.source, rng, poles[1]),
+    )
+    assert consistency(target, source, pair.T_target_source).total < 5
+    # With the poles, any pose that they give looks good.
+    assert consistency(*standing(pair), pair.T_target_source).agreeing > 5
+
+
+@pytest.mark.parametrize("scene", ["corridor", "street", "harbor", "bare"])
+@pytest.mark.full
+def test_the_ground_is_no_wall(scene: str) -> None:
+    for seed in range(4):
+        pair = simulate_pair(scene, np.random.default_rng(seed))
+        T = pair.T_world_target
+        for found, pose in zip(standing(pair), (T, T @ pair.T_target_source), strict=True):
+            assert abs((pose[:3, :3] @ found.up)[2]) > np.cos(np.radians(15))
+
+
+def test_where_much_stands_in_both_and_nothing_agrees_it_is_missing() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    far = consistency(target, source, elsewhere(pair.T_target_source, 0.0, 1000.0))
+    assert (far.agreeing, far.contradicting) == (0, 0)
+    assert far.missing == round(EXPECTED * min(target.voxels, source.voxels)) > 60
+    assert far.contradicted == 1
+
+
+def test_both_directions_count_alike() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    T = elsewhere(pair.T_target_source, 0.1, 0.5)
+    there = consistency(target, source, T)
+    back = consistency(source, target, se3.inverse(T))
+    # Up to rounding at the limits.
+    assert abs(back.agreeing - there.agreeing) <= 2
+    assert abs(back.contradicting - there.contradicting) <= 2
+    assert there.total > 100
+
+
+def test_nothing_denies_nothing() -> None:
+    empty = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
+    found = consistency(empty, empty, np.eye(4))
+    assert found == Confirmation(agreeing=0, contradicting=0)
+    assert found.contradicted == 0
+
+
+def test_the_points_that_contradict_are_those_of_the_places_that_deny() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    T = elsewhere(pair.T_target_source, 0.1, 0.5)
+    points = contradicting_points(target, source, T)
+    places = 0
+    for own, found in zip((target, source), points, strict=True):
+        index = {tuple(p): k for p, k in zip(own.points, own.voxel, strict=True)}
+        places += len({index[tuple(point)] for point in found})
+    assert places == consistency(target, source, T).contradicting
+    assert sum(map(len, points)) >= places > 50
+
+
+def test_the_points_that_contradict_stand_before_what_the_other_saw() -> None:
+    pair = simulate_pair("corridor", np.random.default_rng(1))
+    target, source = standing(pair)
+    T = elsewhere(pair.T_target_source, 0.2, 1.0)
+    _, points = contradicting_points(target, source, T)
+    moved = se3.apply(T, points)
+    assert len(moved) > 20
+    # Along each ray, within the width of a cell, the target saw something farther away.
+    rays = pair.target.xyz - pair.target.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    for point in moved[::10] - pair.target.origin:
+        distance = np.linalg.norm(point)
+        near = rays @ point / (ranges * distance) > np.cos(np.radians(2.0))
+        assert ranges[near].max() > distance + 0.15
+
+
+def test_hardly_a_point_contradicts_the_right_pose_and_none_where_nothing_stands() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    right = contradicting_points(target, source, pair.T_target_source)
+    assert sum(map(len, right)) < 0.02 * (len(target.points) + len(source.points))
+    nothing = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
+    for found in contradicting_points(nothing, source, np.eye(4)):
+        assert found.shape == (0, 3)

@@ -1,0 +1,104 @@
+"""Overlap and free space: what two views of one place must agree on, and what they may not know."""
+
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
+from retropole.surfaces.visibility import (
+    IMAGE_SHAPE,
+    Cells,
+    cells_of,
+    compare_views,
+    free_space_violation,
+    nearest_around,
+    nearest_by_frame,
+    overlap,
+    range_image,
+    view_of,
+)
+from tests.surfaces.conftest import flipped
+
+
+@pytest.mark.parametrize("shift", [[8.0, 0, 0], [0, 20.0, 5.0], [3.0, -2.0, 10.0]])
+def test_a_wrong_beam_origin_does_not_turn_free_space_against_the_truth(
+    views: tuple[PointCloud, PointCloud, Array], shift: list[float]
+) -> None:
+    target, source, T = views
+    T_shift = se3.from_rt(np.eye(3), np.array(shift))
+    lost = PointCloud(se3.apply(T_shift, target.xyz))
+    image = range_image(lost)
+    assert free_space_violation(image, se3.apply(T_shift @ T, source.xyz)) < 0.03
+
+
+def test_free_space_knows_what_it_did_not_look_at() -> None:
+    ahead = PointCloud(np.array([[10.0, 0.0, 0.0]]))
+    image = range_image(ahead)
+    assert free_space_violation(image, np.array([[5.0, 0.0, 0.0]])) == 1.0, "looked through there"
+    assert free_space_violation(image, np.array([[15.0, 0.0, 0.0]])) == 0.0, "hidden behind"
+    assert free_space_violation(image, np.array([[0.0, 5.0, 0.0]])) == 0.0, "never looked there"
+    assert free_space_violation(image, np.array([[9.8, 0.0, 0.0]])) == 0.0, (
+        "within the pose's error"
+    )
+
+
+def test_every_direction_has_a_cell() -> None:
+    rays = np.random.default_rng(1).normal(size=(5000, 3))
+    extremes = np.concatenate([rays, np.eye(3), -np.eye(3)])
+    cells = cells_of(extremes)
+    assert cells.row.min() >= 0
+    assert cells.row.max() < IMAGE_SHAPE[0]
+    assert cells.column.min() >= 0
+    assert cells.column.max() < IMAGE_SHAPE[1]
+    farther = cells_of(7.0 * rays)
+    np.testing.assert_array_equal(farther.row, cells_of(rays).row)
+    np.testing.assert_array_equal(farther.column, cells_of(rays).column)
+
+
+def test_the_least_ranges_of_each_frame_are_those_of_its_own_returns() -> None:
+    rng = np.random.default_rng(2)
+    rays, frame = rng.normal(size=(6000, 3)), rng.integers(3, size=6000)
+    ranges, cells = se3.lengths(rays), cells_of(rays)
+    found = nearest_by_frame(cells, ranges, frame, 4)
+    for k in range(4):
+        own = frame == k
+        alone = nearest_around(Cells(cells.row[own], cells.column[own]), ranges[own])
+        np.testing.assert_array_equal(found[k], alone.ranges)
+
+
+def test_exchanging_the_views_changes_nothing(views: tuple[PointCloud, PointCloud, Array]) -> None:
+    target, source, T = views
+    forth = compare_views(view_of(target, 0.2), view_of(source, 0.2), T, within=0.3)
+    back = compare_views(view_of(source, 0.2), view_of(target, 0.2), se3.inverse(T), within=0.3)
+    assert forth.overlap == pytest.approx(back.overlap)
+    assert forth.free_space_violation == pytest.approx(back.free_space_violation)
+
+
+def test_the_right_pose_agrees_and_a_wrong_one_does_not(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    target, source, T = views
+    seen = view_of(target, 0.2), view_of(source, 0.2)
+    right = compare_views(*seen, T, within=0.3)
+    wrong = compare_views(*seen, flipped(T), within=0.3)
+    assert right.overlap > 0.95 > wrong.overlap
+    assert right.free_space_violation < 0.02 < wrong.free_space_violation
+
+
+def test_a_wider_limit_shows_further_neighbours_and_counts_no_more(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    target, source, T = views
+    seen = view_of(target, 0.2), view_of(source, 0.2)
+    off = T @ se3.from_rt(np.eye(3), np.array([0.0, 0.0, 0.4]))
+    near = compare_views(*seen, off, within=0.2)
+    far = compare_views(*seen, off, within=0.2, limit=2.0)
+    assert near.overlap == far.overlap
+    assert np.isfinite(far.distances).sum() > np.isfinite(near.distances).sum()
+
+
+def test_a_sample_is_a_part_of_the_whole(views: tuple[PointCloud, PointCloud, Array]) -> None:
+    whole, part = view_of(views[0], 0.2), view_of(views[0], 0.2, 500)
+    assert part.size == whole.size
+    assert 250 < len(part.points) <= 500
+    assert overlap([whole.tree.query(part.points)[0]], 1e-9) == 1.0

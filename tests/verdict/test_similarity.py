@@ -1,0 +1,172 @@
+"""Mirrored and scaled clouds are named, honest ones are not accused."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from retropole.adjustment.refinement import Refinement
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
+from retropole.base.errors import Refusal
+from retropole.pipeline import calibrate
+from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.surfaces.scans import find_poles
+from retropole.verdict.similarity import UNITS, check_similarity, explain
+from tests.tiers import first_of
+
+FIND = partial(find_poles, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
+REFUSED = Refusal("no_match", "none fit")
+
+
+def times(cloud: PointCloud, *by: float) -> PointCloud:
+    factor = np.array(by)
+    return replace(cloud, xyz=cloud.xyz * factor, origin=cloud.origin * factor)
+
+
+def reason(target: PointCloud, source: PointCloud) -> Refusal:
+    """Ask of a refusal, whatever it was."""
+    return explain(REFUSED, [Placement(FIND(target), FIND(source))], (), radius=DEFAULT_RADIUS)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Threads of BLAS wait by spinning, as in `calibrate`."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def pair() -> SimulatedPair:
+    return simulate_pair("harbor", np.random.default_rng(2))
+
+
+@pytest.mark.parametrize("factor", [1.05, 0.3048, 1000.0])
+@pytest.mark.full
+def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
+    pair: SimulatedPair, factor: float
+) -> None:
+    scaled = times(pair.source, factor, factor, factor)
+    there, back = reason(pair.target, scaled), reason(scaled, pair.target)
+    assert [there.code, back.code] == ["wrong_scale"] * 2
+    assert float(there.values["factor"]) == pytest.approx(1 / factor, rel=0.005)
+    assert float(back.values["factor"]) == pytest.approx(factor, rel=0.005)
+    unit = {0.3048: "feet", 1000.0: "millimetres"}.get(factor)
+    assert there.values.get("unit") == back.values.get("unit") == unit
+    if unit is not None:
+        # Numbers that are too large are in a small unit.
+        small = "source" if factor > 1 else "target"
+        assert f"{UNITS[unit]:g}: is the {small} in {unit}?" in there.message
+        assert f"--unit{'-source' if factor > 1 else ''} " in there.message
+
+
+@pytest.mark.parametrize(
+    ("flip", "axis"),
+    [
+        ((-1.0, 1.0, 1.0), "horizontal"),
+        ((1.0, -1.0, 1.0), "horizontal"),
+        ((1.0, 1.0, -1.0), "vertical"),
+    ],
+)
+@pytest.mark.full
+def test_a_mirrored_cloud_is_named_whichever_it_is(
+    pair: SimulatedPair, flip: tuple[float, float, float], axis: str
+) -> None:
+    for target, source in (
+        (pair.target, times(pair.source, *flip)),
+        (times(pair.target, *flip), pair.source),
+    ):
+        found = reason(target, source)
+        assert found.code == "mirrored"
+        assert found.values["axis"] == axis
+        assert int(found.values["agreeing"]) > int(found.values["rigid_agreeing"])
+
+
+@pytest.mark.full
+def test_moving_a_cloud_changes_nothing(pair: SimulatedPair) -> None:
+    T = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, 0.7])), np.array([2.0, -1.0, 0.5]))
+    for change in ((1.05, 1.05, 1.05), (1.0, -1.0, 1.0)):
+        changed = times(pair.source, *change)
+        still, moved = reason(pair.target, changed), reason(pair.target, changed.transformed(T))
+        assert moved.code == still.code != REFUSED.code
+        assert moved.values.get("axis") == still.values.get("axis")
+        factors = [float(each.values.get("factor", 1.0)) for each in (moved, still)]
+        assert factors[0] == pytest.approx(factors[1], rel=0.002)
+
+
+@pytest.mark.parametrize("scene", ["street", "corridor", "harbor", "bare"])
+@pytest.mark.parametrize("seed", first_of(range(2)))
+@pytest.mark.full
+def test_honest_recordings_are_not_accused(scene: str, seed: int) -> None:
+    pair = simulate_pair(scene, np.random.default_rng(seed))
+    assert reason(pair.target, pair.source) is REFUSED
+
+
+@pytest.mark.full
+def test_both_mirrored_or_both_scaled_lie_on_each_other_as_before(pair: SimulatedPair) -> None:
+    for of_target, of_source in (((-1, 1, 1), (1, -1, 1)), ((1.05, 1.05, 1.05),) * 2):
+        both = times(pair.target, *of_target), times(pair.source, *of_source)
+        assert reason(*both) is REFUSED
+
+
+def test_other_refusals_stay_what_they_are(pair: SimulatedPair) -> None:
+    mirrored = Placement(FIND(pair.target), FIND(times(pair.source, -1, 1, 1)))
+    for code in ("no_intensity", "moving_pole"):
+        refusal = Refusal(code, "as it was")
+        assert explain(refusal, [mirrored], (), radius=DEFAULT_RADIUS) is refusal
+    none = Scan(pair.target)
+    assert explain(REFUSED, [Placement(none, none)], (), radius=DEFAULT_RADIUS) is REFUSED
+    assert explain(REFUSED, [], (), radius=DEFAULT_RADIUS) is REFUSED
+
+
+def scaled_answer(pair: SimulatedPair, factor: float) -> Calibration:
+    return calibrate(pair.target, times(pair.source, factor, factor, factor))
+
+
+@pytest.mark.full
+def test_an_answer_is_refused_beyond_one_per_cent_of_scale(pair: SimulatedPair) -> None:
+    assert scaled_answer(pair, 1.005).status != "refused"
+    (found,) = scaled_answer(pair, 1.02).reasons
+    assert found.code == "wrong_scale"
+    assert float(found.values["factor"]) == pytest.approx(1 / 1.02, abs=0.003)
+
+
+@pytest.mark.full
+def test_a_mirrored_cloud_gets_no_answer() -> None:
+    pair = simulate_pair("corridor", np.random.default_rng(1))
+    answer = calibrate(pair.target, times(pair.source, 1, -1, 1))
+    assert [each.code for each in answer.reasons] == ["mirrored"]
+    assert answer.T_target_source is None
+
+
+def test_an_answer_is_held_against_its_mirror_image(pair: SimulatedPair) -> None:
+    source = times(pair.source, 1, -1, 1)
+    placement = Placement(FIND(pair.target), FIND(source))
+    wrong = pair.T_target_source @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    with pytest.raises(Refusal, match="reversed") as refusal:
+        check_similarity(None, [placement], wrong)
+    assert refusal.value.code == "mirrored"
+    honest = Placement(placement.target, FIND(pair.source))
+    check_similarity(None, [honest], pair.T_target_source)
+
+
+@pytest.mark.parametrize(
+    ("factor", "sigma", "refused"),
+    [(1.013, 0.004, True), (0.987, 0.004, True), (1.013, 0.005, False), (1.009, 0.0001, False)],
+)
+def test_a_scale_is_denied_beyond_three_sigma_and_one_per_cent(
+    pair: SimulatedPair, factor: float, sigma: float, refused: bool
+) -> None:
+    placement = Placement(FIND(pair.target), FIND(pair.source))
+    wanted = cast("Refinement", SimpleNamespace(scale=(factor, sigma)))
+    if not refused:
+        return check_similarity(wanted, [placement], pair.T_target_source)
+    with pytest.raises(Refusal) as refusal:
+        check_similarity(wanted, [placement], pair.T_target_source)
+    assert refusal.value.code == "wrong_scale"
+    return None

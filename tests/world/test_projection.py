@@ -1,0 +1,110 @@
+"""Projected systems: their scale and convergence, and those that are no frame for a site."""
+
+import numpy as np
+import pytest
+
+from retropole.base.description import Frame, Geodetic
+from retropole.base.errors import UsageError
+from retropole.world import projection, world
+
+pytest.importorskip("pyproj", reason="needs pip install 'retropole[world]'")
+UTM = 25832
+POLES = np.array([[691_607.25, 5_334_765.5, 512.0], [691_637.5, 5_334_790.25, 513.0]])
+
+
+@pytest.mark.parametrize("epsg", [25832, 31468, 5514, 2056, 27700, 28355, 2154])
+def test_scale_and_convergence_are_the_slopes_of_the_projection(epsg: int) -> None:
+    west, south, east, north = np.radians(projection.projected(epsg).crs.area_of_use.bounds)
+    at = np.array([0.6 * south + 0.4 * north, 0.3 * west + 0.7 * east, 300.0])
+    frame = Frame("f", surveyed=True, epsg=epsg, geodetic=Geodetic(*at))
+    steps = world.to_frame(frame, np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
+    to_east, to_north = steps[1, :2] - steps[0, :2], steps[2, :2] - steps[0, :2]
+    grid = projection.grid_at(epsg, at)
+    assert np.linalg.norm(to_east) == pytest.approx(grid.combined, abs=2e-7)
+    assert np.linalg.norm(to_north) == pytest.approx(grid.combined, abs=2e-7)
+    assert np.arctan2(-to_north[0], to_north[1]) == pytest.approx(grid.convergence, abs=1e-6)
+    assert grid.distortion < 1e-6
+
+
+def test_the_words_say_what_30_m_become() -> None:
+    words = projection.grid_at(UTM, np.radians([50.0, 9.0, 0.0])).words
+    assert "EPSG:25832, ETRS89 / UTM zone 32N: 30 m on the ground are 29.9880 m" in words
+    assert "-12.0 mm, scale 0.9996000" in words
+
+
+@pytest.mark.parametrize(
+    ("epsg", "reason"),
+    [
+        (4326, "not a projected system"),
+        (4978, "not a projected system"),
+        (2263, "US survey foot"),
+        (2048, "west and south"),
+        (3031, "north and north"),
+        (27572, "Paris"),
+        (999_999, "in no register"),
+        (2**53, "in no register"),
+    ],
+)
+def test_systems_that_are_no_frame_for_a_site_are_refused(epsg: int, reason: str) -> None:
+    with pytest.raises(UsageError, match=reason):
+        world.tangent_frame(epsg, POLES)
+
+
+def test_exchanged_coordinates_are_refused() -> None:
+    with pytest.raises(UsageError, match="are east and north swapped"):
+        world.tangent_frame(UTM, POLES[:, [1, 0, 2]])
+    with pytest.raises(UsageError, match="far outside"):
+        world.tangent_frame(UTM, POLES + np.array([1e9, 0, 0]))
+
+
+def test_a_compound_system_gives_its_horizontal_part() -> None:
+    assert projection.projected(7415).name == "EPSG:7415, Amersfoort / RD New"
+
+
+def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
+    at = np.radians([50.0, 20.0, 0.0])
+    grid = projection.grid_at(3035, at)
+    assert "it is not conformal" in grid.words
+    assert "conformal" not in projection.grid_at(25834, at).words
+    ways = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, np.pi, 181)])
+    frame = Frame("f", surveyed=True, epsg=3035, geodetic=Geodetic(*at))
+    full = world.to_frame(frame, np.vstack([np.zeros(3), ways]))
+    lengths = np.linalg.norm(full[1:, :2] - full[0, :2], axis=1)
+    assert (lengths.max() - lengths.min()) / 2 == pytest.approx(grid.distortion / 2, rel=0.01)
+
+
+def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
+    # Norway uses zone 33 as far as Bergen.
+    assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
+    assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
+    frame = world.tangent_frame(28992, np.array([[470_000.0, 690_000.0, 0.0]]))
+    assert frame.geodetic is not None
+    assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
+
+
+def test_coordinates_that_only_swapped_lie_where_a_system_is_used_are_refused() -> None:
+    # East and north of the Netherlands, swapped, lie in Germany.
+    with pytest.raises(UsageError, match="are east and north swapped"):
+        world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))
+
+
+def test_an_area_may_lie_across_180_degrees() -> None:
+    west, _, east, _ = projection.projected(3832).crs.area_of_use.bounds
+    assert west > east
+    for longitude, is_inside in ((179.0, True), (-179.0, True), (0.0, False)):
+        grid = projection.grid_at(3832, np.radians([0.1, longitude, 0.0]))
+        assert grid.in_area == is_inside
+
+
+def test_gauss_krueger_with_north_first_is_told() -> None:
+    """As the register orders it: taken for east, it lies within 20° of where the system is used."""
+    system = projection.projected(31467)
+    right = np.array([[3_500_000.0, 5_600_000.0, 100.0], [3_520_000.0, 5_610_000.0, 100.0]])
+    assert projection.unproject(system, right).shape == (2, 3)
+    for east in (3_480_000.0, 3_500_000.0, 3_560_000.0):
+        for north in (5_250_000.0, 5_600_000.0, 6_000_000.0):
+            with pytest.raises(UsageError, match="are east and north swapped"):
+                projection.unproject(system, np.array([[north, east, 100.0]]))
+    # A neighbour's system is not told: north of 60° people use it far outside of its zone.
+    norway = projection.projected(25833)
+    assert projection.unproject(norway, np.array([[100_000.0, 7_000_000.0, 0.0]])).shape == (1, 3)
