@@ -154,7 +154,8 @@ def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> 
     (site / "old.json").write_text(json.dumps(result))
     new, old = (json.loads(run(site, name, "same", "--json")[1]) for name in ("r", "old.json"))
     assert new["moved_m"] == pytest.approx(old["moved_m"])
-    assert new["sigma_m"] < 0.9 * old["sigma_m"]
+    # What both calibrations share cancels; most of what is left is random.
+    assert 0.5 * old["sigma_m"] < new["sigma_m"] < 0.98 * old["sigma_m"]
     assert new["chi2"] > old["chi2"]
     # What is said of the stored pose by hand comes from elsewhere, and counts whole.
     words = ("--sigma-deg", "0.02", "--sigma-m", "0.003", "--json")
