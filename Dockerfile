@@ -8,7 +8,7 @@ RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
 
 FROM python:3.12-slim
 RUN --mount=type=bind,from=wheel,source=/wheels,target=/wheels \
-    pip install --no-cache-dir "$(echo /wheels/retropole-*.whl)[figures,las,yaml,ros,velodyne,world]"
+    pip install --no-cache-dir "$(echo /wheels/retropole-*.whl)[figures,las,yaml,urdf,ros,velodyne,world]"
 # What matplotlib caches goes where any user may write.
 ENV MPLCONFIGDIR=/tmp/matplotlib
 RUN useradd --create-home --uid 1000 retropole

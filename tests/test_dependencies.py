@@ -35,7 +35,7 @@ def core_alone(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         for module, packages in packages_distributions().items()
         if not core & {canonicalize_name(package) for package in packages}
     ]
-    assert {"laspy", "matplotlib", "rosbags", "viser", "yaml"} <= set(absent)
+    assert {"laspy", "lxml", "matplotlib", "rosbags", "viser", "yaml"} <= set(absent)
     return subprocess.run(
         [sys.executable, "-c", CORE_ALONE, json.dumps(absent), *words],
         cwd=folder,
@@ -54,15 +54,21 @@ def test_the_core_needs_no_extra(tmp_path: Path) -> None:
         ("report", "out"),
         ("check", "out", *clouds),
         ("export", "out", "--to", "json"),
+        ("export", "out", "--to", "urdf", "--out", "robot.urdf"),
+        ("export", "robot.urdf", "--to", "json"),
         ("detect", clouds[0]),
         ("info", clouds[0]),
     )
     for words in ways:
         done = core_alone(tmp_path, *words)
         assert done.returncode == 0, f"{words}: {done.stderr[-800:]}"
-    done = core_alone(tmp_path, "export", "out", "--to", "mcap", "--out", "a.mcap")
-    assert done.returncode == 2
-    assert "pip install 'retropole[ros]'" in done.stderr
+    for extra, options in (
+        ("ros", ("--to", "mcap", "--out", "a.mcap")),
+        ("urdf", ("--into", "robot.urdf")),
+    ):
+        done = core_alone(tmp_path, "export", "out", *options)
+        assert done.returncode == 2
+        assert f"pip install 'retropole[{extra}]'" in done.stderr
 
 
 @pytest.mark.parametrize(

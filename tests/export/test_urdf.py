@@ -1,8 +1,11 @@
-"""A joint in a URDF: other programs read it, and the rest of the file stays as it was."""
+"""A joint in a URDF: other programs read it, and the rest of the file says what it said."""
 
+import io
 import math
 import re
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from hypothesis import strategies as st
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.errors import ReadError, UsageError
+from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.export import (
     Transform,
     export_lines,
@@ -20,13 +23,15 @@ from retropole.export import (
     read_transform,
 )
 from retropole.export.transform import from_rpy
-from retropole.export.xml_scan import scan_xml, with_attributes
+from retropole.export.urdf import read_urdf, write_urdf
 
 T = se3.random(np.random.default_rng(1))
 TRANSFORM = Transform(T, "front", "rear")
 
 ROBOT = """<?xml version="1.0" encoding="utf-8"?>
+
 <!-- rear > front -->
+<?xml-stylesheet  href='a.css'?>
 <robot name="car">
     <link name="base"><!-- <joint/> --></link>
     <link name="front"/>
@@ -87,8 +92,8 @@ def test_names_are_escaped_for_xml() -> None:
     assert b"<script" not in data
     (comment,) = re.findall(rb"<!--(.*)-->\n", data)
     assert b"--" not in comment
-    root = scan_xml(data).root
-    assert [e.attributes["name"] for e in root.named("link")] == ["front", name]
+    links = ElementTree.fromstring(data).findall("link")
+    assert [link.get("name") for link in links] == ["front", name]
 
 
 codecs = pytest.mark.parametrize(
@@ -103,6 +108,22 @@ def as_file(text: str, newline: str, codec: str) -> bytes:
     return text.replace("\n", newline).replace("utf-8", declared, 1).encode(codec)
 
 
+def canonical(data: bytes) -> list[str]:
+    """Lines of what an XML file says, whatever white space and quotes its tags have."""
+    return ElementTree.canonicalize(from_file=io.BytesIO(data), with_comments=True).split("\n")
+
+
+def hold_as_the_file_is(before: bytes, after: bytes, newline: str, codec: str) -> None:
+    """Encoding, declaration and line endings are those of before; order and CDATA too."""
+    old, new = before.decode(codec), after.decode(codec)
+    assert new.encode(codec) == after
+    assert new.startswith(old[: old.index("<robot")])
+    assert "\n" not in new.replace(newline, "")
+    assert new.count("<![CDATA[<origin") == 1
+    there = [list(e.attrib) for e in ElementTree.fromstring(before).iter()]
+    assert [list(e.attrib) for e in ElementTree.fromstring(after).iter()][: len(there)] == there
+
+
 @codecs
 @newlines
 def test_replacing_changes_the_two_values_only(newline: str, codec: str) -> None:
@@ -110,15 +131,13 @@ def test_replacing_changes_the_two_values_only(newline: str, codec: str) -> None
         ROBOT.replace("measured", "gemäß" if codec != "us-ascii" else "x"), newline, codec
     )
     after = put_into_urdf(before, TRANSFORM)
-    old, new = before.decode(codec), after.decode(codec)
-    at = old.index("a > b")
-    for text in ("0 0  0", "1 2 3"):
-        begin = old.index(text, at)
-        values = new[begin:].split("'" if text == "0 0  0" else '"')[0]
-        assert len(values.split()) == 3
-        new = new[:begin] + text + new[begin + len(values) :]
-    assert new == old
-    assert new.encode(codec) == before
+    hold_as_the_file_is(before, after, newline, codec)
+    lines, old = canonical(after), canonical(before)
+    (at,) = [k for k, line in enumerate(lines) if line != old[k]]
+    assert 'note="x>y"' in lines[at]
+    lines[at] = re.sub('rpy="[^"]*"', 'rpy="0 0  0"', lines[at])
+    lines[at] = re.sub('xyz="[^"]*"', 'xyz="1 2 3"', lines[at])
+    assert lines == old
 
 
 @codecs
@@ -126,17 +145,14 @@ def test_replacing_changes_the_two_values_only(newline: str, codec: str) -> None
 def test_adding_puts_lines_before_the_end_only(newline: str, codec: str) -> None:
     before = as_file(NO_REAR, newline, codec)
     after = put_into_urdf(before, TRANSFORM)
-    old, new = before.decode(codec), after.decode(codec)
-    at = old.rindex("</robot>")
-    assert new.startswith(old[:at])
-    assert new.endswith(old[at:])
-    added = new[at : len(new) - len(old) + at]
-    lines = added.split(newline)
-    assert lines[-1] == ""
-    assert all(line.startswith("    <") or line.startswith("        <") for line in lines[:-1])
-    assert "\n" not in added.replace(newline, "")
-    assert [line.strip()[:6] for line in lines[:3]] == ["<link ", "<!-- m", "<joint"]
-    np.testing.assert_array_equal(put_into_urdf(after, TRANSFORM), after)
+    hold_as_the_file_is(before, after, newline, codec)
+    lines, old = canonical(after), canonical(before)
+    at, count = old.index("</robot>"), len(lines) - len(old)
+    assert lines[:at] + lines[at + count :] == old
+    added = lines[at : at + count]
+    assert all(re.match(r"    (    )?<\S", line) for line in added)
+    assert [line.strip()[:6] for line in added[:3]] == ["<link ", "<!-- m", "<joint"]
+    assert put_into_urdf(after, TRANSFORM) == after
 
 
 def test_a_link_that_is_there_is_not_added_twice() -> None:
@@ -149,9 +165,8 @@ def test_a_link_that_is_there_is_not_added_twice() -> None:
 def test_a_joint_without_origin_gets_one() -> None:
     robot = re.sub(r"        <origin rpy='0 0  0'\n[^\n]*note[^\n]*\n", "", ROBOT)
     out = put_into_urdf(robot.encode(), TRANSFORM).decode()
-    (line,) = [line for line in out.splitlines() if line not in robot.splitlines()]
-    assert line.startswith("        <origin xyz=")
-    assert out.replace(line + "\n", "") == robot
+    (line,) = re.findall(r'\n        <origin xyz="[^"]*" rpy="[^"]*"/>(?=\n        <parent)', out)
+    assert canonical(out.replace(line, "").encode()) == canonical(robot.encode())
 
 
 @settings(max_examples=60, deadline=None)
@@ -320,24 +335,31 @@ def test_nothing_is_added_where_macros_may_make_the_same() -> None:
         put_into_urdf(robot.encode(), TRANSFORM)
 
 
-def test_elements_stand_where_the_scan_says() -> None:
-    data = as_file(ROBOT, "\n", "utf-16")
-    scan = scan_xml(data)
-    for element in scan.root.walk():
-        text = scan.text(element.start, element.end)
-        assert text.startswith(f"<{element.tag}")
-        assert text.endswith(("/>", f"</{element.tag}>"))
-        assert scan.text(element.foot, element.end) in ("", f"</{element.tag}>")
+def test_a_macro_that_is_called_as_an_element_of_urdf_is_none() -> None:
+    robot = ROBOT.replace("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"')
+    robot = robot.replace('<link name="front"/>', '<xacro:link name="front"/>')
+    with pytest.raises(UsageError, match="no link 'front'"):
+        put_into_urdf(robot.replace("</robot>", ON_BASE).encode(), BESIDE)
 
 
-def test_attributes_are_set_in_place() -> None:
-    assert with_attributes("<o  b='1'\ta = \"2\" />", {"a": "9", "c": "7"}) == (
-        '<o  b=\'1\'\ta = "9" c="7" />'
-    )
-    assert with_attributes("<o/>", {"a": "1", "c": "2"}) == '<o a="1" c="2"/>'
+@pytest.mark.parametrize("robot", [ROBOT, NO_REAR], ids=["replaced", "added"])
+def test_a_robot_may_have_a_namespace(robot: str, tmp_path: Path) -> None:
+    data = robot.replace("<robot", '<robot xmlns="http://drake.mit.edu"').encode()
+    out = put_into_urdf(data, TRANSFORM)
+    np.testing.assert_allclose(in_robot(out, "front", "rear", tmp_path), T, rtol=0, atol=1e-9)
+    assert out.count(b"xmlns") == 1
+    assert put_into_urdf(out, TRANSFORM) == out
 
 
 def test_deep_nesting_is_no_trap() -> None:
     deep = b"<robot>" + b"<a>" * 5000 + b"</a>" * 5000 + b"</robot>"
-    with pytest.raises(UsageError, match="no link"):
+    with pytest.raises(ReadError, match=r"cannot edit the XML.*depth"):
         put_into_urdf(deep, TRANSFORM)
+
+
+def test_only_to_edit_a_robot_takes_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "lxml", None)
+    (found,) = read_urdf(write_urdf(TRANSFORM).encode())
+    np.testing.assert_allclose(found.pose(), T, rtol=0, atol=1e-9)
+    with pytest.raises(MissingExtraError, match=r"retropole\[urdf\]"):
+        put_into_urdf(ROBOT.encode(), TRANSFORM)

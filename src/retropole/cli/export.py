@@ -54,7 +54,8 @@ TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
     "--into",
     type=FILE,
     help="URDF to put the pose into: the joint that leads to the source's link is written, from "
-    "the link where it starts. All else stays byte for byte; --out writes the outcome elsewhere.",
+    "the link where it starts. All else that the file says stays; --out writes the outcome "
+    "elsewhere. Needs the extra 'urdf'.",
 )
 def export(
     result: Path,

@@ -24,6 +24,7 @@ from ..result import ReasonDoc, ResultDoc
 from ..result.folder import any_result_file
 from ..result.site import SiteDoc
 from .documents import read_json, read_yaml, result_in, write_json, write_yaml
+from .markup import is_xml, read_xml
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
     read_matrix,
@@ -41,7 +42,6 @@ from .tree import Tree, tree_of
 from .tree_formats import TREE_FORMATS as TREE_FORMATS
 from .urdf import put_into_urdf as put_into_urdf
 from .urdf import read_urdf, write_urdf
-from .xml_scan import is_xml, scan_xml
 
 
 class Format(NamedTuple):
@@ -270,7 +270,7 @@ def detect_format(path: Path, data: bytes) -> str:
         return _SUFFIXES[path.suffix.lower()]
     head = data.lstrip()
     if is_xml(data):
-        return "launch" if scan_xml(data).root.tag == "launch" else "urdf"
+        return "launch" if read_xml(data).tag == "launch" else "urdf"
     if head.startswith(b"{"):
         return "json"
     text = data.decode()

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError, said
+from .markup import is_xml, read_xml
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, comments, pose_of, pose_values, to_float
 from .transform import Found, Transform, from_quaternion, from_rpy, notes_on
-from .xml_scan import is_xml, scan_xml
 
 PROGRAM = "static_transform_publisher"
 
@@ -129,13 +129,13 @@ def read_launch(data: bytes) -> list[Found]:
 
 def _read_launch_xml(data: bytes) -> list[Found]:
     """Read the publishers of a launch file of ROS 1 (``type=``) or ROS 2 (``exec=``)."""
-    root = scan_xml(data).root
+    root = read_xml(data)
     if root.tag != "launch":
         raise ReadError(f"no launch file: the root element is <{root.tag}>, not <launch>")
     found: list[Found] = []
-    for node in root.walk():
-        of = node.attributes
-        if node.tag != "node" or PROGRAM not in (of.get("type"), of.get("exec")):
+    for node in root.iter("node"):
+        of = node.attrib
+        if PROGRAM not in (of.get("type"), of.get("exec")):
             continue
         args, name = of.get("args", ""), of.get("name", PROGRAM)
         if "$(" in args:
