@@ -61,13 +61,20 @@ def recorded(kind: str) -> tuple[list[PointCloud], list[PointCloud], tuple[Senso
 DEFAULT = "corridor", "symmetric place", "no intensity"
 """A tenth of the CPU time of all."""
 
+NIGHTLY = ("dim tape",)
+"""A sixth of it."""
+
+
+def tier_of(kind: str) -> list[pytest.MarkDecorator]:
+    """Marks of the tier that a kind of recordings is compared in."""
+    if kind in DEFAULT:
+        return []
+    return [pytest.mark.nightly if kind in NIGHTLY else pytest.mark.full]
+
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        pytest.param(kind, marks=[] if kind in DEFAULT else [pytest.mark.full])
-        for kind in RECORDINGS
-    ],
+    [pytest.param(kind, marks=tier_of(kind)) for kind in RECORDINGS],
 )
 def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     targets, sources, sensors = recorded(kind)

@@ -375,7 +375,7 @@ def test_laws(law: Law) -> None:
     obey([law], FEW, FEW_SEEDS)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_laws_of_more_scenes() -> None:
     """All laws on one scene: it is simulated, and answered as it is, once for all of them."""
     obey(list(LAWS), MORE, MANY_SEEDS)
