@@ -12,7 +12,7 @@ phase are drawn. With --modes it turns about two axes, at five frequencies of a 
 second mode, three times as fast and about a quarter as large. In half of the runs the returns have
 no times. Beside it the same with the masts at rest, and with all sweeps taken for one, so that
 nothing is known of the sway. Seeds from 1000 state; seeds 0 to 299 and a hall
-(tests/scene/swaying.py) tuned.
+(tests/surfaces/swaying.py) tuned.
 """
 
 from __future__ import annotations

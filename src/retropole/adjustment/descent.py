@@ -33,7 +33,7 @@ from .terms import ScenePair, SceneTerm, scene_term
 STEP = 5e-8
 """Stop where a step is below this, rad and m. Forces of poles, survey and scenes that balance each
 other turn with a step, to first order by half of it; steps of 2e-7 left 1.3e-6 of 1 σ at one of a
-hundred sites (tests/site/test_independent.py, seed 69)."""
+hundred sites (tests/adjustment/test_independent.py, seed 69)."""
 
 MAX_STRIDE = 4.0
 """Most, and the inverse of the least, of a step that is gone: steps three times too long walk to

@@ -16,7 +16,7 @@ from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres: with less, a pose that is off by 0.4 m
-is kept, since most returns are outliers there (tests/site/test_contradiction.py)."""
+is kept, since most returns are outliers there (tests/adjustment/test_contradiction.py)."""
 
 MAX_NOISE = 0.05
 """Most noise of a return that still says anything of a pole, metres: more than its thickness."""

@@ -13,7 +13,7 @@ from .se3 import Array
 
 ENOUGH = 2.0
 """So many periods are asked for; after three, rest is known to less than a tenth of the sway
-(tests/scene/test_sway.py)."""
+(tests/surfaces/test_sway.py)."""
 
 LEVER = 6.0
 """A mast that turns shifts its LiDAR by so many metres a radian: the height of a lamppost, whose
