@@ -63,15 +63,20 @@ def remove_dynamic_points(cloud: PointCloud) -> PointCloud:
     if cloud.frame is None:
         return cloud
     frames, frame = numbered(cloud.frame)
-    return cloud if len(frames) < MIN_FRAMES else cloud.select(_is_static(cloud, frame))
+    if len(frames) < MIN_FRAMES:
+        return cloud
+    return cloud.select(_is_static(cloud, frame, len(frames)))
 
 
-def _is_static(cloud: PointCloud, frame: IntArray) -> BoolArray:
-    """Whether half of the frames that saw anything in the direction of a return saw no farther."""
+def _is_static(cloud: PointCloud, frame: IntArray, frames: int) -> BoolArray:
+    """Whether half of the frames that saw anything in the direction of a return saw no farther.
+
+    The frame (N,) of each return is given, counted from 0, and how many there are.
+    """
     rays = cloud.xyz - cloud.origin
     ranges = se3.lengths(rays)
     cells = cells_of(rays)
-    nearest = nearest_by_frame(cells, ranges, frame, int(frame.max()) + 1)
+    nearest = nearest_by_frame(cells, ranges, frame, frames)
     # What half of the frames saw there, the nearer half.
     nearest.sort(axis=0)
     half = np.maximum((np.isfinite(nearest).sum(axis=0) - 1) // 2, 0)
@@ -108,7 +113,7 @@ def turned_by(cloud: PointCloud) -> float:
     """
     if cloud.frame is None:
         return 0.0
-    frames = np.unique(cloud.frame)
+    frames, _ = numbered(cloud.frame)
     part = max(len(frames) // MIN_FRAMES, 1)
     if len(frames) < 2:
         return 0.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.datatypes import Array, PointCloud
 from ..base.sway import Sway, stated_sway
+from .ordering import numbered
 from .oscillation import SIZES, Asked, Motion, hypotheses, infer, length_of, ways_of
 from .static import MAX_TURN, MIN_FRAMES, turned_by
 from .sweeps import Observed, Timed, observe, timed, without
@@ -57,7 +58,7 @@ def steadied(cloud: PointCloud, stated: float | None = None) -> Steadied:
         The same cloud and no motion where it is not seen to sway, or moved otherwise.
     """
     as_it_is = Steadied(cloud, None if stated is None else stated_sway(stated))
-    if cloud.frame is None or len(np.unique(cloud.frame)) < MIN_FRAMES:
+    if cloud.frame is None or len(numbered(cloud.frame)[0]) < MIN_FRAMES:
         return as_it_is
     when = timed(cloud)
     sizes = SIZES if stated is None else stated * np.array([0.5, 1.0, 2.0])
@@ -153,7 +154,7 @@ def velocity_of(cloud: PointCloud, prior: Array) -> Velocity | None:
     prior
         (6, 6) covariance of the turn and shift per second that there may be.
     """
-    if cloud.frame is None or len(np.unique(cloud.frame)) < 2:
+    if cloud.frame is None or len(numbered(cloud.frame)[0]) < 2:
         return None
     when = timed(cloud)
     features = (when.times - when.times.mean())[:, None]

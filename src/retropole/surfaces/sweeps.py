@@ -142,10 +142,9 @@ def timed(cloud: PointCloud) -> Timed:
     """
     assert cloud.frame is not None
     frames, own = numbered(cloud.frame)
-    period = _period(cloud, frames, own)
+    by_sweep = np.split(order_of(own), np.cumsum(np.bincount(own))[:-1])
+    period = _period(cloud, frames, by_sweep)
     start = (frames - frames[0]) * period
-    order = order_of(own)
-    by_sweep = np.split(order, np.cumsum(np.bincount(own))[:-1])
     within = _within(cloud, own, by_sweep)
     if within is None:
         middles = start + period / 2
@@ -172,11 +171,11 @@ def _within(cloud: PointCloud, own: IntArray, by_sweep: Sequence[IntArray]) -> A
     return cloud.time - first[own] if 0 < spread < LONGEST else None
 
 
-def _period(cloud: PointCloud, frames: IntArray, own: IntArray) -> float:
+def _period(cloud: PointCloud, frames: IntArray, by_sweep: Sequence[IntArray]) -> float:
     """Time from one sweep to the next, s: by the returns' times, the recorder's, or the usual."""
     numbers = float(frames[-1] - frames[0])
     if cloud.time is not None and np.isfinite(cloud.time).all():
-        ends = [float(np.median(cloud.time[own == k])) for k in (0, len(frames) - 1)]
+        ends = [float(np.median(cloud.time[by_sweep[k]])) for k in (0, -1)]
         # Some drivers count the times of each sweep from its own start.
         if ends[1] - ends[0] > PERIOD / 4 * numbers:
             return (ends[1] - ends[0]) / numbers

@@ -85,7 +85,7 @@ def nearest_around(cells: Cells, ranges: Array) -> Nearest:
     return Nearest(_with_neighbours(image), np.isfinite(image))
 
 
-def nearest_by_frame(cells: Cells, ranges: Array, frame: IntArray | int, frames: int) -> Array:
+def nearest_by_frame(cells: Cells, ranges: Array, frame: IntArray, frames: int) -> Array:
     """Take the least range of each frame in each cell and its neighbours, (frames, E, A).
 
     The frame (N,) of each return is given, counted from 0.
