@@ -149,6 +149,10 @@ class LoopClosure:
     probability: float
 
 
+Kind = Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+"""What a test is about."""
+
+
 @dataclass(frozen=True, eq=False)
 class Test:
     """One observation, or what several have in common, tested against all others.
@@ -175,7 +179,7 @@ class Test:
         By how much an error of that size would move a point 30 m away, metres; None likewise.
     """
 
-    kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+    kind: Kind
     name: str
     lidar: int | None
     placement: int | None

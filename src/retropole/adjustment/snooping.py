@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, erfcinv
@@ -19,7 +20,7 @@ from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.description import Site
 from ..base.uncertainty.purpose import DEFAULT_AT
-from .answer import Test
+from .answer import Kind, Test
 from .biases import (
     Bias,
     lidar_apart,
@@ -56,26 +57,43 @@ def normalised(chi2: float, freedom: int, among: int = 1) -> float:
     return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
-def outcome(at: Solved, error: Bias, unit: float) -> Outcome:
-    """Test a bias of its own against all other observations.
+def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outcome]:
+    """Test biases, each by itself, against all other observations.
 
     Parameters
     ----------
     at
         The answer.
-    error
-        That is tested.
-    unit
-        Metres for each of its lengths, where it is counted in σ.
+    errors
+        Each that is tested, with metres for each of its lengths, where it is counted in σ.
     """
-    taken_up = at.inverse @ error.cross
+    if not errors:
+        return
+    cuts = np.cumsum([error.cross.shape[1] for error, _ in errors])[:-1]
+    # All at once: what is multiplied here are the largest matrices of a site.
+    cross = np.concatenate([error.cross for error, _ in errors], axis=1)
+    taken_up = at.inverse @ cross
+    by_scene, carried = cross.T @ at.scene, at.scene_information @ taken_up
+    by_wide = taken_up.T @ at.by_wide
+    for (error, unit), taken, scene, carry, wide in zip(
+        errors,
+        np.split(taken_up, cuts, axis=1),
+        np.split(by_scene, cuts),
+        np.split(carried, cuts, axis=1),
+        np.split(by_wide, cuts),
+        strict=True,
+    ):
+        # What is considered moves the slope by so much.
+        by = error.wide - wide
+        # And the scene's patches, correlated as they are, by more than their information says.
+        scatter = excess(scene @ scene.T, taken.T @ carry)
+        yield _outcome(at, error, unit, taken, by @ by.T + scatter)
+
+
+def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array) -> Outcome:
+    """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
     left = error.own - error.cross.T @ taken_up
-    # What is considered moves the slope by so much.
-    by = error.wide - taken_up.T @ at.by_wide
-    # And the scene's patches, correlated as they are, by more than their information says.
-    by_scene = error.cross.T @ at.scene
-    scatter = excess(by_scene @ by_scene.T, taken_up.T @ at.scene_information @ taken_up)
-    spread = left + by @ by.T + scatter
+    spread = left + more
     # Of what nothing checks only rounding is left: none of it is a test.
     least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
@@ -123,92 +141,99 @@ def all_tests(
     site, poles
         For names, and who sees which pole.
     astray
-        From `astray.astray`: by LiDAR and pole the χ² of returns that lie beside it.
+        By LiDAR and pole the χ² of returns that lie beside it (`outliers.find_outlying`).
     """
+    asked = list(_asked(at, site, poles, astray))
+    found = outcomes(at, [(error, each.unit) for each in asked for _, error in each.ways])
+    for each in asked:
+        results = [(next(found), name, error) for name, error in each.ways]
+        best, name, error = max(results, key=lambda result: result[0].chi2)
+        if len(results) > 1:
+            best = replace(best, w=normalised(best.chi2, error.freedom, len(results)))
+        if each.beside is not None and each.beside > best.chi2:
+            best = replace(best, chi2=each.beside, w=normalised(each.beside, error.freedom))
+        yield Test(
+            each.kind,
+            name,
+            each.lidar,
+            each.placement,
+            each.pole,
+            best.chi2,
+            error.freedom,
+            best.w,
+            best.redundancy,
+            best.minimal_detectable,
+            best.external,
+        )
+
+
+class _Asked(NamedTuple):
+    """A test: the biases that an observation may have, of which the likeliest is taken.
+
+    `unit` is metres for each of their lengths; `beside` the χ² of returns that lie beside a pole.
+    """
+
+    kind: Kind
+    lidar: int | None
+    placement: int | None
+    pole: int | None
+    ways: Sequence[tuple[str, Bias]]
+    unit: float = 1.0
+    beside: float | None = None
+
+
+def _asked(
+    at: Solved, site: Site, poles: Sequence[SharedPole], astray: Mapping[tuple[int, int], float]
+) -> Iterator[_Asked]:
     names = [lidar.name for lidar in site.lidars]
-    for k in range(len(poles)):
-        yield from _pole_tests(at, poles[k].name(site), k, poles[k].placement, names, astray)
+    for k, pole in enumerate(poles):
+        yield from _of_pole(at, pole.name(site), k, pole.placement, names, astray)
     for one in at.network.observations:
         # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it.
         if one.kind == "pose":
             continue
         if one.poles is None:
-            error = value_wrong(at, one)
             assert one.by_value is not None
-            unit = one.by_value[2]
             assert one.kind != "returns"
-            yield _test(one.kind, one.name, one.lidar, None, None, error, outcome(at, error, unit))
+            ways = [(one.name, value_wrong(at, one))]
+            yield _Asked(one.kind, one.lidar, None, None, ways, unit=one.by_value[2])
             continue
         assert one.lidar is not None
         assert one.placement is not None
-        stood = placement_moved(at, one)
         name = f"{names[one.lidar]} in placement {site.placements[one.placement]}"
-        yield _test(
-            "placement", name, one.lidar, one.placement, None, stood, outcome(at, stood, 1.0)
-        )
-    for lidar in range(len(names)):
+        ways = [(name, placement_moved(at, one))]
+        yield _Asked("placement", one.lidar, one.placement, None, ways)
+    for lidar, name in enumerate(names):
         apart = lidar_apart(at, lidar)
         if apart is not None:
-            yield _test("lidar", names[lidar], lidar, None, None, apart, outcome(at, apart, 1.0))
+            yield _Asked("lidar", lidar, None, None, [(name, apart)])
 
 
-def _pole_tests(
+def _of_pole(
     at: Solved,
     name: str,
     pole: int,
     placement: int,
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
-) -> Iterator[Test]:
+) -> Iterator[_Asked]:
     """Test a pole: as a whole, as each LiDAR sees it, and parted as is likeliest."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:
-        yield _test("pole", name, None, placement, pole, moved, outcome(at, moved, 1.0))
+        yield _Asked("pole", None, placement, pole, [(name, moved)])
     for one in views:
         assert one.lidar is not None
         beside = astray.get((one.lidar, pole))
         # That one LiDAR alone sees, its survey checks.
         if len(views) != 2 or beside is not None:
-            seen = pole_seen_elsewhere(at, [one], pole)
-            found = outcome(at, seen, 1.0)
-            if beside is not None and beside > found.chi2:
-                found = replace(found, chi2=beside, w=normalised(beside, seen.freedom))
             of_one = f"{name} as {names[one.lidar]} sees it"
-            yield _test("pole", of_one, one.lidar, placement, pole, seen, found)
-    parted = [
-        (part, pole_seen_elsewhere(at, [views[i] for i in part], pole))
-        for part in splits(len(views))
-    ]
+            ways = [(of_one, pole_seen_elsewhere(at, [one], pole))]
+            yield _Asked("pole", one.lidar, placement, pole, ways, beside=beside)
+    parted = []
+    for part in splits(len(views)):
+        some = [views[i] for i in part]
+        seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
+        parted.append((f"{name} as {seen_by} see it", pole_seen_elsewhere(at, some, pole)))
     if parted:
-        found, part, seen = max(
-            ((outcome(at, seen, 1.0), part, seen) for part, seen in parted),
-            key=lambda each: each[0].chi2,
-        )
-        found = replace(found, w=normalised(found.chi2, seen.freedom, len(parted)))
-        some = ", ".join(names[i] for i in (views[j].lidar for j in part) if i is not None)
-        yield _test("pole", f"{name} as {some} see it", None, placement, pole, seen, found)
-
-
-def _test(
-    kind: str,
-    name: str,
-    lidar: int | None,
-    placement: int | None,
-    pole: int | None,
-    error: Bias,
-    found: Outcome,
-) -> Test:
-    return Test(
-        kind,  # type: ignore[arg-type]
-        name,
-        lidar,
-        placement,
-        pole,
-        found.chi2,
-        error.freedom,
-        found.w,
-        found.redundancy,
-        found.minimal_detectable,
-        found.external,
-    )
+        yield _Asked("pole", None, placement, pole, parted)

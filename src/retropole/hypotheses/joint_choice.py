@@ -10,8 +10,8 @@ decide.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -103,10 +103,15 @@ def choose_poses(
     first
         The LiDAR in whose frame the poses are.
     """
-    search = _Search(
-        {each.lidars: each for each in pairs if each.hypotheses and set(each.lidars) <= set(group)},
-        poles,
-    )
+    linked = [each for each in pairs if each.hypotheses and set(each.lidars) <= set(group)]
+    most: dict[tuple[int, int], float] = {}
+    between: dict[tuple[int, int], list[Array]] = {}
+    for pair in linked:
+        i, j = pair.lidars
+        most[i, j] = most[j, i] = most_of(pair)
+        between[i, j] = [each.T for each in pair.possible]
+        between[j, i] = [se3.inverse(T) for T in between[i, j]]
+    search = _Search({each.lidars: each for each in linked}, poles, most, between)
     search.run(Choice({first: np.eye(4)}, 0.0), [i for i in group if i != first], [])
     found = sorted(search.found, key=lambda each: (-each.count, -_scene_score(each, search)))
     best, *others = found
@@ -118,10 +123,21 @@ def choose_poses(
 
 @dataclass(eq=False)
 class _Search:
-    """Branch and bound over the poses of one LiDAR after the other."""
+    """Branch and bound over the poses of one LiDAR after the other.
+
+    `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
+    second in the frame of the first; both for either order. The same poses come up by thousands of
+    ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
+    and the choice that the search starts from keep alive.
+    """
 
     pairs: dict[tuple[int, int], Pair]
     poles: Sequence[Array]
+    most: dict[tuple[int, int], float]
+    between: dict[tuple[int, int], list[Array]]
+    beside: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
+    same: dict[tuple[int, int], bool] = field(default_factory=dict)
+    gains: dict[tuple[int, int], float] = field(default_factory=dict)
     steps: int = 0
     best: float = -np.inf
     found: list[Choice] = field(default_factory=list)
@@ -131,7 +147,7 @@ class _Search:
         self.steps += 1
         if self.steps > MOST_STEPS:
             return
-        if so_far.count + self._most(so_far.poses, left + unlinked) <= self.best - EQUAL:
+        if so_far.count + self._most(left + unlinked) <= self.best - EQUAL:
             return
         if not left:
             if not unlinked:
@@ -143,7 +159,7 @@ class _Search:
         for T, gain in options:
             poses = {**so_far.poses, lidar: T}
             self.run(Choice(poses, so_far.count + gain), others + unlinked, [])
-        if others and (not options or self._most_of({i: None for i in others}, lidar) > 0):
+        if others and (not options or self._most_of(others, lidar) > 0):
             # Those that already have a pose may all be wrong about this one.
             self.run(so_far, others, [*unlinked, lidar])
 
@@ -159,49 +175,52 @@ class _Search:
         """Poses of a LiDAR by the hypotheses of its pairs, with what each would count."""
         poses: list[Array] = []
         for other, T_other in so_far.poses.items():
-            for hypothesis in self._between(other, lidar):
-                T = T_other @ hypothesis.T
-                if not any(is_same_pose(T, known, self.poles[lidar]) for known in poses):
+            for T in self._beside(other, T_other, lidar):
+                if not any(self._is_same(lidar, T, known) for known in poses):
                     poses.append(T)
         gains = [
-            (T, sum(self.gain(so_far.poses, lidar, T, other) for other in so_far.poses))
-            for T in poses
+            (T, sum(self._gain(lidar, T, *other) for other in so_far.poses.items())) for T in poses
         ]
         return sorted(gains, key=lambda each: -each[1])
 
-    def gain(self, poses: dict[int, Array], lidar: int, T: Array, other: int) -> float:
+    def _beside(self, other: int, T_other: Array, lidar: int) -> list[Array]:
+        """Poses of a LiDAR by the hypotheses of its pair with another."""
+        key = id(T_other), lidar
+        if key not in self.beside:
+            between = self.between.get((other, lidar), ())
+            self.beside[key] = [np.asarray(T_other @ T) for T in between]
+        return self.beside[key]
+
+    def _is_same(self, lidar: int, T: Array, known: Array) -> bool:
+        key = id(T), id(known)
+        if key not in self.same:
+            self.same[key] = is_same_pose(T, known, self.poles[lidar])
+        return self.same[key]
+
+    def _gain(self, lidar: int, T: Array, other: int, T_other: Array) -> float:
         """What a LiDAR's pose counts beside one other."""
-        pair = self._pair(other, lidar)
-        if pair is None:
-            return 0.0
-        first, second = pair.lidars
-        both = {other: poses[other], lidar: T}
-        met = pair.at(se3.inverse(both[first]) @ both[second], self.poles[second])
-        if met is None:
-            return 0.0
-        return weight_of(pair, met)
+        key = id(T), id(T_other)
+        if key not in self.gains:
+            pair = self._pair(other, lidar)
+            self.gains[key] = 0.0
+            if pair is not None:
+                first, second = pair.lidars
+                both = {other: T_other, lidar: T}
+                met = pair.at(se3.inverse(both[first]) @ both[second], self.poles[second])
+                self.gains[key] = 0.0 if met is None else weight_of(pair, met)
+        return self.gains[key]
 
     def _pair(self, a: int, b: int) -> Pair | None:
         return self.pairs.get((min(a, b), max(a, b)))
 
-    def _between(self, other: int, lidar: int) -> list[PairHypothesis]:
-        """Possible hypotheses of a pair, from the frame of `other` to points of `lidar`."""
-        pair = self._pair(other, lidar)
-        if pair is None:
-            return []
-        if pair.lidars[0] == other:
-            return list(pair.possible)
-        return [replace(each, T=se3.inverse(each.T)) for each in pair.possible]
-
-    def _most_of(self, placed: dict[int, Array] | dict[int, None], lidar: int) -> float:
+    def _most_of(self, placed: Iterable[int], lidar: int) -> float:
         """Most that a LiDAR can count beside others."""
-        pairs = (self._pair(other, lidar) for other in placed)
-        return sum(most_of(pair) for pair in pairs if pair is not None)
+        return sum(self.most.get((other, lidar), 0.0) for other in placed)
 
-    def _most(self, placed: dict[int, Array], left: Sequence[int]) -> float:
+    def _most(self, left: Sequence[int]) -> float:
         """Most that all that is left can still add."""
         waiting = set(left)
-        return sum(most_of(pair) for lidars, pair in self.pairs.items() if waiting & set(lidars))
+        return sum(self.most[pair] for pair in self.pairs if not waiting.isdisjoint(pair))
 
 
 def weight_of(pair: Pair, hypothesis: PairHypothesis) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -102,14 +103,25 @@ class Pair:
         """Hypotheses that the scene leaves standing."""
         return tuple(each for each in self.hypotheses if each.stands)
 
-    @property
+    @cached_property
     def possible(self) -> tuple[PairHypothesis, ...]:
         """Hypotheses that the scene does not rule out, even if it favours others by far."""
         return tuple(each for each in self.hypotheses if each.possible)
 
+    @cached_property
+    def _rotations(self) -> Array:
+        """(H, 9) of those that are possible."""
+        return np.array([each.T[:3, :3].ravel() for each in self.possible]).reshape(-1, 9)
+
     def at(self, T: Array, points: Array) -> PairHypothesis | None:
         """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
-        near = [each for each in self.possible if is_same_pose(T, each.T, points)]
+        # Asked a hundred thousand times, mostly in vain: all angles at once.
+        turned = self._rotations @ T[:3, :3].ravel() >= 1.0 + 2.0 * np.cos(AGREE_ANGLE)
+        near = [
+            each
+            for each in (self.possible[k] for k in np.flatnonzero(turned))
+            if is_same_pose(T, each.T, points)
+        ]
         return max(near, key=lambda each: (each.stands, each.evidence, each.score), default=None)
 
 
