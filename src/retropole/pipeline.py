@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -12,8 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from .adjustment.agreement import check_contradiction, without_misplaced
 from .adjustment.one_mast import align_on_one_mast
-from .adjustment.refinement import Refinement, refine_by_scene
-from .alignment.adjustment import BeamAlignment
+from .adjustment.refinement import refine_by_scene
 from .alignment.origins import beam_origins
 from .base.datatypes import (
     DEFAULT_RADIUS,
@@ -22,24 +20,23 @@ from .base.datatypes import (
     Placement,
     PointCloud,
 )
-from .base.errors import Refusal, UsageError, warnings_and_notes
+from .base.errors import Refusal, UsageError
 from .base.sensors import Sensor
 from .base.timing import timed
-from .base.uncertainty import predicted_error, weakest_direction
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
 from .hypotheses.by_place import align_by_place_where_open, check_held, check_told
-from .hypotheses.choice import list_hypotheses, margin_of, take_by_hand
+from .hypotheses.choice import list_hypotheses, take_by_hand
 from .hypotheses.evidence import check_confirmation, confirm
-from .hypotheses.placements import Chosen, PairedPlacement, has_no_poles, leave_one_out
+from .hypotheses.placements import Chosen, leave_one_out
 from .hypotheses.prior import RotationPrior
 from .hypotheses.search import choose, choose_with_candidates
 from .surfaces.scans import find_poles
 from .surfaces.static import check_poles
-from .verdict import advising_no_poles, state_refusal, weaknesses
 from .verdict.fitness import judge
 from .verdict.preference import check_near_poles
 from .verdict.similarity import check_similarity, explain
+from .verdict.statement import Answered, advising_no_poles, state_answer, state_refusal
 
 
 def calibrate(
@@ -113,32 +110,93 @@ def calibrate(
         Where no hypothesis that fits the poles has the name `by_hand`, and where neither poles nor
         the scene may give the pose.
     """
+    seconds: dict[str, float] = {}
+    step = partial(timed, seconds, progress)
+    with step("extract"), threadpool_limits(1, user_api="blas"):
+        find = partial(find_poles, radius=radius, search=poles != 0, mast_sway=mast_sway)
+        found = tuple(
+            Placement(
+                find(t, sensor=sensors[0], threshold=thresholds[0]),
+                find(s, sensor=sensors[1], threshold=thresholds[1]),
+            )
+            for t, s in zip(_each(target), _each(source), strict=True)
+        )
+    answer = calibrate_placements(
+        found,
+        seconds,
+        radius=radius,
+        radius_sigma=radius_sigma,
+        thresholds=thresholds,
+        poles=poles,
+        scene=scene,
+        prior=prior,
+        by_hand=by_hand,
+        trust_poles=trust_poles,
+        deceiving=deceiving,
+        candidates=candidates,
+        need=need,
+        progress=progress,
+    ).calibration
+    if answer.reasons and answer.reasons[0].code == "no_intensity" and scene and poles is None:
+        with step("explain"):
+            without = calibrate(target, source, sensors=sensors, poles=0, prior=prior)
+            answer = advising_no_poles(answer, without)
+    return answer
+
+
+def calibrate_placements(
+    found: Sequence[Placement],
+    seconds: dict[str, float],
+    *,
+    radius: float = DEFAULT_RADIUS,
+    radius_sigma: float = 0.0,
+    thresholds: tuple[float | None, float | None] = (None, None),
+    poles: int | None = None,
+    scene: bool = True,
+    prior: RotationPrior | None = None,
+    by_hand: str | None = None,
+    trust_poles: bool = False,
+    deceiving: float | None = None,
+    candidates: bool = True,
+    need: Need | None = None,
+    check: Callable[[Sequence[Placement]], None] = check_poles,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Answered:
+    """Find the transform from what two LiDARs recorded, searched for poles.
+
+    Parameters
+    ----------
+    found
+        Of each placement, in the frames of the clouds.
+    seconds
+        Time of each step so far; those of this one are added.
+    radius, radius_sigma, thresholds, poles, scene, prior, by_hand, trust_poles, deceiving
+        As of `calibrate`.
+    candidates, need, progress
+        As of `calibrate`.
+    check
+        Refuses what cannot be used as it was recorded.
+
+    Raises
+    ------
+    UsageError
+        As of `calibrate`.
+    """
     if poles == 0 and not scene:
         raise UsageError("without poles the scene must give the pose: leave out --no-refine")
     known = {"radius": radius, "radius_sigma": radius_sigma}
-    seconds: dict[str, float] = {}
     step = partial(timed, seconds, progress)
-    find = partial(find_poles, radius=radius, search=poles != 0, mast_sway=mast_sway)
+    origins = beam_origins(found)
+    placements = origins.about(found)
     chosen = Chosen((), ())
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None
 
-    with ExitStack() as limits:
-        with step("extract"):
-            # Matrices here are small: threads of BLAS, which wait by spinning, only get in the way.
-            limits.enter_context(threadpool_limits(1, user_api="blas"))
-            found = tuple(
-                Placement(
-                    find(t, sensor=sensors[0], threshold=thresholds[0]),
-                    find(s, sensor=sensors[1], threshold=thresholds[1]),
-                )
-                for t, s in zip(_each(target), _each(source), strict=True)
-            )
-            origins = beam_origins(found)
-            placements = origins.about(found)
+    # Matrices here are small: threads of BLAS, which wait by spinning, only get in the way.
+    with threadpool_limits(1, user_api="blas"):
         try:
             with step("check"):
-                check_poles(placements)
+                check(placements)
             search = (
                 partial(choose_with_candidates, radius=radius, by_place=scene)
                 if candidates or poles == 0
@@ -180,55 +238,16 @@ def calibrate(
                 cause = explain(
                     refusal, placements, hypotheses, radius=radius, thresholds=thresholds
                 )
-                if cause.code == "no_intensity" and scene and poles is None:
-                    without = calibrate(target, source, sensors=sensors, poles=0, prior=prior)
-                    cause = advising_no_poles(cause, without)
                 answer = state_refusal(cause, placements, hypotheses, seconds, confirmation)
-                return origins.moved_back(list_hypotheses(answer, chosen, by_hand))
+                answer = list_hypotheses(answer, chosen, by_hand)
+                return Answered(origins.moved_back(answer))
         with step("judge"):
             answer = state_answer(
                 paired, placements, hypotheses, aligned, refined, confirmation, seconds
             )
             # Ranges count from where the beams start.
-            return origins.moved_back(judge(list_hypotheses(answer, chosen, by_hand), need))
-
-
-def state_answer(
-    paired: Sequence[PairedPlacement],
-    placements: tuple[Placement, ...],
-    hypotheses: tuple[Hypothesis, ...],
-    aligned: BeamAlignment,
-    refined: Refinement | None,
-    confirmation: Confirmation,
-    seconds: dict[str, float],
-) -> Calibration:
-    """State the answer: its pose, what error to expect, and what makes it weak."""
-    pose = aligned.pose if refined is None else refined.pose
-    assert pose.covariance is not None
-    without_poles = has_no_poles(paired)
-    weakest = weakest_direction(
-        pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
-    )
-    found = weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation)
-    reasons, notes = warnings_and_notes(found)
-    return Calibration(
-        status="warn" if reasons else "ok",
-        reasons=reasons,
-        T_target_source=pose.T_target_source,
-        covariance=pose.covariance,
-        poles=None if without_poles else aligned.pose,
-        refined=None if refined is None else refined.pose,
-        hypotheses=hypotheses,
-        margin=margin_of(hypotheses),
-        predicted_error=predicted_error(pose.covariance),
-        weakest=weakest,
-        placements=placements,
-        seconds=seconds,
-        uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
-        radius=None if without_poles else aligned.radius,
-        confirmation=confirmation,
-        notes=notes,
-    )
+            answer = judge(list_hypotheses(answer, chosen, by_hand), need)
+            return Answered(origins.moved_back(answer), paired, aligned, refined)
 
 
 def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:

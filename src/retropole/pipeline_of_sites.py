@@ -2,41 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 from threadpoolctl import threadpool_limits
 
-from .adjustment.agreement import check_contradiction
-from .adjustment.answer import LidarPose, PairCheck, SiteCalibration, SitePole
+from .adjustment.answer import SiteCalibration
 from .adjustment.blunders import without_blunders, worst_test
-from .adjustment.closures import close_loops
 from .adjustment.contradiction import check_poles_of_hanging
 from .adjustment.datum import find_datum
 from .adjustment.hanging import Hanging, find_hanging
 from .adjustment.masts import with_masts
 from .adjustment.shared import SharedPole, same_poles, shared_poles
-from .adjustment.site import Adjusted, Recorded, adjust, search_as_pair
-from .adjustment.solved import axes_of
+from .adjustment.site import Adjusted, Recorded, adjust
 from .adjustment.swapped import check_places, check_swapped
 from .adjustment.terms import scene_pairs
-from .adjustment.without import without_placements
-from .alignment.certainty import budget_of
-from .alignment.unknowns import POSE
-from .base.datatypes import Array
-from .base.description import Site
-from .base.errors import Reason, Refusal, warnings_and_notes
+from .base.datatypes import Array, Placement
+from .base.description import Site, is_pair
+from .base.errors import Reason, Refusal
 from .base.timing import timed
-from .base.uncertainty import predicted_error
 from .hypotheses.joint_choice import Choices, choose_poses, linked_groups
 from .hypotheses.link_by_candidates import link_by_candidates, with_own_candidates
 from .hypotheses.link_by_one_pole import link_by_place
 from .hypotheses.linked import check_linked
 from .hypotheses.pairs import Pair, find_pairs, poles_of
-from .hypotheses.scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
-from .verdict.preference import check_near_poles
-from .verdict.site import check_decided, confirm_links, fitness_of, radius_denied, weaknesses
+from .hypotheses.scans import SiteScans, Views, find_scans, patches_of, views_of
+from .pipeline import calibrate_placements
+from .surfaces.copies import check_recordings
+from .verdict.site import check_decided, confirm_links, radius_denied
+from .verdict.statement import (
+    exchanged,
+    list_unusable,
+    state_answer_of_two,
+    state_site_answer,
+    state_site_refusal,
+)
+
+LEFT_OUT = "placements_disagree", "poles_inconsistent"
+"""Refusals of two LiDARs after which a recording or a pole may be left out."""
 
 
 def calibrate_site(
@@ -66,6 +70,10 @@ def calibrate_site(
     with threadpool_limits(1, user_api="blas"):
         with step("extract"):
             scans = find_scans(site)
+        if is_pair(site):
+            answer = calibrate_two(site, scans, seconds, progress)
+            if answer is not None:
+                return answer
         try:
             with step("match"):
                 views = views_of(scans)
@@ -110,17 +118,53 @@ def calibrate_site(
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 unchecked = list(check_poles_of_hanging(recorded, adjusted))
-                adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):
-                check_contradiction(adjusted.refined)
-                check_near_poles(adjusted.poles, adjusted.refined)
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
-            return state_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
+            return state_site_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
             unusable = list_unusable(site, scans)
             found = [*unusable, *adjusted.datum.unmet, *blunders, *unchecked, *unconfirmed]
-            return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
+            return state_site_answer(site, scans, pairs, groups, adjusted, found, seconds)
+
+
+def calibrate_two(
+    site: Site,
+    scans: SiteScans,
+    seconds: dict[str, float],
+    progress: Callable[[str], None],
+) -> SiteCalibration | None:
+    """Find the pose of two LiDARs that nothing but each other ties: they are a pair.
+
+    Returns
+    -------
+    SiteCalibration or None
+        None where no placement shows both, and where several placements do not agree: what does not
+        fit is left out of a site.
+    """
+    if site.reference == 1:
+        other = replace(site, lidars=site.lidars[::-1], reference=0)
+        answer = calibrate_two(other, scans.exchanged, seconds, progress)
+        return None if answer is None else exchanged(answer, site)
+    both = list(zip(*scans.by_lidar, strict=True))
+    numbers = [p for p, (first, second) in enumerate(both) if first and second]
+    if not numbers:
+        return None
+    first, second = site.lidars
+    answered = calibrate_placements(
+        [Placement(a, b) for a, b in both if a and b],
+        seconds,
+        radius=site.radius,
+        radius_sigma=site.radius_sigma,
+        thresholds=(first.threshold, second.threshold),
+        need=site.need,
+        check=check_recordings,
+        progress=progress,
+    )
+    reasons = answered.calibration.reasons
+    if len(numbers) > 1 and reasons and reasons[0].code in LEFT_OUT:
+        return None
+    return state_answer_of_two(site, scans, numbers, answered, seconds)
 
 
 def adjust_without_survey(
@@ -154,130 +198,3 @@ def decide_by_candidates(
     if again.rivals or again.best.count <= choices.best.count:
         return scans, pairs, choices
     return more, found, again
-
-
-def state_answer(
-    site: Site,
-    scans: SiteScans,
-    pairs: Sequence[Pair],
-    groups: Sequence[Sequence[int]],
-    adjusted: Adjusted,
-    found: Sequence[Reason],
-    seconds: dict[str, float],
-) -> SiteCalibration:
-    """State the answer: all poses in the frames of the clouds, and everything that was checked."""
-    end = adjusted.end
-    poses, covariance = poses_in_clouds(end.T, adjusted.covariance, scans.origins)
-    lidars = tuple(_lidar_pose(site, adjusted, i, T, covariance) for i, T in enumerate(poses))
-    loops = tuple(close_loops(adjusted.solved, end))
-    every = (*found, *weaknesses(site, scans, adjusted, loops, lidars))
-    reasons, notes = warnings_and_notes(every)
-    return SiteCalibration(
-        status="warn" if reasons else "ok",
-        reasons=reasons,
-        site=site,
-        datum=adjusted.datum.words,
-        scans=scans.in_clouds,
-        lidars=lidars,
-        covariance=covariance,
-        groups=tuple(tuple(group) for group in groups),
-        poles=_site_poles(site, adjusted),
-        pairs=tuple(_pair_check(pair, adjusted) for pair in pairs),
-        loops=loops,
-        tests=adjusted.tests,
-        without=tuple(without_placements(adjusted.network, end, len(site.placements))),
-        seconds=seconds,
-        notes=notes,
-    )
-
-
-def state_refusal(
-    site: Site,
-    scans: SiteScans,
-    pairs: Sequence[Pair],
-    groups: Sequence[Sequence[int]],
-    refusal: Refusal,
-    blunders: Sequence[Reason],
-    seconds: dict[str, float],
-) -> SiteCalibration:
-    """State a refusal, with all that was found before it."""
-    reason = Reason(refusal.code, refusal.message, refusal.values)
-    return SiteCalibration(
-        status="refused",
-        reasons=(reason, *list_unusable(site, scans, refusal), *blunders),
-        site=site,
-        datum="",
-        scans=scans.in_clouds,
-        lidars=(),
-        covariance=None,
-        groups=tuple(tuple(group) for group in groups),
-        poles=(),
-        pairs=tuple(_pair_check(pair, None) for pair in pairs),
-        loops=(),
-        tests=(),
-        without=(),
-        seconds=seconds,
-    )
-
-
-def list_unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> Iterator[Reason]:
-    """Say which recordings could not be used, but for the one whose fault is `told`."""
-    for (lidar, placement), refusal in scans.faults:
-        if told is not None and refusal.message == told.message:
-            continue
-        name, where = site.lidars[lidar].name, site.placements[placement]
-        yield Reason(
-            "recording_unusable",
-            f"{name} in placement {where}: {refusal.message}",
-            {"lidar": name, "placement": where, "code": refusal.code},
-        )
-
-
-def _lidar_pose(
-    site: Site, adjusted: Adjusted, lidar: int, T: Array, covariance: Array
-) -> LidarPose:
-    own = slice(POSE * lidar, POSE * (lidar + 1))
-    block = covariance[own, own]
-    names = [each.name for each in site.lidars]
-    return LidarPose(
-        lidar,
-        T,
-        block,
-        budget_of(adjusted.parts, lidar, names),
-        predicted_error(block),
-        fitness_of(site, block),
-    )
-
-
-def _site_poles(site: Site, adjusted: Adjusted) -> tuple[SitePole, ...]:
-    axes = axes_of(adjusted.solved)
-    return tuple(
-        SitePole(
-            pole.name(site),
-            pole.placement,
-            point := axis.nearest(pole.extent.mean(axis=0)),
-            axis.direction,
-            pole.length,
-            tuple(sorted(pole.seen)),
-            pole.surveyed,
-            axis.sigma_at(point),
-            axis.direction_sigma,
-        )
-        for pole, axis in zip(adjusted.datum.poles, axes, strict=True)
-    )
-
-
-def _pair_check(pair: Pair, adjusted: Adjusted | None) -> PairCheck:
-    """Say how two LiDARs agree: by the tests of the poles that both see."""
-    poles = [] if adjusted is None else adjusted.datum.poles
-    shared = {k for k, pole in enumerate(poles) if set(pair.lidars) <= pole.seen.keys()}
-    tests = () if adjusted is None else adjusted.tests
-    terms = () if adjusted is None else adjusted.end.scene
-    return PairCheck(
-        pair.lidars,
-        len(shared),
-        len(pair.standing),
-        sum(len(term.weighed.weights) for term in terms if term.lidars == pair.lidars),
-        max((test.w for test in tests if test.pole in shared), default=None),
-        pair.refusal,
-    )

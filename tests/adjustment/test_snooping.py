@@ -17,7 +17,7 @@ from retropole.adjustment.biases import (
     value_wrong,
 )
 from retropole.adjustment.datum import without_poles
-from retropole.adjustment.snooping import NONCENTRALITY, all_tests, outcome
+from retropole.adjustment.snooping import NONCENTRALITY, Outcome, all_tests, outcomes
 from retropole.adjustment.solved import Solved
 from retropole.alignment.network import Observation
 from retropole.base import se3
@@ -30,6 +30,11 @@ pytestmark = pytest.mark.full
 
 Frees = Mapping[int, Sequence[int] | IntArray]
 """Of observations, by number: which of their unknowns become unknowns of their own."""
+
+
+def outcome(at: Solved, error: Bias, unit: float) -> Outcome:
+    (found,) = outcomes(at, [(error, unit)])
+    return found
 
 
 def plain(at: Solved) -> Solved:
@@ -134,6 +139,15 @@ def test_a_test_is_the_gain_of_another_fit(at: Solved) -> None:
         found = outcome(at, error, 1.0)
         assert found.chi2 == pytest.approx(gain_of(at, frees), rel=2e-3, abs=2e-3)
         assert 0.0 <= found.redundancy <= 1.0
+
+
+def test_all_at_once_are_what_each_is_alone(at: Solved) -> None:
+    errors = [(error, 1.0 + k) for k, (error, _) in enumerate(cases(at))]
+    for (error, unit), found in zip(errors, outcomes(at, errors), strict=True):
+        alone = outcome(at, error, unit)
+        assert found.chi2 == pytest.approx(alone.chi2, rel=1e-9)
+        assert found.redundancy == pytest.approx(alone.redundancy, abs=1e-12)
+        assert found.external == pytest.approx(alone.external, rel=1e-9)
 
 
 def test_a_value_is_tested_by_leaving_it_out(at: Solved) -> None:

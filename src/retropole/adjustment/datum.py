@@ -117,7 +117,7 @@ def find_datum(
         # Where its beams start in its own frame is where they start in the site's.
         T = se3.from_rt(np.eye(3), origins[reference]) @ T
         free[reference] = False
-        words = f"frame of {name}; nothing was surveyed"
+        words = of_lidar(name)
     moved = {i: T @ pose for i, pose in poses.items()}
     off = tuple(hanging_off(hanging, reference, frozenset(moved)))
     return Datum(
@@ -128,6 +128,11 @@ def find_datum(
         words,
         hanging=off,
     )
+
+
+def of_lidar(name: str) -> str:
+    """Say that the frame of a site is that of a LiDAR."""
+    return f"frame of {name}; nothing was surveyed"
 
 
 def _most_surveyed(poles: Sequence[SharedPole], surveyed: Surveyed, poses: dict[int, Array]) -> int:

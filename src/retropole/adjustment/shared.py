@@ -102,7 +102,7 @@ def _add(
     """Add a pole to the one that it is, or as another one."""
     point = se3.apply(T, (pole.point + _behind(pole, radius))[None])[0]
     direction = T[:3, :3] @ pole.direction
-    extent = _extent(point, direction, se3.apply(T, pole.xyz))
+    extent = extent_of(point, direction, se3.apply(T, pole.xyz))
     gaps = [
         max(
             _distance(point, each.point, each.direction),
@@ -122,13 +122,13 @@ def _add(
                 seen={**each.seen, lidar: pole},
                 point=point,
                 direction=direction,
-                extent=_extent(point, direction, np.concatenate([each.extent, extent])),
+                extent=extent_of(point, direction, np.concatenate([each.extent, extent])),
             )
             return
     here.append(SharedPole(placement, len(here) + 1, {lidar: pole}, point, direction, extent))
 
 
-def _extent(point: Array, direction: Array, xyz: Array) -> Array:
+def extent_of(point: Array, direction: Array, xyz: Array) -> Array:
     """(2, 3) ends of points (N, 3) along an axis."""
     along = (xyz - point) @ direction
     return np.asarray(point + np.array([[along.min()], [along.max()]]) * direction)

@@ -13,17 +13,13 @@ from ..alignment.adjustment import (
     MAX_TRANSLATION_SIGMA,
     RADIUS_TOLERANCE,
     Aligned,
-    BeamAlignment,
     align_all,
-    pose_of_pair,
 )
 from ..alignment.certainty import POLES, Part, joint_covariance
-from ..alignment.factor import OF_SOURCE
 from ..alignment.joint import Sight
 from ..alignment.network import Network, factor_of
 from ..alignment.state import JointState
 from ..alignment.unknowns import POSE
-from ..base import se3
 from ..base.datatypes import Array
 from ..base.description import Site
 from ..base.errors import Refusal
@@ -39,7 +35,6 @@ from .descent import End, RefinementProblem, minimise
 from .hanging import check_hanging, check_poles_left
 from .outliers import find_outlying
 from .places import parts_of
-from .refinement import Refinement, refine_pair
 from .shared import sights_of
 from .snooping import all_tests
 from .solved import Solved, solve_all
@@ -94,29 +89,24 @@ class Adjusted:
     ----------
     datum
         What it started from.
-    aligned, problem, end
-        Where the poles and the survey ended, what the scenes add, and where all ended together.
+    aligned, end
+        Where the poles and the survey ended, and where all ended together.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests
         All unknowns at the answer, and every test of an observation.
     converged
         Whether poles and refinement came to rest.
-    poles, refined
-        From `search_as_pair`.
     """
 
     datum: Datum
     aligned: Aligned
-    problem: RefinementProblem
     end: End
     parts: tuple[Part, ...]
     covariance: Array
     solved: Solved
     tests: tuple[Test, ...]
     converged: bool
-    poles: BeamAlignment | None = None
-    refined: Refinement | None = None
 
     @property
     def network(self) -> Network:
@@ -165,57 +155,35 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
     check_hanging(site, datum.hanging, end.T, covariance)
-    return _tested(recorded, datum, aligned, problem, end, parts)
+    return tested(site, datum, aligned, end, parts)
 
 
-def search_as_pair(recorded: Recorded, adjusted: Adjusted) -> Adjusted:
-    """Search the pose of two LiDARs from several starts, and state it as that of a pair.
-
-    Where there are more, or the first one's frame is not that of the site, others and the survey
-    hold what a pair alone may not; the adjustment then stays as it is.
-
-    Parameters
-    ----------
-    recorded
-        As for `adjust`.
-    adjusted
-        The site, without what did not fit.
-    """
-    aligned, problem = adjusted.aligned, adjusted.problem
-    model = ErrorModel(recorded.sizes, aligned.radius_sigma, recorded.left)
-    poles = _poles_of_pair(aligned, model)
-    if poles is None or not problem.scenes:
-        return adjusted
-    own, far = recorded.patches[0], recorded.patches[1]
-    assert own is not None
-    assert far is not None
-    ranges = [se3.lengths(scan.cloud.xyz - scan.cloud.origin) for scan in recorded.scans.used(1)]
-    lever = float(np.median(np.concatenate(ranges)))
-    refined = refine_pair(problem, poles.pose, (own, far), lever)
-    if refined is None:
-        return adjusted
-    end, parts = refined.end, refined.parts
-    found = _tested(recorded, adjusted.datum, aligned, problem, end, parts)
-    return replace(found, poles=poles, refined=refined)
-
-
-def _tested(
-    recorded: Recorded,
+def tested(
+    site: Site,
     datum: Datum,
     aligned: Aligned,
-    problem: RefinementProblem,
     end: End,
     parts: tuple[Part, ...],
 ) -> Adjusted:
-    """Test every observation at the answer."""
-    at = solve_all(aligned.network, end, problem.groups, parts)
-    sights = sights_of(recorded.scans, datum.poles)
-    astray_at = find_outlying(aligned.maximum.point, aligned.network, sights)
-    beside = {(i, k): chi2 for i, k, chi2 in astray_at}
-    tests = tuple(all_tests(at, recorded.site, datum.poles, beside))
+    """Test every observation at the answer.
+
+    Parameters
+    ----------
+    site, datum
+        For names.
+    aligned
+        What was seen of the poles, with all bands of elevation that the scenes have.
+    end, parts
+        Where all ended, and every source of error.
+    """
+    groups = factor_of(aligned.network).unknowns.groups()
+    at = solve_all(aligned.network, end, groups, parts)
+    beside_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
+    beside = {(i, k): chi2 for i, k, chi2 in beside_pole}
+    tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
-    return Adjusted(datum, aligned, problem, end, parts, covariance, at, tests, converged)
+    return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)
 
 
 def _start(site: Site, datum: Datum) -> JointState:
@@ -228,17 +196,6 @@ def _start(site: Site, datum: Datum) -> JointState:
         np.array([pole.direction for pole in datum.poles]).reshape(-1, 3),
         np.array([point.at for point in datum.surveyed.known]).reshape(-1, 3),
     )
-
-
-def _poles_of_pair(aligned: Aligned, model: ErrorModel) -> BeamAlignment | None:
-    """What the poles say of two LiDARs in the frame of the first; None where they leave it open."""
-    if not np.array_equal(aligned.network.free, OF_SOURCE):
-        return None
-    try:
-        return pose_of_pair(aligned, model)
-    except Refusal:
-        # Without a pole that moved one may be left, and the scene holds the rest.
-        return None
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:

@@ -89,6 +89,8 @@ class BeamAlignment:
         1 σ of a return along the beam and across it, for the target and the source, metres.
     converged, iterations
         Whether the solver came to rest, and after how many steps.
+    joint
+        What it was taken from; None without poles.
     """
 
     pose: PoseEstimate
@@ -104,6 +106,7 @@ class BeamAlignment:
     lateral_noise: tuple[float, float]
     converged: bool = True
     iterations: int = 0
+    joint: Aligned | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +123,8 @@ class Aligned:
         As in `BeamAlignment`.
     radius_sigma
         1 σ of the radius that was taken in the end, metres.
+    sights
+        What each LiDAR saw.
     """
 
     maximum: Solution[Posterior[JointState]]
@@ -127,6 +132,7 @@ class Aligned:
     radius: RadiusEstimate
     radius_conflict: float
     radius_sigma: float
+    sights: Sequence[Sight]
 
 
 def align_beams(
@@ -257,7 +263,7 @@ def align_all(
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
-        return Aligned(found, network, estimate, contradicted, given_sigma)
+        return Aligned(found, network, estimate, contradicted, given_sigma, sights)
     # What was given has no say any more: the climb finds the radius anew, as good as free, and that
     # takes its place.
     assumed = found.point.state.radius
@@ -268,7 +274,7 @@ def align_all(
     start = replace(found.point.state, radius=own)
     found, network = maximum(start, found.point.log_noise, by_returns.sigma)
     estimate = RadiusEstimate(radius, given_sigma, own, by_returns.sigma)
-    return Aligned(found, network, estimate, contradicted, by_returns.sigma)
+    return Aligned(found, network, estimate, contradicted, by_returns.sigma, sights)
 
 
 def _check_counts(target: Beams, source: Beams, needed: int) -> None:
@@ -347,4 +353,5 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         (float(noise[0, 1]), float(noise[1, 1])),
         found.maximum.converged,
         found.maximum.iterations,
+        found,
     )

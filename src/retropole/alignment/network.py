@@ -134,6 +134,22 @@ class Network:
         )
         return replace(self, observations=kept)
 
+    def with_bands(self, bands: Sequence[IntArray]) -> Network:
+        """Give the same with more bands of elevation of each LiDAR."""
+        own = self.unknowns
+        union = (np.union1d(a, b) for a, b in zip(own.bands, bands, strict=True))
+        unknowns = replace(own, bands=tuple(each.astype(np.int64) for each in union))
+        behind = np.arange(own.kept, own.size) + unknowns.kept - own.kept
+        place = np.r_[own.places_in(unknowns), behind]
+        start = np.zeros(unknowns.size)
+        start[place] = self.start
+        return replace(
+            self,
+            unknowns=unknowns,
+            start=start,
+            observations=tuple(replace(one, place=place[one.place]) for one in self.observations),
+        )
+
     def without(self, left_out: set[int]) -> Network:
         """Give the same without some observations."""
         kept = tuple(one for k, one in enumerate(self.observations) if k not in left_out)

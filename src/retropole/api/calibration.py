@@ -11,7 +11,7 @@ from ..base.datatypes import Placement, Scan
 from ..hypotheses.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
-from ..verdict import state_refusal
+from ..verdict.statement import state_refusal
 from .inputs import (
     SILENT,
     CloudSource,

@@ -19,13 +19,13 @@ from ..base.quantities import error as in_words
 from ..base.relative import RelativePose, joint_of, relative
 from ..hypotheses.scans import SiteScans
 from ..pipeline_of_sites import calibrate_site as find_poses
-from ..pipeline_of_sites import state_refusal
 from ..report import render_site
 from ..report.listings import pose_rows
 from ..result import refusal_of
 from ..result.decoding import decode_site
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
+from ..verdict.statement import state_site_refusal
 from .inputs import Input, Listener
 from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
@@ -335,4 +335,4 @@ def refused(site: Site, refusal: Refusal) -> SiteCalibration:
         for lidar in site.lidars
     )
     unsearched = SiteScans(scans, np.zeros((len(scans), 3)))
-    return state_refusal(site, unsearched, (), (), refusal, (), {})
+    return state_site_refusal(site, unsearched, (), (), refusal, (), {})

@@ -178,3 +178,9 @@ class Site:
     poles: tuple[SurveyedPole, ...] = ()
     points: tuple[ControlPoint, ...] = ()
     need: Need | None = None
+
+
+def is_pair(site: Site) -> bool:
+    """Whether a site is two LiDARs that nothing but each other ties."""
+    tied = site.poles or site.points or any(lidar.up is not None for lidar in site.lidars)
+    return len(site.lidars) == 2 and not tied

@@ -85,8 +85,6 @@ class Pair:
         Whether the scenes overlap under the best, so that they can be asked.
     refusal
         Why there is no hypothesis; None where there is one.
-    no_overlap
-        What the scenes say where they do not overlap.
     by_place
         Whether the place gives a part of the pose that one pole, or parallel ones, leave open.
     """
@@ -95,7 +93,6 @@ class Pair:
     hypotheses: tuple[PairHypothesis, ...]
     overlaps: bool
     refusal: Reason | None = None
-    no_overlap: Refusal | None = None
     by_place: bool = False
 
     @property
@@ -232,7 +229,6 @@ def _scored(
         rows.append((hypothesis, tuple(placements), poles))
     rows.sort(key=lambda row: -row[0].score)
     best = rows[0][0]
-    no_overlap = _no_overlap(best)
     return Pair(
         lidars,
         tuple(
@@ -248,17 +244,16 @@ def _scored(
             )
             for each, placements, poles in rows
         ),
-        no_overlap is None,
-        no_overlap=no_overlap,
+        _overlaps(best),
     )
 
 
-def _no_overlap(best: Hypothesis) -> Refusal | None:
+def _overlaps(best: Hypothesis) -> bool:
     try:
         check_overlap(best)
-    except Refusal as refusal:
-        return refusal
-    return None
+    except Refusal:
+        return False
+    return True
 
 
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:

@@ -67,6 +67,16 @@ class SiteScans:
         used = self.used(lidar)
         return merge_clouds([averaged(scan.cloud) for scan in used]) if used else None
 
+    @property
+    def exchanged(self) -> SiteScans:
+        """The same of two LiDARs in the other order."""
+        return SiteScans(
+            self.by_lidar[::-1],
+            self.origins[::-1],
+            tuple(((1 - i, p), fault) for (i, p), fault in self.faults),
+            self.recorded[::-1],
+        )
+
     def without(self, recordings: set[Recording]) -> SiteScans:
         """Give the same without some recordings."""
         kept = tuple(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from ..adjustment.agreement import check_agreement, check_decisive, check_minima
 from ..adjustment.refinement import Refinement
 from ..alignment.adjustment import BeamAlignment
 from ..base import quantities
-from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Pole, Scan
-from ..base.errors import Reason, Refusal
+from ..base.datatypes import Array, Hypothesis, Pole, Scan
+from ..base.errors import Reason
 from ..base.sensors import Sensor
 from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
@@ -269,36 +269,3 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
             "compare with --no-refine",
             {"stage": "refined", "iterations": refined.iterations},
         )
-
-
-def advising_no_poles(refusal: Refusal, without_poles: Calibration) -> Refusal:
-    """Advise to calibrate without poles, which no intensity shows, if that gives an answer."""
-    if without_poles.T_target_source is None:
-        return refusal
-    said = f"{refusal.message}; or calibrate without poles: --poles 0 gives an answer here"
-    return Refusal(refusal.code, said, refusal.values)
-
-
-def state_refusal(
-    refusal: Refusal,
-    placements: tuple[Placement, ...],
-    hypotheses: tuple[Hypothesis, ...],
-    seconds: Mapping[str, float],
-    confirmation: Confirmation | None = None,
-) -> Calibration:
-    """State a refusal, with all that was found before it."""
-    return Calibration(
-        status="refused",
-        reasons=(refusal.reason,),
-        T_target_source=None,
-        covariance=None,
-        poles=None,
-        refined=None,
-        hypotheses=hypotheses,
-        margin=margin_of(hypotheses),
-        predicted_error=(),
-        weakest=None,
-        placements=placements,
-        seconds=seconds,
-        confirmation=confirmation,
-    )

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..adjustment.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..adjustment.agreement import check_radius
 from ..adjustment.answer import LidarPose, LoopClosure, Test
 from ..adjustment.blunders import POOR, place_of, worst_test
 from ..adjustment.links import find_links
@@ -43,13 +43,8 @@ def check_decided(
     Raises
     ------
     Refusal
-        ``ambiguous_loop``; of two LiDARs ``ambiguous`` or ``no_overlap``.
+        ``ambiguous_loop``; of two LiDARs ``ambiguous``.
     """
-    # More poles than two, other placements and a survey are redundant.
-    is_pair = len(site.lidars) == 2 and not (site.poles or site.points)
-    no_overlap = pairs[0].no_overlap
-    if is_pair and no_overlap and max(each.evidence for each in pairs[0].possible) <= 1:
-        raise no_overlap
     if choices.complete and not choices.rivals:
         return
     if not choices.rivals:
@@ -181,9 +176,6 @@ def weaknesses(
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
     yield from radius_denied(adjusted)
-    yield from check_agreement(adjusted.refined)
-    yield from check_minima(adjusted.refined)
-    yield from check_decisive(adjusted.refined)
     yield from _poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
@@ -270,9 +262,7 @@ def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
     """Say which observation fits worst, where one fits poorly and none was left out for it."""
     # A LiDAR's test takes those of all its poles along: it is told where none of them says more.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
-    # Of two LiDARs alone `check_agreement` says how the scene agrees with the poles.
-    every = single if adjusted.refined is not None else adjusted.tests
-    worst = worst_test(single, POOR) or worst_test(every, POOR)
+    worst = worst_test(single, POOR) or worst_test(adjusted.tests, POOR)
     if worst is None:
         return
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
