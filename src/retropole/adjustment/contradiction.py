@@ -119,7 +119,7 @@ def conflicting_poles(
     weak = [link for link in find_links(adjusted) if len(link.poles) == 2]
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
-        found = _conflicting(recorded, adjusted, without_poles(adjusted.datum, {k}), across)
+        found = _contradicted(recorded, adjusted, without_poles(adjusted.datum, {k}), across)
         if found is not None:
             yield k, *found
 
@@ -173,7 +173,7 @@ def _is_held(hanging: Hanging, found: Adjusted) -> bool:
     return is_held(hanging.covariance(found.end.T, found.covariance))
 
 
-def _conflicting(
+def _contradicted(
     recorded: Recorded, adjusted: Adjusted, datum: Datum, across: Sequence[frozenset[int]]
 ) -> tuple[Adjusted, float] | None:
     """Adjust without some poles, and count how many more patches coincide; None where few do."""

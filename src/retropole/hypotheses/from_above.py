@@ -46,7 +46,7 @@ POSES_APART = np.radians(8.0), 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Peak:
+class GroundPeak:
     """A pose (4, 4), and how much of the place coincides."""
 
     T: Array
@@ -81,7 +81,7 @@ def matches_from_above(
     tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
     found: list[tuple[float, Match]] = []
     for standing in product(*grounds):
-        peaks = _peaks(*standing)
+        peaks = _ground_peaks(*standing)
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
             T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES)
@@ -102,7 +102,7 @@ def _laid(T: Array) -> Match:
     return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
 
 
-def _peaks(target: Standing, source: Standing) -> list[Peak]:
+def _ground_peaks(target: Standing, source: Standing) -> list[GroundPeak]:
     """Find the rotations and shifts at which most cells coincide, the best first."""
     levels = _level(target), _level(source)
     above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
@@ -116,14 +116,14 @@ def _peaks(target: Standing, source: Standing) -> list[Peak]:
             # Shifts of more than half of the cells are those the other way.
             shift = (np.array(np.unravel_index(k, total.shape)) + CELLS // 2) % CELLS - CELLS // 2
             T = se3.from_rt(R, np.r_[CELL * shift, 0.0])
-            found.append(Peak(se3.inverse(levels[0]) @ T @ levels[1], float(total.flat[k])))
+            found.append(GroundPeak(se3.inverse(levels[0]) @ T @ levels[1], float(total.flat[k])))
     found.sort(key=lambda peak: -peak.height)
     return list(_apart(found))
 
 
-def _apart(peaks: Sequence[Peak]) -> Iterator[Peak]:
+def _apart(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
     """Leave out what is lower and near another."""
-    kept: list[Peak] = []
+    kept: list[GroundPeak] = []
     for peak in peaks:
         gaps = [se3.difference(peak.T, other.T) for other in kept]
         if any(gap.rotation < POSES_APART[0] and gap.translation < POSES_APART[1] for gap in gaps):

@@ -46,13 +46,13 @@ def link_by_place(
     """
     found = {pair.lidars: pair for pair in pairs}
     for lidars in list(between_groups(scans, pairs, by_two=False))[:MOST_TRIED]:
-        linked = _linked(scans, lidars, radius)
+        linked = _linked_by_place(scans, lidars, radius)
         if linked is not None:
             scans, found[lidars] = linked
     return scans, tuple(found.values())
 
 
-def _linked(
+def _linked_by_place(
     scans: SiteScans, lidars: tuple[int, int], radius: float
 ) -> tuple[SiteScans, Pair] | None:
     """Link two LiDARs by the first placement whose place tells: it is the same in all of them."""
@@ -63,7 +63,7 @@ def _linked(
         placement = Placement(target, source)
         chosen = choose_about_one_pole([placement], radius, lambda step: nullcontext())
         if chosen is not None and chosen.refusal is None and _is_confirmed(chosen):
-            return with_chosen_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
+            return with_chosen_poles(scans, lidars, p, chosen), _pair_by_place(lidars, p, chosen)
     return None
 
 
@@ -80,7 +80,7 @@ def _is_confirmed(chosen: Chosen) -> bool:
     return True
 
 
-def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
+def _pair_by_place(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
     """State a choice as that of a pair: other angles about the pole are none to choose from."""
     hypotheses = tuple(
         PairHypothesis(
