@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..surfaces.patch_pairs import part_of
+from ..surfaces.patch_pairs import some_of
 from .descent import End, RefinementProblem, converge
 from .places import Places, places_of_poses
 
@@ -77,7 +77,7 @@ def without_decisive(
         if shares[c] <= MAX_SHARE:
             return
         kept = scene.sets.clusters != pairs.places[c]
-        rest = replace(problem, scenes=(replace(scene, sets=part_of(scene.sets, kept)),))
+        rest = replace(problem, scenes=(replace(scene, sets=some_of(scene.sets, kept)),))
         found = converge(rest, end, covariance)
         if found.scene:
             own = pairs.cluster == c

@@ -163,10 +163,10 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
 
 def every_nth_patch(sets: PatchSets, every: int, first: int = 0) -> PatchSets:
     """Give the same with every n-th patch of the source only, from the first on."""
-    return part_of(sets, slice(first, None, every))
+    return some_of(sets, slice(first, None, every))
 
 
-def part_of(sets: PatchSets, some: slice | BoolArray) -> PatchSets:
+def some_of(sets: PatchSets, some: slice | BoolArray) -> PatchSets:
     """Give the same with some patches of the source only."""
     return replace(
         sets,
