@@ -20,7 +20,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.alignment.factor import PoleFactor, steps_to
+from retropole.alignment.network import PoleFactor, steps_to
 from retropole.base.datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
 from retropole.base.sensors import Sensor
 from retropole.base.systematic import BAND, TAPE

@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .adjustment.agreement import check_contradiction, without_misplaced
-from .adjustment.one_mast import align_on_one_mast
+from .adjustment.masts import align_on_one_mast
 from .adjustment.refinement import refine_by_scene
 from .alignment.origins import beam_origins
 from .base.datatypes import (

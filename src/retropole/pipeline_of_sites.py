@@ -9,27 +9,23 @@ from functools import partial
 from threadpoolctl import threadpool_limits
 
 from .adjustment.answer import SiteCalibration
-from .adjustment.blunders import without_blunders, worst_test
-from .adjustment.contradiction import check_poles_of_hanging
-from .adjustment.datum import find_datum
-from .adjustment.hanging import Hanging, find_hanging
+from .adjustment.blunders import check_poles_of_hanging, without_blunders, worst_test
+from .adjustment.datum import Hanging, find_datum, find_hanging
+from .adjustment.descent import scene_pairs
 from .adjustment.masts import with_masts
 from .adjustment.shared import SharedPole, same_poles, shared_poles
 from .adjustment.site import Adjusted, Recorded, adjust
 from .adjustment.swapped import check_places, check_swapped
-from .adjustment.terms import scene_pairs
 from .base.datatypes import Array, Placement
 from .base.description import Site, is_pair
 from .base.errors import Reason, Refusal
 from .base.timing import timed
-from .hypotheses.joint_choice import Choices, choose_poses, linked_groups
-from .hypotheses.link_by_candidates import link_by_candidates, with_own_candidates
-from .hypotheses.link_by_one_pole import link_by_place
-from .hypotheses.linked import check_linked
+from .hypotheses.joint_choice import Choices, check_linked, choose_poses, linked_groups
+from .hypotheses.links import link_by_candidates, link_by_place, with_own_candidates
 from .hypotheses.pairs import Pair, find_pairs, poles_of
 from .hypotheses.scans import SiteScans, Views, find_scans, patches_of, views_of
 from .pipeline import calibrate_placements
-from .surfaces.copies import check_recordings
+from .surfaces.static import check_recordings
 from .verdict.site import check_decided, confirm_links, radius_denied
 from .verdict.statement import (
     exchanged,

@@ -10,7 +10,7 @@ import numpy as np
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole
 from retropole.extraction.poles import extract_poles
-from retropole.hypotheses.line_pairs import pair_starts
+from retropole.hypotheses.correspondence import pair_starts
 from retropole.report.figures import BLUE, GREY, ORANGE
 from retropole.simulation import simulate_pair
 from studies.paper.choosing import EXAMPLE_SEED

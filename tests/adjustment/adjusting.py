@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 from benchmarks.site_blunders import Blunder, simulate_blunder
 from retropole.adjustment.answer import SiteCalibration
 from retropole.adjustment.datum import Datum, find_datum
+from retropole.adjustment.descent import ScenePair, scene_pairs
 from retropole.adjustment.shared import SharedPole, shared_poles, sights_of
 from retropole.adjustment.site import Adjusted, Recorded, adjust
-from retropole.adjustment.terms import ScenePair, scene_pairs
-from retropole.alignment.joint import Sight
+from retropole.alignment.maximum import Sight
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import Site

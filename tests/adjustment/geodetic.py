@@ -7,8 +7,7 @@ import numpy as np
 from retropole.adjustment.descent import End, RefinementProblem, minimise
 from retropole.adjustment.solved import Solved, solve_all
 from retropole.alignment.network import Network, Observation, factor_of, observe
-from retropole.alignment.posterior import Posterior
-from retropole.alignment.state import JointState
+from retropole.alignment.posterior import JointState, Posterior
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel, Groups, Sizes
 from tests.alignment.test_state import drawn

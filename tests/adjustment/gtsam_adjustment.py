@@ -26,9 +26,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import E, L, R
 
-from retropole.adjustment.descent import End
+from retropole.adjustment.descent import End, SceneTerm
 from retropole.adjustment.site import Adjusted
-from retropole.adjustment.terms import SceneTerm
 from retropole.base.datatypes import Array
 from tests.adjustment.gtsam_survey import of_survey
 from tests.adjustment.gtsam_variables import (

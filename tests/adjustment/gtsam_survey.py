@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from retropole.adjustment.site import Adjusted
-from retropole.alignment.state import JointState
+from retropole.alignment.posterior import JointState
 from retropole.alignment.survey import Surveyed
 from retropole.base.datatypes import Array
 from tests.adjustment.gtsam_variables import (

@@ -10,7 +10,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, C, E, L, R
 
 from retropole.adjustment.site import Adjusted
-from retropole.alignment.state import JointState
+from retropole.alignment.posterior import JointState
 from retropole.base.datatypes import Array, BoolArray
 
 POSE, AXIS, POINT = 6, 4, 3

@@ -8,7 +8,7 @@ import pytest
 
 from retropole.adjustment import agreement
 from retropole.adjustment.agreement import MOST_LEFT_OUT, without_misplaced
-from retropole.alignment.axes_test import AxesTest
+from retropole.alignment.adjustment import AxesTest
 from retropole.base.errors import Refusal
 from retropole.hypotheses.placements import PairedPlacement
 

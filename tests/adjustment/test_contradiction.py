@@ -5,9 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.adjustment import contradiction
-from retropole.adjustment.blunders import BLUNDER, without_blunders, worst_test
-from retropole.adjustment.contradiction import MORE_PATCHES, conflicting_poles, more_coincide
+from retropole.adjustment import blunders
+from retropole.adjustment.blunders import (
+    BLUNDER,
+    MORE_PATCHES,
+    conflicting_poles,
+    more_coincide,
+    without_blunders,
+    worst_test,
+)
 from retropole.adjustment.datum import Datum, without_poles
 from retropole.adjustment.site import Adjusted, Recorded
 from retropole.base import se3
@@ -46,7 +52,7 @@ def test_of_a_sound_site_no_pole_is_conflicting(
         assert few, "a part of the patches is enough to see that nothing moved"
         return own.again(datum, few=few)
 
-    monkeypatch.setattr(contradiction, "adjust", by_few)
+    monkeypatch.setattr(blunders, "adjust", by_few)
     assert not list(conflicting_poles(own.recorded, two))
     for k in (0, 1):
         one = own.again(without_poles(two.datum, {k}))
@@ -68,7 +74,7 @@ def test_how_certain_the_answer_is_has_no_part_in_what_coincides(own: Steps) -> 
 
 
 def test_what_both_place_alike_does_not_tell(own: Steps) -> None:
-    """A step of a few centimetres is no contradiction, whichever way it goes."""
+    """A step of a few centimetres is no blunders, whichever way it goes."""
     end = own.adjusted.end
     for axis in range(3):
         step = np.zeros(6)
@@ -78,7 +84,7 @@ def test_what_both_place_alike_does_not_tell(own: Steps) -> None:
 
 
 def test_three_poles_check_each_other(own: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contradiction, "adjust", lambda *_, **__: pytest.fail("again"))
+    monkeypatch.setattr(blunders, "adjust", lambda *_, **__: pytest.fail("again"))
     assert not list(conflicting_poles(own.recorded, own.adjusted))
 
 
@@ -113,7 +119,7 @@ def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
             raise Refusal("degenerate_poles", "too little of the surroundings")
         return own.again(datum)
 
-    monkeypatch.setattr(contradiction, "adjust", refused_by_few)
+    monkeypatch.setattr(blunders, "adjust", refused_by_few)
     assert 0 in {k for k, _, _ in conflicting_poles(own.recorded, bad)}
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.agreement import check_decisive
-from retropole.adjustment.decisive import MAX_SHARE, leverage
 from retropole.adjustment.places import Places
-from retropole.adjustment.refinement import Refinement, refine
+from retropole.adjustment.refinement import MAX_SHARE, Refinement, leverage, refine
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from tests.tiers import first_of

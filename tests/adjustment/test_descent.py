@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.adjustment.descent import RefinementProblem, minimise
-from retropole.adjustment.terms import scene_pairs
+from retropole.adjustment.descent import RefinementProblem, minimise, scene_pairs
 from retropole.alignment.network import factor_of
 from retropole.base import se3
 from retropole.base.datatypes import Array

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.datum import find_datum
+from retropole.adjustment.descent import scene_pairs
 from retropole.adjustment.shared import shared_poles
 from retropole.adjustment.site import Adjusted, Recorded, adjust
-from retropole.adjustment.terms import scene_pairs
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import Site, Up

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from retropole.adjustment.links import find_links
+from retropole.adjustment.site import find_links
 from tests.adjustment.adjusting import Steps
 
 pytestmark = pytest.mark.full

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from retropole.adjustment.one_mast import on_one_mast, together
+from retropole.adjustment.masts import on_one_mast, together
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
 from tests.surfaces.swaying import HALF, scan_on_mast, swaying

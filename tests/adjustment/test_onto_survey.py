@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.adjustment.onto_survey import NEAR_SURVEYED, Fit, order, pole_at, transformed
 from retropole.adjustment.shared import SharedPole
-from retropole.adjustment.survey_check import lay_on_survey
+from retropole.adjustment.survey import (
+    NEAR_SURVEYED,
+    Fit,
+    lay_on_survey,
+    order,
+    pole_at,
+    transformed,
+)
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.adjustment.descent import SceneTerm
 from retropole.adjustment.places import labels_of_places, parts_of_surfaces, residuals_of
-from retropole.adjustment.terms import SceneTerm
 from retropole.alignment.certainty import FLOOR, Part, budget_of, joint_covariance
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray

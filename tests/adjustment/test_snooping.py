@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from retropole.adjustment.biases import (
+from retropole.adjustment.datum import without_poles
+from retropole.adjustment.snooping import (
+    NONCENTRALITY,
     Bias,
+    Outcome,
+    all_tests,
     lidar_apart,
+    outcomes,
     placement_moved,
     pole_moved,
     pole_seen_elsewhere,
     splits,
     value_wrong,
 )
-from retropole.adjustment.datum import without_poles
-from retropole.adjustment.snooping import NONCENTRALITY, Outcome, all_tests, outcomes
 from retropole.adjustment.solved import Solved
 from retropole.alignment.network import Observation
 from retropole.base import se3

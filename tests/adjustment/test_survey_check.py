@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.adjustment.shared import SharedPole
-from retropole.adjustment.survey_check import lay_on_survey, list_unmet
+from retropole.adjustment.survey import lay_on_survey, list_unmet
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Sighting, Site, SurveyedPole

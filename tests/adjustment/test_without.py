@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.datum import without_poles
-from retropole.adjustment.without import without_placements
+from retropole.adjustment.solved import without_placements
 from retropole.alignment.survey import Surveyed, SurveyedEnd
 from retropole.base import se3
 from tests.adjustment.adjusting import Steps

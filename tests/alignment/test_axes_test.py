@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import chi2, kstest
 from threadpoolctl import threadpool_limits
 
-from retropole.alignment.adjustment import align_beams
-from retropole.alignment.axes_test import AxesTest
+from retropole.alignment.adjustment import AxesTest, align_beams
 from retropole.alignment.observations import Beams
 from retropole.base import se3
 from retropole.base.datatypes import Array

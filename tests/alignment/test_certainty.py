@@ -8,14 +8,12 @@ from retropole.alignment.certainty import (
     floors,
     parts_of_errors,
     parts_of_poles,
+    prior_precision,
     solve_factor,
     sways,
     uncertainty_of_pair,
 )
-from retropole.alignment.error_sizes import (
-    prior_precision,
-)
-from retropole.alignment.factor import OF_SOURCE, PoleFactor, poses_of_pair
+from retropole.alignment.network import OF_SOURCE, PoleFactor, poses_of_pair
 from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.base import se3
 from retropole.base.datatypes import Array

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from retropole.alignment.error_sizes import (
+from retropole.alignment.certainty import (
     MAX_SCALE,
     MIN_MEMBERS,
     WORKING_SHARE,

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.expansion import expand_lidar
+from retropole.alignment.expansion import exact_view, expand_lidar
 from retropole.alignment.likelihood import arc_likelihood, passed_beam_likelihood
 from retropole.alignment.observations import Beams
 from retropole.alignment.posterior import State, beam_geometry
 from retropole.alignment.unknowns import POSE
-from retropole.alignment.views import exact_view
 from retropole.base.datatypes import Array
 from retropole.base.systematic import (
     RADIUS,

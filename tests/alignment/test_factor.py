@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.certainty import few_freedom, solve_factor
-from retropole.alignment.error_sizes import prior_precision
-from retropole.alignment.factor import OF_SOURCE, gaussian_factor, poses_of_pair
-from retropole.alignment.joint import JointPriors, Sight, evaluate_joint
-from retropole.alignment.network import Network, bands_of, factor_of, observe
-from retropole.alignment.state import JointState
+from retropole.alignment.certainty import few_freedom, prior_precision, solve_factor
+from retropole.alignment.maximum import JointPriors, Sight, evaluate_joint
+from retropole.alignment.network import (
+    OF_SOURCE,
+    Network,
+    bands_of,
+    factor_of,
+    gaussian_factor,
+    observe,
+    poses_of_pair,
+)
+from retropole.alignment.posterior import JointState
 from retropole.alignment.survey import NOTHING_SURVEYED
 from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.base import se3

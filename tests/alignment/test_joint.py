@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.joint import JointPriors, Sight, evaluate_joint, maximise_joint, place_of
-from retropole.alignment.posterior import Posterior
-from retropole.alignment.state import JointState
+from retropole.alignment.maximum import JointPriors, Sight, evaluate_joint, maximise_joint, place_of
+from retropole.alignment.posterior import JointState, Posterior
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from tests.adjustment.adjusting import Steps

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from retropole.alignment.state import JointState
+from retropole.alignment.posterior import JointState
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from tests.numeric import numeric_jacobian

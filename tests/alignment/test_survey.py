@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.alignment.state import JointState
+from retropole.alignment.posterior import JointState
 from retropole.alignment.survey import (
     KnownPoint,
     KnownPose,

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.alignment.expansion import (
+    View,
+    average_passed,
+    average_returns,
+    exact_view,
+    find_view,
+)
 from retropole.alignment.likelihood import arc_likelihood
 from retropole.alignment.observations import Beams
 from retropole.alignment.posterior import SHARED, State, own_geometry
-from retropole.alignment.views import View, average_passed, average_returns, exact_view, find_view
 from retropole.base.datatypes import Array
 
 RADIUS, NOISE = 0.02, np.array([0.015, 0.003])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Array, PointCloud
-from retropole.extraction import acceptance_surroundings as rules
+from retropole.extraction import surroundings as rules
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import MAX_RING_EXTENT, THICK_RMS
-from retropole.extraction.acceptance_surroundings import surroundings_failure
 from retropole.extraction.lines import HALF, LITTLE, MOST, Line
+from retropole.extraction.surroundings import surroundings_failure
 from tests.extraction.synthetic import (
     BRIGHT,
     DIM,

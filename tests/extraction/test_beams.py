@@ -7,9 +7,9 @@ import pytest
 
 from retropole.base.datatypes import PointCloud
 from retropole.base.sensors import find_sensor
-from retropole.extraction.beams import Beams, beam_scatter, beams_by, returns_per_ring
 from retropole.extraction.certainty import doubt_of
 from retropole.extraction.lines import fit_line
+from retropole.extraction.sensor_pattern import Beams, beam_scatter, beams_by, returns_per_ring
 from tests.extraction.synthetic import UP, code_of, on_pole
 
 

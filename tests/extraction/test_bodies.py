@@ -9,7 +9,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Detection
-from retropole.extraction import bodies
+from retropole.extraction import surroundings
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import Box, Cylinder, Rectangle, Surface
 from tests.extraction.scenes import PAINT, TAPE, Y, Z, pole, seen
@@ -61,7 +61,7 @@ def test_a_body_must_go_on_beyond_both_ends() -> None:
 
 
 def test_a_body_farther_off_says_nothing() -> None:
-    assert not is_worn(found([BAND, person(bodies.BODY_REACH + 0.1)]))
+    assert not is_worn(found([BAND, person(surroundings.BODY_REACH + 0.1)]))
 
 
 def test_what_has_no_air_about_it_is_no_body() -> None:

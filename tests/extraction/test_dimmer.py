@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retropole.base.sensors import find_sensor
-from retropole.extraction.dimmer import with_dimmer_candidates
+from retropole.extraction.candidates import with_dimmer_candidates
 from retropole.extraction.poles import extract_poles
 from tests.extraction.scenes import Y, labels_of, pole, seen
 

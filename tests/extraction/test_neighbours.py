@@ -9,9 +9,9 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array
-from retropole.extraction import neighbours
+from retropole.extraction import surroundings
 from retropole.extraction.lines import MOST, SEARCH_ROOM
-from retropole.extraction.neighbours import is_wall_behind, on_crossing_line, runs_along_sweep
+from retropole.extraction.surroundings import is_wall_behind, on_crossing_line, runs_along_sweep
 from tests.extraction.synthetic import FOOT, UP, line_with, offset, on_pole
 
 CROSSING_TUBE = DEFAULT_RADIUS + SEARCH_ROOM
@@ -27,7 +27,7 @@ def crossing(angle: float, count: int = 30) -> Array:
     ("factor", "is_crossing"), [(0.98, False), (1.02, True), (3.0, True), (8.0, True)]
 )
 def test_another_line_is_one_at_an_angle(factor: float, is_crossing: bool) -> None:
-    beside = crossing(factor * neighbours.MIN_CROSSING_ANGLE)
+    beside = crossing(factor * surroundings.MIN_CROSSING_ANGLE)
     assert on_crossing_line(beside, line_with()).tolist() == [is_crossing] * len(beside)
 
 
@@ -59,14 +59,14 @@ def wall(distance: float, width: float = 0.35) -> Array:
 
 @pytest.mark.parametrize(("factor", "is_behind"), [(0.99, False), (1.01, True)])
 def test_a_wall_is_behind_from_some_distance(factor: float, is_behind: bool) -> None:
-    assert is_wall_behind(wall(factor * neighbours.MIN_WALL_GAP), on_pole(width=0)) is is_behind
+    assert is_wall_behind(wall(factor * surroundings.MIN_WALL_GAP), on_pole(width=0)) is is_behind
 
 
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_a_pole_that_leans_on_a_wall_leaves_it_in_part(share: float) -> None:
     """The wall is behind as far as the quantile of its distances says."""
     far = int(share * (1 - MOST) * 100)
-    away = np.repeat([-1.1 * neighbours.MIN_WALL_GAP, 0.0], [far, 100 - far])
+    away = np.repeat([-1.1 * surroundings.MIN_WALL_GAP, 0.0], [far, 100 - far])
     assert is_wall_behind(wall(0.0), offset(away, 0.0, 0.0)) is (share > 1)
 
 
@@ -75,7 +75,7 @@ def test_a_wall_is_most_of_what_lies_beside(extra: float, is_wall: bool) -> None
     plane = wall(0.2)
     count = int(extra / 2 * len(plane) * (1 / MOST - 1))
     # In pairs, as far before the plane as behind it, so that they do not draw it away.
-    off = np.array([1.5 * neighbours.PLANE_DISTANCE, 0, 0])
+    off = np.array([1.5 * surroundings.PLANE_DISTANCE, 0, 0])
     pairs = [plane[:count] + off, plane[:count] - off]
     assert is_wall_behind(np.concatenate([plane, *pairs]), on_pole(width=0)) is is_wall
 
@@ -115,7 +115,7 @@ def test_rings_as_close_as_their_returns_tell_nothing() -> None:
 
 
 def test_few_returns_tell_nothing() -> None:
-    least = neighbours.SWEEP_NEIGHBOURS**2
+    least = surroundings.SWEEP_NEIGHBOURS**2
     column = offset(0.0, 0.2, np.linspace(0, 0.02 * (least - 1), least))
     xyz = np.concatenate([on_pole(0.6, 10, 1), column])
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line_with(10))

@@ -11,9 +11,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Detection, IntArray, PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
-from retropole.extraction import acceptance_shape, lines, neighbours, poles
-from retropole.extraction.beams import Beams
+from retropole.extraction import acceptance_shape, lines, poles, surroundings
 from retropole.extraction.poles import extract_poles
+from retropole.extraction.sensor_pattern import Beams
 from retropole.io import read_cloud
 from retropole.simulation import Box, Rectangle, simulate_pair
 from tests.extraction.scenes import (
@@ -242,7 +242,7 @@ def test_more_rounds_of_fitting_give_the_same_poles(
 ) -> None:
     clouds = [simulate_pair(scene, np.random.default_rng(seed)).target for seed in range(3)]
     before = [extract_poles(cloud) for cloud in clouds]
-    for module in (lines, neighbours):
+    for module in (lines, surroundings):
         monkeypatch.setattr(module, "FIT_ROUNDS", 5 * lines.FIT_ROUNDS)
     for cloud, found in zip(clouds, before, strict=True):
         same_poles(extract_poles(cloud), found, np.eye(4))

@@ -1,7 +1,7 @@
 """What was not tried is said, in numbers, and nothing where all was tried."""
 
 from retropole.base.errors import Refusal
-from retropole.hypotheses.budget import NOTHING, Share, Tried, with_what_was_tried
+from retropole.hypotheses.placements import NOTHING, Share, Tried, with_what_was_tried
 
 REFUSAL = Refusal("no_overlap", "nothing lies on anything", {"overlap": 0.1})
 

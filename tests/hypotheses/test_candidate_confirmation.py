@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Hypothesis, PointCloud
-from retropole.hypotheses import scene_support
+from retropole.hypotheses import candidate_confirmation as confirming
 from retropole.hypotheses.candidate_confirmation import (
     candidate_reasons,
     candidates_in,
@@ -94,22 +94,25 @@ def test_every_condition_is_needed(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
     assert is_confirmed(paired, answer.hypotheses, 0.02)
-    rival = replace(others[0], score=best.score - 0.99 * scene_support.MIN_CONFIRMED_MARGIN)
+    rival = replace(others[0], score=best.score - 0.99 * confirming.MIN_CONFIRMED_MARGIN)
     assert not is_confirmed(paired, (best, rival), 0.02)
-    least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.SUPPORT_LEAST_OVERLAP
+    least, of_all = (
+        confirming.MIN_CONFIRMED_COVISIBLE,
+        confirming.SUPPORT_LEAST_OVERLAP,
+    )
     small = replace(best, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
     assert is_confirmed(paired, (small, *others), 0.02)
     for worse in (
         replace(
             best,
-            overlap=0.99 * scene_support.MIN_CONFIRMED_OVERLAP,
+            overlap=0.99 * confirming.MIN_CONFIRMED_OVERLAP,
             covisible_overlap=0.99 * least,
         ),
         replace(small, overlap=0.99 * of_all),
         replace(small, covisible_overlap=0.99 * least),
-        replace(best, free_space_violation=1.01 * scene_support.MAX_CONFIRMED_VIOLATION),
-        replace(best, icp_rotation=1.01 * scene_support.MAX_ICP_ROTATION),
-        replace(best, icp_translation=1.01 * scene_support.MAX_ICP_TRANSLATION),
+        replace(best, free_space_violation=1.01 * confirming.MAX_CONFIRMED_VIOLATION),
+        replace(best, icp_rotation=1.01 * confirming.MAX_ICP_ROTATION),
+        replace(best, icp_translation=1.01 * confirming.MAX_ICP_TRANSLATION),
         replace(best, icp_rotation=None, icp_translation=None),
     ):
         assert not is_confirmed(paired, (worse, *others), 0.02)
@@ -126,10 +129,10 @@ def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
 def test_a_settled_hypothesis_needs_no_icp_that_stays(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
-    slid = replace(best, icp_translation=1.01 * scene_support.MAX_ICP_TRANSLATION)
+    slid = replace(best, icp_translation=1.01 * confirming.MAX_ICP_TRANSLATION)
     assert not is_confirmed(paired, (slid, *others), 0.02)
     assert is_confirmed(paired, (settled(slid), *others), 0.02)
-    seen_through = replace(slid, free_space_violation=1.01 * scene_support.MAX_CONFIRMED_VIOLATION)
+    seen_through = replace(slid, free_space_violation=1.01 * confirming.MAX_CONFIRMED_VIOLATION)
     assert not is_confirmed(paired, (settled(seen_through), *others), 0.02)
 
 
@@ -187,8 +190,8 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
 ) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
-    behind = best.score - 1.01 * scene_support.CERTAIN_MARGIN
-    contradicted = scene_support.MIN_CONTRADICTED
+    behind = best.score - 1.01 * confirming.CERTAIN_MARGIN
+    contradicted = confirming.MIN_CONTRADICTED
     for covisible, violation, is_certain in (
         (1.01, 0.99, True),
         (0.99, 0.99, False),
@@ -196,10 +199,10 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
     ):
         seen = replace(
             best,
-            covisible_overlap=covisible * scene_support.MIN_CERTAIN_COVISIBLE,
-            free_space_violation=violation * scene_support.MAX_CERTAIN_VIOLATION,
+            covisible_overlap=covisible * confirming.MIN_CERTAIN_COVISIBLE,
+            free_space_violation=violation * confirming.MAX_CERTAIN_VIOLATION,
         )
-        moved = replace(seen, icp_translation=2 * scene_support.MAX_ICP_TRANSLATION)
+        moved = replace(seen, icp_translation=2 * confirming.MAX_ICP_TRANSLATION)
         assert is_confirmed(paired, (moved, *others), 0.02) is is_certain
         rival = replace(
             others[0], score=behind, overlap=0.5, free_space_violation=1.01 * contradicted
@@ -209,7 +212,7 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
         assert not is_confirmed(paired, (seen, rival), 0.02)
         rival = replace(
             rival,
-            score=best.score - 0.99 * scene_support.CERTAIN_MARGIN,
+            score=best.score - 0.99 * confirming.CERTAIN_MARGIN,
             free_space_violation=1.01 * contradicted,
         )
         assert not is_confirmed(paired, (seen, rival), 0.02)
@@ -222,9 +225,9 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
     answer, paired = confirmed
     first, *others = answer.hypotheses
     first = settled(first) if is_settled else first
-    most, least = scene_support.SUPPORT_OVERLAP, scene_support.SUPPORT_COVISIBLE
-    of_all = scene_support.SUPPORT_LEAST_OVERLAP
-    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_CERTAIN_VIOLATION)
+    most, least = confirming.SUPPORT_OVERLAP, confirming.SUPPORT_COVISIBLE
+    of_all = confirming.SUPPORT_LEAST_OVERLAP
+    clear = replace(first, free_space_violation=0.99 * confirming.MAX_CERTAIN_VIOLATION)
     by_all = replace(clear, overlap=1.01 * most, covisible_overlap=0.99 * least)
     by_covisible = replace(clear, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
     for enough in (by_all, by_covisible):
@@ -233,7 +236,7 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
         replace(by_all, overlap=0.99 * most),
         replace(by_covisible, overlap=0.99 * of_all),
         replace(by_covisible, covisible_overlap=0.99 * least),
-        replace(by_all, free_space_violation=1.01 * scene_support.MAX_CERTAIN_VIOLATION),
+        replace(by_all, free_space_violation=1.01 * confirming.MAX_CERTAIN_VIOLATION),
     ):
         assert not is_confirmed(paired, (less, *others), 0.02)
 
@@ -245,22 +248,22 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
     answer, paired = confirmed
     first, *others = answer.hypotheses
     first = settled(first) if is_settled else first
-    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_CERTAIN_VIOLATION)
-    clear = replace(clear, covisible_overlap=0.99 * scene_support.MIN_CERTAIN_COVISIBLE)
+    clear = replace(first, free_space_violation=0.99 * confirming.MAX_CERTAIN_VIOLATION)
+    clear = replace(clear, covisible_overlap=0.99 * confirming.MIN_CERTAIN_COVISIBLE)
     rival = replace(
         others[0],
-        score=clear.score - 1.01 * scene_support.CERTAIN_MARGIN,
+        score=clear.score - 1.01 * confirming.CERTAIN_MARGIN,
         overlap=0.5,
         covisible_overlap=0.5,
         free_space_violation=0.0,
     )
     assert not is_confirmed(paired, (clear, rival), 0.02)
-    little = replace(rival, overlap=0.99 * scene_support.SUPPORT_OVERLAP)
-    unshared = replace(little, covisible_overlap=0.99 * scene_support.SUPPORT_COVISIBLE)
-    seen_through = replace(rival, free_space_violation=1.01 * scene_support.MIN_CONTRADICTED)
+    little = replace(rival, overlap=0.99 * confirming.SUPPORT_OVERLAP)
+    unshared = replace(little, covisible_overlap=0.99 * confirming.SUPPORT_COVISIBLE)
+    seen_through = replace(rival, free_space_violation=1.01 * confirming.MIN_CONTRADICTED)
     for contradicted in (unshared, seen_through):
         assert is_confirmed(paired, (clear, contradicted), 0.02) is is_settled
-        near = replace(contradicted, score=clear.score - 0.99 * scene_support.CERTAIN_MARGIN)
+        near = replace(contradicted, score=clear.score - 0.99 * confirming.CERTAIN_MARGIN)
         assert not is_confirmed(paired, (clear, near), 0.02)
     assert not is_confirmed(paired, (clear, little), 0.02)
 

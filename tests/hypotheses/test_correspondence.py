@@ -7,9 +7,14 @@ from retropole.alignment.point_to_line import LineAlignment, Lines, align_each
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole
 from retropole.base.errors import Refusal
-from retropole.hypotheses import correspondence, extension
-from retropole.hypotheses.correspondence import every_match, match_poles, widest_angle
-from retropole.hypotheses.line_pairs import line_pair, pair_starts
+from retropole.hypotheses import correspondence
+from retropole.hypotheses.correspondence import (
+    every_match,
+    line_pair,
+    match_poles,
+    pair_starts,
+    widest_angle,
+)
 from tests.conftest import PoleMaker
 
 AXES = [
@@ -184,7 +189,7 @@ def test_a_row_of_posts_is_matched_in_bounded_time(
         solved += len(starts)
         return align_each(lines, starts)
 
-    monkeypatch.setattr(extension, "align_each", counted)
+    monkeypatch.setattr(correspondence, "align_each", counted)
     T = se3.random(np.random.default_rng(4))
     target = row_beside_two_poles(make_pole)
     source = row_beside_two_poles(make_pole, se3.inverse(T))
@@ -230,4 +235,4 @@ def test_poles_are_paired_as_one_by_one(make_pole: PoleMaker) -> None:
                 misfit = np.linalg.norm(across, axis=1).max()
                 if misfit <= 0.15 and leaning < np.sin(np.radians(10.0)) and gap < 1.0:
                     expected.add((i, j))
-        assert set(extension.extended(target, source, off, 0.15)) == expected
+        assert set(correspondence.extended(target, source, off, 0.15)) == expected

@@ -11,8 +11,7 @@ from retropole.alignment.point_to_line import point_line_residuals
 from retropole.base import se3
 from retropole.base.datatypes import Array, Hypothesis, Match, Pole, Scan
 from retropole.hypotheses import icp_refinement
-from retropole.hypotheses.correspondence import match_poles
-from retropole.hypotheses.extension import EXACT_RMS
+from retropole.hypotheses.correspondence import EXACT_RMS, match_poles
 from retropole.hypotheses.icp_refinement import MOST_REFINED, refine_by_icp, rms_after
 from retropole.simulation import simulate_pair
 from retropole.surfaces.scans import find_poles

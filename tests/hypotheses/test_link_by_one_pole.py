@@ -7,26 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.adjustment import contradiction
+from retropole.adjustment import blunders
 from retropole.adjustment.answer import SiteCalibration
-from retropole.adjustment.contradiction import check_poles_of_hanging
-from retropole.adjustment.datum import find_datum, without_poles
-from retropole.adjustment.hanging import (
+from retropole.adjustment.blunders import check_poles_of_hanging
+from retropole.adjustment.datum import (
     Hanging,
     check_hanging,
     check_poles_left,
+    find_datum,
     find_hanging,
     hanging_off,
     known_poses,
+    without_poles,
 )
 from retropole.alignment.adjustment import PLACE_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
-from retropole.hypotheses import link_by_one_pole as one_pole
+from retropole.hypotheses import links as one_pole
 from retropole.hypotheses.by_place import HELD
 from retropole.hypotheses.joint_choice import choose_poses
-from retropole.hypotheses.link_by_one_pole import link_by_place
+from retropole.hypotheses.links import link_by_place
 from retropole.hypotheses.pairs import Pair, PairHypothesis
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
@@ -157,7 +158,7 @@ def test_what_the_surroundings_alone_do_not_hold_is_not_checked(
     hanging = (Hanging(0, 2, steps.adjusted.end.T[2], frozenset({2})),)
     adjusted = replace(steps.adjusted, datum=replace(steps.datum, hanging=hanging))
     assert list(check_poles_of_hanging(steps.recorded, adjusted)) == []
-    monkeypatch.setattr(contradiction, "is_held", lambda covariance: False)
+    monkeypatch.setattr(blunders, "is_held", lambda covariance: False)
     (reason,) = check_poles_of_hanging(steps.recorded, adjusted)
     assert reason.code == "not_checked"
     assert reason.values["lidar"] == steps.site.lidars[2].name

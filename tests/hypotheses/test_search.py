@@ -14,8 +14,13 @@ from retropole.base.datatypes import Detection, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
 from retropole.base.sensors import LITTLE, find_sensor
 from retropole.hypotheses import search
-from retropole.hypotheses.budget import Share, Tried
-from retropole.hypotheses.placements import Chosen, PairedPlacement, PlacementHypotheses
+from retropole.hypotheses.placements import (
+    Chosen,
+    PairedPlacement,
+    PlacementHypotheses,
+    Share,
+    Tried,
+)
 from retropole.hypotheses.search import choose_with_candidates
 from tests.hypotheses.walls import Confirmed, confirmed_answer
 

@@ -7,7 +7,7 @@ import pytest
 
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
-from retropole.surfaces.copies import check_recordings, without_copies
+from retropole.surfaces.static import check_recordings, without_copies
 
 
 def cloud(seed: int, count: int = 4000) -> PointCloud:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.surfaces.ordering import numbered, order_of
+from retropole.surfaces.sweeps import numbered, order_of
 
 
 @pytest.mark.parametrize(

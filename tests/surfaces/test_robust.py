@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.surfaces.robust import GEMAN_HALF, common_scatter, robust_scale
+from retropole.surfaces.patch_pairs import GEMAN_HALF, common_scatter, robust_scale
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.2])

@@ -6,7 +6,13 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from retropole.base import se3
-from retropole.surfaces.shifts import PEAKS, SAME_SHIFT, _with_neighbours, best_lifts, best_shifts
+from retropole.surfaces.consistency import (
+    PEAKS,
+    SAME_SHIFT,
+    _with_neighbours,
+    best_lifts,
+    best_shifts,
+)
 
 POINTS = np.random.default_rng(0).uniform([-15, -15, 0.5], [15, 15, 4], (1500, 3))
 """A wood: nothing repeats."""

@@ -8,7 +8,7 @@ import pytest
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.errors import Reason
 from retropole.io.recordings import time_of_recording
-from retropole.surfaces.times import MAX_APART, other_times, recorded_together
+from retropole.surfaces.static import MAX_APART, other_times, recorded_together
 
 HOUR = 3600.0
 NOON = 1_700_000_000.0

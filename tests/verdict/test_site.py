@@ -9,8 +9,7 @@ from retropole.adjustment.answer import LidarPose, LoopClosure
 from retropole.base import se3
 from retropole.base.errors import Reason, Refusal
 from retropole.base.uncertainty.purpose import Need
-from retropole.hypotheses.joint_choice import Choice, Choices
-from retropole.hypotheses.linked import check_linked
+from retropole.hypotheses.joint_choice import Choice, Choices, check_linked
 from retropole.hypotheses.pairs import Pair
 from retropole.verdict.site import (
     CHECKED,

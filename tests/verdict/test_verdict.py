@@ -16,9 +16,8 @@ from retropole.adjustment.agreement import (
 )
 from retropole.adjustment.descent import End
 from retropole.adjustment.refinement import Refinement
-from retropole.alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
-from retropole.alignment.axes_test import AxesTest
-from retropole.alignment.factor import gaussian_factor
+from retropole.alignment.adjustment import RADIUS_CONFLICT, AxesTest, BeamAlignment
+from retropole.alignment.network import gaussian_factor
 from retropole.base.datatypes import (
     Array,
     Detection,

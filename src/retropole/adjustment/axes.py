@@ -12,16 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_TOLERANCE
-from ..alignment.error_sizes import prior_precision
-from ..alignment.expansion import expand_lidar, semidefinite
-from ..alignment.joint import JointPriors, Sight, evaluate_joint
-from ..alignment.maximum import lines_of, maximise, start_noise
+from ..alignment.certainty import prior_precision
+from ..alignment.expansion import expand_lidar, find_view, semidefinite
+from ..alignment.maximum import JointPriors, Sight, evaluate_joint, lines_of, maximise, start_noise
 from ..alignment.observations import Beams, beams_of
-from ..alignment.posterior import SHARED, Posterior, State
-from ..alignment.state import JointState
+from ..alignment.posterior import SHARED, JointState, Posterior, State
 from ..alignment.survey import NOTHING_SURVEYED
 from ..alignment.unknowns import POSE, Unknowns
-from ..alignment.views import find_view
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
 from ..base.systematic import ErrorModel, Layout, band_of, sizes_of

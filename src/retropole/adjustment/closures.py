@@ -24,10 +24,9 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.uncertainty import floor
 from .answer import LoopClosure
-from .descent import End
+from .descent import End, SceneTerm
 from .places import labels_of_places, moved_by, places_of
 from .solved import Solved
-from .terms import SceneTerm
 
 MOST_LOOPS = 60
 """So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""

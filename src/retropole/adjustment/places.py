@@ -27,8 +27,7 @@ from ..alignment.certainty import (
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..surfaces.patch_pairs import CLUSTER_SIDE, labels_of
-from .descent import End, RefinementProblem
-from .terms import SceneTerm
+from .descent import End, RefinementProblem, SceneTerm
 
 PLACE_BIAS = 0.0005
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the

@@ -1,17 +1,26 @@
 """Poles and scene of a pair in one problem: the pose that both agree on.
 
-The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.factor`);
+The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.network`);
 the scene adds the distances between surface patches that both LiDARs see, which the same errors
 move (`descent`). Where the search may end at several poses it starts from several; where poles and
 scene disagree, what is stated covers both.
+
+Whether one place alone decides a direction of the pose, and what the rest of the scene says.
+
+A robust loss bounds how far one residual pulls, not how much a far surface, seen by few beams,
+holds of a rotation: it then fits by itself, and its residual tells nothing. So the answer is sought
+again without each such place, with weights and partners anew, and what is stated covers both.
+
+From where the search for the refined pose starts again, and when two ends are two minima.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import (
@@ -23,7 +32,7 @@ from ..alignment.certainty import (
     root_of,
     uncertainty_of_pair,
 )
-from ..alignment.factor import PoleFactor, gaussian_factor, poses_of_pair
+from ..alignment.network import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
@@ -32,20 +41,147 @@ from ..base.uncertainty import Uncertainty
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
-from ..surfaces.patch_pairs import without_errors
-from ..surfaces.patches import Patches, surface_patches
-from .decisive import Decisive, without_decisive
-from .descent import End, RefinementProblem, approach, converge, support_of
-from .places import parts_of
-from .starts import (
-    SEVERAL,
-    approaches_from_afar,
-    approaches_of_parts,
-    distance_sq,
-    elsewhere,
-    of_source,
+from ..surfaces.patch_pairs import (
+    MIN_CORRESPONDENCE_DISTANCE,
+    POSE_SIGMAS,
+    every_nth_patch,
+    some_of,
+    without_errors,
 )
-from .terms import scene_pairs
+from ..surfaces.patches import Patches, surface_patches
+from .descent import FEW, End, RefinementProblem, approach, converge, scene_pairs, support_of
+from .places import Places, parts_of, places_of_poses
+
+MAX_SHARE = 0.3
+"""Most of the information along any direction that one place may hold without a word."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decisive:
+    """A place that alone decides a direction of the pose.
+
+    Attributes
+    ----------
+    share
+        Part of all information along that direction that it holds.
+    at
+        (3,) its middle in the target's frame, metres.
+    apart
+        (6,) step from the answer to the one without it (`se3.local`).
+    """
+
+    share: float
+    at: Array
+    apart: Array
+
+
+def leverage(places: Places) -> Array:
+    """Largest share (C,) of the information along any direction that each place holds.
+
+    The largest eigenvalue of ``S^-½ S_c S^-½``: whatever the frame and the units.
+    """
+    root = np.linalg.cholesky(places.marginal)
+    half = np.linalg.solve(root, places.information)
+    whole = np.linalg.solve(root, half.transpose(0, 2, 1))
+    return np.asarray(np.linalg.eigvalsh(whole)[:, -1])
+
+
+def without_decisive(
+    problem: RefinementProblem, end: End, covariance: Array
+) -> Iterator[tuple[Decisive, RefinementProblem, End]]:
+    """Seek the answer again without each place that decides a direction alone.
+
+    Parameters
+    ----------
+    problem, end
+        The problem of a pair, and the answer.
+    covariance
+        (12, 12) of the poles' poses.
+
+    Yields
+    ------
+    Decisive, RefinementProblem, End
+        The place, and problem (but for its `few`) and answer without it; places without which the
+        rest of the scene says nothing are left out.
+    """
+    (term,), (scene,) = end.scene, problem.scenes
+    pairs = term.pairs
+    shares = leverage(places_of_poses(end))
+    for c in np.argsort(-shares):
+        if shares[c] <= MAX_SHARE:
+            return
+        kept = scene.sets.clusters != pairs.places[c]
+        rest = replace(problem, scenes=(replace(scene, sets=some_of(scene.sets, kept)),))
+        found = converge(rest, end, covariance)
+        if found.scene:
+            own = pairs.cluster == c
+            at = np.average(pairs.at[own], axis=0, weights=term.weighed.weights[own])
+            yield Decisive(float(shares[c]), at, se3.local(end.T[1], found.T[1])), rest, found
+
+
+SEVERAL = chi2_limit(POSE)
+"""Squared Mahalanobis distance from which two ends are two minima."""
+
+
+def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
+    """Squared Mahalanobis distance of one pose (4, 4) from another with a covariance (6, 6)."""
+    step = se3.local(T, T_other)
+    return float(step @ np.linalg.solve(covariance, step))
+
+
+def approaches_from_afar(
+    problem: RefinementProblem, near: End, poles: PoseEstimate, lever: float
+) -> list[End]:
+    """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
+
+    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
+    at may depend on where it started. The ends are `POSE_SIGMAS` to either side.
+    """
+    assert poles.covariance is not None
+    scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
+    values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
+    widest = float(np.sqrt(max(values[-1], 0.0)))
+    if widest < MIN_CORRESPONDENCE_DISTANCE:
+        return []
+    step = POSE_SIGMAS * widest * vectors[:, -1] * scale
+    found = [
+        approach(
+            problem,
+            poses_of_pair(se3.retract(poles.T_target_source, sign * step)),
+            of_source(poles.covariance),
+        )
+        for sign in (1.0, -1.0)
+    ]
+    return [end for end in found if end.scene and elsewhere(end, [near])]
+
+
+def approaches_of_parts(
+    problem: RefinementProblem, T: Array, known: Sequence[End], covariance: Array
+) -> list[End]:
+    """Approach with the parts of the patches not yet asked, and keep what comes out elsewhere.
+
+    Few patches may hold a direction, the ground between two façades: a part of them leads past a
+    minimum that the others are caught in, where other starts do not.
+    """
+    (scene,) = problem.scenes
+    kept: list[End] = []
+    for k in range(1, FEW):
+        part = replace(problem, scenes=(replace(scene, few=every_nth_patch(scene.sets, FEW, k)),))
+        end = approach(part, T, covariance)
+        if end.scene and elsewhere(end, [*known, *kept]):
+            kept.append(end)
+    return kept
+
+
+def elsewhere(end: End, known: Sequence[End]) -> bool:
+    """Whether an end is another minimum than any that is known."""
+    return all(distance_sq(one.search[POSE:, POSE:], one.T[1], end.T[1]) > SEVERAL for one in known)
+
+
+def of_source(covariance: Array) -> Array:
+    """(12, 12) of both poses of a pair, of which the source's has a covariance (6, 6)."""
+    return np.asarray(block_diag(np.zeros((POSE, POSE)), covariance))
+
 
 DOUBT = float(POSE)
 """Squared Mahalanobis distance from the poles' pose, the mean of χ² with 6 degrees of freedom, from

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.joint import Sight
+from ..alignment.maximum import Sight
 from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Pole

@@ -1,44 +1,53 @@
-"""One adjustment of a site: from chosen poses to adjusted ones, their covariance, and all tests."""
+"""One adjustment of a site: from chosen poses to adjusted ones, their covariance, and all tests.
+
+What holds a site together: pairs that link all LiDARs, and the poles that both sides see.
+
+Two LiDARs that nothing but each other ties, tested as a site is: every observation of poles.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ..alignment.adjustment import (
     MAX_ROTATION_SIGMA,
     MAX_TRANSLATION_SIGMA,
     RADIUS_TOLERANCE,
     Aligned,
+    BeamAlignment,
     align_all,
 )
 from ..alignment.certainty import POLES, Part, joint_covariance
-from ..alignment.joint import Sight
-from ..alignment.network import Network, factor_of
-from ..alignment.state import JointState
+from ..alignment.maximum import Sight
+from ..alignment.network import OF_SOURCE, Network, factor_of
+from ..alignment.posterior import JointState
+from ..alignment.survey import NOTHING_SURVEYED
 from ..alignment.unknowns import POSE
+from ..base import se3
 from ..base.datatypes import Array
 from ..base.description import Site
 from ..base.errors import Refusal
 from ..base.sway import left_of_each
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..extraction.sensor_pattern import error_sizes
+from ..hypotheses.placements import PairedPlacement, left_in
 from ..hypotheses.scans import SiteScans
 from ..surfaces.patches import Patches
 from .answer import Test
 from .axes import maximise_from_lines
-from .datum import Datum, without_poles
-from .descent import End, RefinementProblem, minimise
-from .hanging import check_hanging, check_poles_left
-from .outliers import find_outlying
+from .datum import Datum, check_hanging, check_poles_left, of_lidar, without_poles
+from .descent import End, RefinementProblem, ScenePair, minimise
 from .places import parts_of
-from .shared import sights_of
-from .snooping import all_tests
+from .refinement import Refinement
+from .shared import SharedPole, extent_of, sights_of
+from .snooping import all_tests, find_outlying
 from .solved import Solved, solve_all
-from .terms import ScenePair
 
 POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
@@ -255,3 +264,119 @@ def without_observations(datum: Datum, lidar: int, placement: int) -> Datum:
         if not seen or (len(seen) == 1 and pole.surveyed is None):
             gone.add(k)
     return without_poles(replace(datum, poles=poles), gone)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A pair of LiDARs without which some LiDARs would hang by fewer poles and patches.
+
+    Attributes
+    ----------
+    lidars
+        The pair.
+    near
+        LiDARs on the side of the first; all others are on the other side.
+    poles
+        Indices of the poles that both sides see: one LiDAR or many on each.
+    """
+
+    lidars: tuple[int, int]
+    near: frozenset[int]
+    poles: tuple[int, ...]
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether its poles check each other: two fit by themselves."""
+        return len(self.poles) > 2
+
+
+def find_links(adjusted: Adjusted) -> Iterator[Link]:
+    """Find the pairs that link all LiDARs by most poles, and of those by most patches of the scene.
+
+    They are a spanning tree, so that each parts the LiDARs into two sides.
+    """
+    count = len(adjusted.end.T)
+    seen = [pole.seen.keys() for pole in adjusted.datum.poles]
+    patches = {term.lidars: len(term.weighed.weights) for term in adjusted.end.scene}
+    weights = {
+        pair: (sum(set(pair) <= own for own in seen), patches.get(pair, 0))
+        for pair in combinations(range(count), 2)
+    }
+    linked = [pair for pair in weights if weights[pair][0]]
+    linked.sort(key=lambda pair: weights[pair], reverse=True)
+    ranks = np.zeros((count, count))
+    for rank, pair in enumerate(linked, start=1):
+        ranks[pair] = rank
+    tree = minimum_spanning_tree(ranks).toarray()
+    for pair in linked:
+        if not tree[pair]:
+            continue
+        rest = tree.copy()
+        rest[pair] = 0.0
+        _, label = connected_components(rest, directed=False)
+        near = frozenset(np.flatnonzero(label == label[pair[0]]).tolist())
+        across = [k for k, own in enumerate(seen) if own & near and own - near]
+        yield Link(pair, near, tuple(across))
+
+
+def adjusted_of_two(
+    site: Site,
+    paired: Sequence[PairedPlacement],
+    numbers: Sequence[int],
+    aligned: BeamAlignment,
+    refined: Refinement | None,
+) -> Adjusted:
+    """Test the poles of two LiDARs at their answer.
+
+    Parameters
+    ----------
+    site
+        For names.
+    paired
+        The poles of all placements that were used, paired.
+    numbers
+        Index of each of them in `Site.placements`.
+    aligned, refined
+        The poles' pose, and with the scene; None where there is none.
+    """
+    joint = aligned.joint
+    assert joint is not None
+    observations = tuple(
+        one if one.placement is None else replace(one, placement=numbers[one.placement])
+        for one in joint.network.observations
+    )
+    joint = replace(joint, network=replace(joint.network, observations=observations))
+    T = (aligned.pose if refined is None else refined.pose).T_target_source
+    poles = _poles(paired, numbers, aligned, T)
+    if refined is None:
+        scans = paired[0].placement.scans
+        left = left_in([each.placement for each in paired])
+        sizes = tuple(error_sizes(scan.cloud, scan.sensor) for scan in scans)
+        factor = factor_of(joint.network, left=left)
+        groups = factor.unknowns.groups()
+        model = ErrorModel(sizes, joint.radius_sigma)
+        problem = RefinementProblem(factor, (), groups, model.sigmas(groups))
+        end = minimise(problem)
+        parts = parts_of(problem, end)
+    else:
+        end, parts = refined.end, refined.parts
+        bands = [np.unique(each.bands) for each in refined.surfaces]
+        joint = replace(joint, network=joint.network.with_bands(bands))
+    words = of_lidar(site.lidars[0].name)
+    datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, words)
+    return tested(site, datum, joint, end, parts)
+
+
+def _poles(
+    paired: Sequence[PairedPlacement], numbers: Sequence[int], aligned: BeamAlignment, T: Array
+) -> list[SharedPole]:
+    found: list[SharedPole] = []
+    for each, placement in zip(paired, numbers, strict=True):
+        both = zip(each.target_poles, each.source_poles, strict=True)
+        for number, (target, source) in enumerate(both, 1):
+            point, direction = aligned.axis_points[len(found)], aligned.axis_directions[len(found)]
+            xyz = np.concatenate([target.xyz, se3.apply(T, source.xyz)])
+            extent = extent_of(point, direction, xyz)
+            seen = {0: target, 1: source}
+            found.append(SharedPole(placement, number, seen, point, direction, extent))
+    return found

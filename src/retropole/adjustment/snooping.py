@@ -4,34 +4,207 @@ Data snooping (Baarda 1968): an observation gets a bias of its own beside all un
 the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
 the error has; how well the others determine that error is its redundancy, and tells the least
 error that the test finds.
+
+A bias of its own that one observation gets, or several in common, beside all unknowns.
+
+Returns that lie beside their pole: a LiDAR that sees it stand clearly elsewhere.
+
+A return far from the axis counts as an outlier, and pulls no more: the quadratic form of such
+returns says that nothing is wrong. What an axis of its own would gain them is found in full.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, erfcinv
 
 from ..alignment.certainty import excess
+from ..alignment.maximum import MIN_INLIER_SHARE, Sight
+from ..alignment.network import Network, Observation
+from ..alignment.posterior import JointState, Posterior, State, evaluate_lidar
 from ..alignment.unknowns import POSE
-from ..base.datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 from ..base.description import Site
 from ..base.uncertainty.purpose import DEFAULT_AT
 from .answer import Kind, Test
-from .biases import (
-    Bias,
-    lidar_apart,
-    placement_moved,
-    pole_moved,
-    pole_seen_elsewhere,
-    splits,
-    value_wrong,
-)
+from .axes import maximise_from_lines
 from .shared import SharedPole
 from .solved import Solved
+
+
+@dataclass(frozen=True, eq=False)
+class Bias:
+    """A bias of its own that some observations get.
+
+    Attributes
+    ----------
+    cross
+        (Z, M) how its information goes with that of the unknowns.
+    own
+        (M, M) its information.
+    slope
+        (M,) of the log-likelihood by it.
+    wide
+        (M, R) what errors that are considered do to that slope.
+    metres
+        (M', ) which of its parameters are lengths: what is told of it is told for these.
+    freedom
+        How many of its parameters no unknown can take up.
+    """
+
+    cross: Array
+    own: Array
+    slope: Array
+    wide: Array
+    metres: IntArray
+    freedom: int
+
+
+def of_columns(
+    at: Solved, parts: Sequence[tuple[Observation, IntArray]]
+) -> tuple[Array, Array, Array, Array]:
+    """Errors in place of some unknowns (positions in each observation's place)."""
+    size = at.network.unknowns.size
+    cross, own, slopes, wide = [], [], [], []
+    for one, columns in parts:
+        block = np.zeros((size, len(columns)))
+        block[one.place] = one.information[:, columns]
+        cross.append(block)
+        own.append(one.information[np.ix_(columns, columns)])
+        slopes.append(at.slope(one)[columns])
+        wide.append(block.T @ at.wide)
+    total = sum(len(each) for each in own)
+    joint = np.zeros((total, total))
+    first = 0
+    for each in own:
+        joint[first : first + len(each), first : first + len(each)] = each
+        first += len(each)
+    return np.concatenate(cross, axis=1), joint, np.concatenate(slopes), np.concatenate(wide)
+
+
+def pole_moved(at: Solved, pole: int) -> Bias | None:
+    """A pole that stands elsewhere for each LiDAR; None where fewer than two see it."""
+    parts = [
+        (one, _axis_columns(one, pole))
+        for one in at.network.observations
+        if one.poles is not None and pole in one.poles
+    ]
+    if len(parts) < 2:
+        return None
+    metres = np.concatenate([4 * k + np.arange(2) for k in range(len(parts))])
+    return Bias(*of_columns(at, parts), metres, 4 * (len(parts) - 1))
+
+
+def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
+    """A pole that stands elsewhere, at one place, for some LiDARs than for all others."""
+    each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
+    cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
+    return Bias(cross, own, slope, wide, np.arange(2), 4)
+
+
+def splits(count: int) -> Iterator[tuple[int, ...]]:
+    """Give all ways to part so many LiDARs in two, each of two or more: the fewer of both."""
+    for size in range(2, count // 2 + 1):
+        for part in combinations(range(count), size):
+            if 2 * size < count or 0 in part:
+                yield part
+
+
+def placement_moved(at: Solved, one: Observation) -> Bias:
+    """A LiDAR that stood elsewhere in one placement."""
+    return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
+
+
+def lidar_apart(at: Solved, lidar: int) -> Bias | None:
+    """A LiDAR for which all poles stand elsewhere, but for its pose."""
+    parts = [
+        (one, np.concatenate([_axis_columns(one, int(pole)) for pole in one.poles]))
+        for one in at.network.observations
+        if one.poles is not None and one.lidar == lidar
+    ]
+    count = sum(len(columns) for _, columns in parts)
+    if count <= POSE:
+        return None
+    metres = np.flatnonzero(np.arange(count) % 4 < 2)
+    return Bias(*of_columns(at, parts), metres, count - POSE)
+
+
+def value_wrong(at: Solved, one: Observation) -> Bias:
+    """A single measurement with a bias of its own, metres or rad."""
+    assert one.by_value is not None
+    J, residual, _ = one.by_value
+    size = at.network.unknowns.size
+    cross = np.zeros((size, len(residual)))
+    cross[one.place] = -J.T
+    away = (at.values - at.network.start)[one.place]
+    count = len(residual)
+    own = np.eye(count)
+    return Bias(cross, own, residual + J @ away, cross.T @ at.wide, np.arange(count), count)
+
+
+def _axis_columns(one: Observation, pole: int) -> IntArray:
+    """Where a pole's four parameters stand in an observation."""
+    assert one.poles is not None
+    first = len(one.place) - 4 * len(one.poles)
+    return np.asarray(first + 4 * int(np.flatnonzero(one.poles == pole)[0]) + np.arange(4))
+
+
+def find_outlying(
+    end: Posterior[JointState], network: Network, sights: Sequence[Sight]
+) -> Iterator[tuple[int, int, float]]:
+    """Find the poles beside which most of a LiDAR's returns on them lie.
+
+    Parameters
+    ----------
+    end
+        The maximum of the posterior of poles and survey.
+    network
+        The observations about it.
+    sights
+        What each LiDAR saw.
+
+    Yields
+    ------
+    lidar, pole, chi2
+        Indices, and twice the logarithm of the likelihood that an axis of its own would gain: χ²
+        with four degrees of freedom where the pole stands at one place.
+    """
+    by_lidar = {sight.lidar: sight for sight in sights}
+    for one in network.observations:
+        if one.poles is None or one.share is None:
+            continue
+        assert one.lidar is not None
+        for pole in one.poles[one.share < MIN_INLIER_SHARE]:
+            yield one.lidar, int(pole), _gain(end, by_lidar[one.lidar], int(pole))
+
+
+def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
+    """Twice the logarithm of the likelihood that an axis of its own gains a LiDAR's returns."""
+    beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
+    state, log_noise = end.state, end.log_noise[sight.lidar]
+    to_lidar = se3.inverse(state.T[sight.lidar])
+    common = State(
+        np.eye(4),
+        np.array([state.offsets[sight.lidar], 0.0]),
+        state.radius,
+        se3.apply(to_lidar, state.points[[pole]]),
+        state.directions[[pole]] @ to_lidar[:3, :3].T,
+    )
+    own, _ = maximise_from_lines(beams, state.radius, log_noise)
+
+    def log_at(points: Array, directions: Array) -> float:
+        at = State(common.T, common.offsets, common.radius, points, directions)
+        return float(evaluate_lidar(at, 0, beams, np.exp(log_noise))[0].log)
+
+    found = log_at(own.points, own.directions) - log_at(common.points, common.directions)
+    return max(2.0 * found, 0.0)
+
 
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""
@@ -141,7 +314,7 @@ def all_tests(
     site, poles
         For names, and who sees which pole.
     astray
-        By LiDAR and pole the χ² of returns that lie beside it (`outliers.find_outlying`).
+        By LiDAR and pole the χ² of returns that lie beside it (`snooping.find_outlying`).
     """
     asked = list(_asked(at, site, poles, astray))
     found = outcomes(at, [(error, each.unit) for each in asked for _, error in each.ways])

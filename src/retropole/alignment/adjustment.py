@@ -6,6 +6,10 @@ retro-reflective returns of one LiDAR share, and the radius where it is not know
 return is compared with where its own beam can have met the pole, and every beam that passed close
 by with the space beside it (`likelihood`). The noise of the returns, in depth and sideways, is
 estimated with them. See docs/method.md, Beam model.
+
+The radius of the poles as the returns on them have it, whatever was given.
+
+Whether both LiDARs of a pair saw the poles stand to each other alike.
 """
 
 from __future__ import annotations
@@ -21,27 +25,151 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
-from .axes_test import AxesTest, compare_axes
 from .certainty import (
     POLES,
+    WORKING_SHARE,
+    considered,
     floors,
+    group_scales,
     parts_of_errors,
     parts_of_poles,
+    prior_precision,
     solve_factor,
     sways,
     uncertainty_of_pair,
+    working_sigma,
 )
-from .error_sizes import WORKING_SHARE, considered, group_scales, prior_precision, working_sigma
-from .factor import OF_SOURCE, PoleFactor, gaussian_factor, poses_of_pair
-from .joint import JointPriors, Sight, maximise_joint, noise_of_start
-from .maximum import lines_of
-from .network import Network, bands_of, factor_of, observe
+from .maximum import JointPriors, Sight, lines_of, maximise_joint, noise_of_start
+from .network import (
+    OF_SOURCE,
+    Network,
+    PoleFactor,
+    bands_of,
+    factor_of,
+    gaussian_factor,
+    observe,
+    poses_of_pair,
+)
 from .observations import Beams
-from .posterior import Posterior
-from .radius import radius_of_returns
+from .posterior import JointState, Posterior
 from .solver import Solution
-from .state import JointState
 from .survey import NOTHING_SURVEYED, KnownPose, Surveyed
+from .unknowns import POSE
+
+RADIUS_MODEL, RADIUS_EDGE = 0.0015, 0.12
+"""1 σ of the radius that the beam model itself leaves open, metres, and as a part of the one given:
+which returns from the edge of a pole are bright enough is not known. Where intensity falls with
+range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the returns alone gave
+18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and 3.6 σ with 0.06; with
+0.12 all of 24 diameters that were given for the radius are contradicted."""
+
+
+@dataclass(frozen=True)
+class ReturnsRadius:
+    """The radius as the returns alone have it, and its 1 σ, metres."""
+
+    value: float
+    sigma: float
+
+    def sigmas_below(self, radius: float, sigma: float) -> float:
+        """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
+
+        Thicker is no denial: tape glows, and beams beside a pole return as if they had met it.
+        """
+        return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
+
+
+def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> ReturnsRadius:
+    """Ask the returns for the radius without what was given.
+
+    Parameters
+    ----------
+    network
+        About a maximum that was found with a radius, metres.
+    model
+        Of the errors.
+    radius
+        That radius.
+    """
+    factor = factor_of(network)
+    groups, own = factor.unknowns.groups(), factor.unknowns.radius
+    poses = factor.unknowns.poses
+    known = model.sigmas(groups)
+    precision = prior_precision(groups, known)
+    precision[own - poses] = 0.0
+    estimate = solve_factor(factor, precision)
+    row = estimate.inverse[own]
+    passed = row[poses:] * precision * considered(groups, known)
+    variance = float(row[own] + passed @ passed)
+    return ReturnsRadius(
+        radius + float(estimate.errors[own - poses]),
+        float(np.sqrt(variance + RADIUS_MODEL**2 + (RADIUS_EDGE * radius) ** 2)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class AxesTest:
+    """Whether both LiDARs see the poles stand to each other alike.
+
+    Attributes
+    ----------
+    chi2, freedom
+        By how much freeing the axes for each LiDAR would raise twice the logarithm of the
+        posterior, and how many more parameters that has: χ² where the poles stand alike.
+    by_pole
+        (K,) the same where only that pole's axis is freed.
+    """
+
+    chi2: float
+    freedom: int
+    by_pole: Array
+
+
+def compare_axes(network: Network, precision: Array, considered: Array) -> AxesTest:
+    """Test whether the poles stood alike when each LiDAR recorded them (score test, Rao 1948).
+
+    The source's axes get a displacement of their own, beside pose, errors and common axes. Six of
+    its directions are the pose's; two poles leave two to test, their angle and their distance.
+
+    Parameters
+    ----------
+    network
+        Of both LiDARs, about the maximum.
+    precision
+        (B,) of the prior of the errors.
+    considered
+        (B,) 1 σ of errors that are not estimated, and may be the cause all the same; 0 of others.
+    """
+    unknowns, poles = network.unknowns, network.unknowns.axes
+    whole, slope = network.total()
+    source, pull = network.of_lidar(1).total()
+    index = np.arange(unknowns.poses, unknowns.kept)
+    errors = index[np.flatnonzero(considered)]
+    by_errors = whole[:, errors].copy()
+    whole[index, index] += precision
+    slope[index] -= precision * network.start[index]
+    free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - unknowns.poses, dtype=bool)])
+
+    def gain(own: IntArray) -> float:
+        cross = source[:, own]
+        known = np.zeros((unknowns.size, len(own) + 1))
+        known[free] = np.linalg.solve(
+            whole[np.ix_(free, free)], np.column_stack([cross, slope])[free]
+        )
+        score = pull[own] - cross.T @ known[:, -1]
+        left = source[np.ix_(own, own)] - cross.T @ known[:, :-1]
+        # What is considered moves the score by so much.
+        by = (source[np.ix_(own, errors)] - known[:, :-1].T @ by_errors) * considered[
+            errors - unknowns.poses
+        ]
+        left = left + by @ by.T
+        return float(score @ np.linalg.pinv(left, rcond=1e-9, hermitian=True) @ score)
+
+    by_pole = [gain(unknowns.axis(np.array([k]))) for k in range(poles)]
+    return AxesTest(
+        gain(unknowns.axis(np.arange(poles))), max(4 * poles - POSE, 1), np.array(by_pole)
+    )
+
 
 RADIUS_TOLERANCE = 0.02
 """Least 1 σ of the radius, as a part of it: tubes differ by so much, and tape adds to them."""
@@ -236,7 +364,7 @@ def align_all(
     scene_bands
         For each LiDAR, bands of elevation that it has returns in beside those on poles.
     most_noise
-        As `joint.maximise_joint` has it.
+        As `maximum.maximise_joint` has it.
 
     Raises
     ------

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from .state import JointState
+from .posterior import JointState
 from .unknowns import POSE
 
 

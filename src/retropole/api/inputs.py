@@ -32,8 +32,8 @@ from ..io.coordinates import Oddity, oddity_of
 from ..io.rings import with_trusted_rings
 from ..io.units import in_metres, unit_named
 from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
-from ..surfaces.copies import what_to_give
 from ..surfaces.scans import find_poles
+from ..surfaces.static import what_to_give
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
 """What gives a cloud: a path that `io.read_cloud` reads, a cloud, or an array (N, 3) or (N, 4) of

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.datatypes import Array, Pole
-from ..hypotheses.correspondence import match_poles
-from ..hypotheses.extension import left_out
+from ..hypotheses.correspondence import left_out, match_poles
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from scipy.linalg import block_diag
 from scipy.special import fdtr, fdtri
 
 from ..adjustment.axes import OwnAxes, maximise_alone
+from ..alignment.expansion import find_view
 from ..alignment.observations import beams_of
 from ..alignment.posterior import SHARED
-from ..alignment.views import find_view
 from ..base.bounded import Count, Share, Size
 from ..base.datatypes import Array, Pole, Scan
 from .distances import Targets, distances_of

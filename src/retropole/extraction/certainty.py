@@ -10,9 +10,8 @@ import numpy as np
 
 from ..base.datatypes import PointCloud
 from .acceptance_shape import Failure
-from .bodies import worn_by_a_body
 from .lines import HALF, RING_GAP, Line, distance_and_place
-from .surroundings import PIECES
+from .surroundings import PIECES, worn_by_a_body
 
 MAX_SURE_RMS = 0.03
 """Largest scatter of the returns of a confirmed pole about their line, metres: 12 mm of a cylinder

@@ -14,8 +14,8 @@ import numpy as np
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
-from .beams import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter, returns_per_ring
 from .clustering import LINK, MANY
+from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter, returns_per_ring
 
 LITTLE, HALF, MOST = 0.25, 0.5, 0.7
 """Shares that the rules speak of: next to nothing, half, and most of something. Limits of the rules

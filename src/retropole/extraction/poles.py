@@ -41,8 +41,6 @@ from .acceptance_shape import (
     Failure,
     shape_failure,
 )
-from .acceptance_surroundings import surroundings_failure
-from .beams import Beams, beams_by
 from .certainty import doubt_of
 from .clustering import LINK, MANY, clusters, on_surface
 from .extent import check_coordinates
@@ -56,8 +54,8 @@ from .lines import (
     in_canonical_order,
     propose_lines,
 )
-from .sensor_pattern import check_sensor
-from .surroundings import MAX_BESIDE, SHORT_LENGTH
+from .sensor_pattern import Beams, beams_by, check_sensor
+from .surroundings import MAX_BESIDE, SHORT_LENGTH, surroundings_failure
 
 SURFACE_LINK = 0.4
 """Points of a large cluster that are on no surface are grouped again with this step, metres: a

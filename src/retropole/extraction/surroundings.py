@@ -1,4 +1,21 @@
-"""What is about a line, computed once for all rules of `acceptance_surroundings`.
+"""What is about a line, computed once for all rules.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
+
+What the points about a line form: a second pole, a wall behind it, or rings along it.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
+
+Whether a line is a band on something that stands about it, as on a person.
+
+A band is worn, or held: the body goes on above it and below it, and has air around. A pole stands
+on the ground and is as high as a person, so that nothing near it goes on beyond both of its ends.
+A wall does, but has no end beside the line either.
+
+Does a line stand free? One function for each rule, in the order of asking.
+
+Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
+something. A pole has free air beside it.
 
 What *Sensitivity* means beside a constant: docs/detection.md.
 """
@@ -9,11 +26,154 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from .acceptance_shape import FEW_POLE_POINTS, THICK_RMS
-from .lines import FIT_ROOM, HALF, LITTLE, SEARCH_ROOM, Line, distance_and_place
-from .neighbours import on_crossing_line
+from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
+from ..base.quantities import counted
+from ..base.se3 import lengths, principal_axes
+from .acceptance_shape import (
+    FEW_POLE_POINTS,
+    MAX_LENGTH,
+    MAX_RING_EXTENT,
+    MIN_LENGTH,
+    THICK_RMS,
+    Failure,
+)
+from .clustering import MANY
+from .lines import (
+    FIT_ROOM,
+    FIT_ROUNDS,
+    HALF,
+    LITTLE,
+    MIN_LINE_POINTS,
+    MOST,
+    SEARCH_ROOM,
+    Line,
+    distance_and_place,
+    in_canonical_order,
+    principal_line,
+    propose_lines,
+    to_nearest,
+)
+
+MIN_CROSSING_ANGLE = float(np.radians(4.0))
+"""Smallest angle between two poles that cross, rad. The other edge of a plate is parallel. In 150
+clouds of poles that cross at 3 to 25° the same are found with 2° and 4°; with 8°, 20 are lost."""
+
+PLANE_DISTANCE = 0.05
+"""Points no farther from a plane are on it, metres: 5 σ of 10 mm, the range noise of most sensors
+of the table. Sensitivity at 0.035: 6 fewer false; at 0.07: 6 more false."""
+
+PLANE_MEDIANS = 1.5
+"""Distances from the plane, in medians of all, that are kept for the next round. Sensitivity at
+1.05: 2 fewer false; at 2.1: no effect."""
+
+MIN_WALL_GAP = 0.08
+"""A wall at this distance from the line, metres, is not one that the line lies on. A stripe is on
+its wall. Sensitivity at 0.056: 2 more found; at 0.112: no effect."""
+
+NEIGHBOUR_REACH = 0.3
+"""Neighbours are looked for among points no farther than this from a sample first, metres; all are
+asked where one has none there: the answer is the same."""
+
+SWEEP_NEIGHBOURS = 4
+"""Nearest neighbours of each return that tell the direction of the sweep; fewer returns than the
+square of it say nothing: without that, 2 poles of an OS1 are lost in clouds without rings.
+Sensitivity at 3: 1 more false; at 6: 4 fewer false."""
+
+SWEEP_COSINE = 0.85
+"""Neighbours within 32° of the line, by this cosine, lie in its direction. Sensitivity at 0.79: 12
+fewer false; at 0.895: 2 more false."""
+
+MAX_SWEEP_SHARE = 0.88
+"""Largest share of the neighbours in the direction of the line. A third of all directions lie
+within 32° on a plane: more than this is a pattern. Sensitivity at 0.832: 6 fewer false; at 0.916: 2
+more false."""
+
+
+def on_crossing_line(beside: Array, line: Line) -> BoolArray:
+    """Tell which of the points beside a line lie on one other line that is not parallel to it.
+
+    Parameters
+    ----------
+    beside
+        (K, 3) points beside the line, metres.
+    line
+        The line itself.
+
+    Returns
+    -------
+    BoolArray
+        (K,) all false where no two of the points give such a line.
+    """
+    order = in_canonical_order(beside, np.arange(len(beside)))
+    tube = DEFAULT_RADIUS + SEARCH_ROOM
+    for guess in propose_lines(beside[order], MIN_LENGTH, MAX_LENGTH, tube, (tube, tube)):
+        if abs(guess[1] @ line.direction) <= np.cos(MIN_CROSSING_ANGLE):
+            inside = distance_and_place(beside, *guess).distances <= tube
+            other = principal_line(beside[inside])
+            return np.asarray(distance_and_place(beside, *other).distances <= tube)
+    return np.zeros(len(beside), dtype=bool)
+
+
+def is_wall_behind(beside: Array, own: Array) -> bool:
+    """Whether the points beside a line lie on one plane that passes part of the line at a distance.
+
+    A stripe lies in the plane all along; a pole that leans on the wall does not. At a corner or a
+    rounded edge there is no single plane.
+
+    Parameters
+    ----------
+    beside
+        (K, 3) points beside the line, metres.
+    own
+        (N, 3) points of the line, metres.
+    """
+    kept = np.ones(len(beside), dtype=bool)
+    for _ in range(FIT_ROUNDS):
+        centre, axes = principal_axes(beside[kept])
+        normal = axes[:, 0]
+        distance = np.abs((beside - centre) @ normal)
+        kept = distance <= max(PLANE_DISTANCE, PLANE_MEDIANS * float(np.median(distance)))
+    gap = float(np.quantile(np.abs((own - centre) @ normal), MOST))
+    share = float(np.mean(distance <= PLANE_DISTANCE))
+    return share >= MOST and gap >= MIN_WALL_GAP
+
+
+def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
+    """Whether the line runs along a beam's sweep, as the returns about it show.
+
+    The returns of one ring are much nearer to each other than to those of the next: around a line
+    along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
+    say nothing.
+
+    Parameters
+    ----------
+    xyz
+        (N, 3) points of the cloud, metres.
+    near
+        (M,) index of the points about the line.
+    line
+        The line itself.
+    """
+    others = np.setdiff1d(near, line.index, assume_unique=True)
+    if len(others) < SWEEP_NEIGHBOURS**2:
+        return False
+    points = xyz[others]
+    # A sample that does not depend on the order of the points: those nearest to the line.
+    distance, _ = distance_and_place(points, line.point, line.direction)
+    order = np.argsort(distance, kind="stable")[:MANY]
+    sample = points[order]
+    # Of a dense cloud few points are so near to the sample that they can be its neighbours.
+    around = points[distance <= distance[order[-1]] + NEIGHBOUR_REACH]
+    away, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
+    if away.max() > NEIGHBOUR_REACH:
+        around = points
+        _, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
+    span = around[neighbour[:, 1:]] - sample[:, None]
+    in_direction = np.abs(span @ line.direction) > SWEEP_COSINE * np.linalg.norm(span, axis=-1)
+    return float(np.mean(in_direction)) > MAX_SWEEP_SHARE
+
 
 SHORT_LENGTH = 0.8
 """A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
@@ -149,3 +309,226 @@ def cluttered_share(line: Line, places: Array, density: float) -> float:
     own = np.histogram(line.along, edges)[0]
     neighbours = np.histogram(places, edges)[0]
     return float(np.mean(neighbours[own > 0] >= density * own[own > 0]))
+
+
+BODY_REACH = 0.65
+"""A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
+0.3 m deep, half of it seen."""
+
+AIR = 1.1
+"""Up to this distance from the band, metres, there is air about a body."""
+
+BEYOND_BAND = 0.15
+"""A body goes on beyond both ends by this and by a step from ring to ring, metres."""
+
+
+def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
+    """Say that a line is a band on a body; None where it is not.
+
+    Parameters
+    ----------
+    cloud, line
+        The cloud, and the line found in it.
+    """
+    low, high = line.low, line.high
+    beyond = max(BEYOND_BAND, line.step)
+    half = max(high, -low) + 2 * beyond + line.step
+    reach = float(np.hypot(half, AIR))
+    near = cloud.xyz[np.abs(cloud.xyz[:, 0] - line.point[0]) < reach]
+    near = near[lengths(near - line.point) < reach]
+    distance, along = distance_and_place(near, line.point, line.direction)
+    body = (distance > line.tube) & (distance <= BODY_REACH)
+    around = (distance > BODY_REACH) & (distance <= AIR)
+
+    def is_free(part: BoolArray) -> bool:
+        """Whether there is something of a body in a part (M,), and air about it."""
+        own = np.count_nonzero(body & part)
+        return bool(own >= MIN_LINE_POINTS and np.count_nonzero(around & part) <= LITTLE * own)
+
+    if not is_free((along >= low) & (along <= high)):
+        return None
+    if np.mean(to_nearest(along[body], line.along) < line.step) < MOST:
+        return None
+    above = (along > high) & (along < high + beyond + line.step)
+    below = (along < low) & (along > low - beyond - line.step)
+    if not (is_free(above) and is_free(below)):
+        return None
+    count = int(np.count_nonzero(body & (along >= low) & (along <= high)))
+
+    return Failure(
+        "on_a_body",
+        f"{counted(count, 'return')} up to {BODY_REACH:g} m beside it "
+        f"{'goes' if count == 1 else 'go'} on beyond both its ends, with air about "
+        "them: a band that a person wears or holds",
+    )
+
+
+EDGE_QUANTILE = 0.9
+"""A dim return is from the edge of a pole where it lies farther to the side than so many of the
+bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
+post without tape one in ten does by chance."""
+
+MAX_CLOSE = 0.09
+"""Clutter nearer to a line than this, metres, is not a wall behind it. Sensitivity at 0.063: no
+effect; at 0.126: 2 fewer false."""
+
+SEVERAL_ON_A_RING = 2.0
+"""Where the step and the width of the beams are known, and a ring can leave fewer returns than this
+on a pole, single file says nothing: a PandarQT does from 3 m on."""
+
+
+def surroundings_failure(
+    cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
+) -> Failure | None:
+    """Say what a line is part of; None where it stands free.
+
+    The line is cut into pieces, and in each the returns beside it are weighed against its own. A
+    stripe on a wall has the wall beside it all along. A pole that is held or touched somewhere does
+    not; the stray returns about a bright edge are few; and the wall that a pole leans on passes
+    behind it.
+
+    Parameters
+    ----------
+    cloud, near
+        The cloud, with intensity, and the index (M,) of its points about the line: all within
+        `SHORT_LENGTH`, or more.
+    is_retro
+        (N,) which points of the cloud are retro-reflective and on no other pole.
+    line
+        One that `shape_failure` finds nothing wrong with.
+    """
+    around = surroundings_of(cloud, near, is_retro, line)
+    return (
+        retro_clutter(around)
+        or untaped_between(around)
+        or _clutter_of_any_kind(around)
+        or along_the_sweeps(around)
+        or in_single_file(around)
+        or _goes_on_without_tape(around)
+    )
+
+
+def retro_clutter(around: Surroundings) -> Failure | None:
+    """A pole has no retro-reflective returns all along it, except those of a pole that crosses."""
+    line, beside = around.line, around.retro_beside
+    share = cluttered_share(line, around.along[beside], LITTLE)
+    if around.has_few_points:
+        share = max(share, min(1.0, np.count_nonzero(beside) / len(line.index)))
+    if share <= (LITTLE if around.is_suspect else HALF):
+        return None
+    return Failure(
+        "part_of_a_surface",
+        f"along {share:.0%} of it other retro-reflective returns lie {_where(around)}: a plate, "
+        "a stripe or bright ground, not a free-standing pole",
+    )
+
+
+def untaped_between(around: Surroundings) -> Failure | None:
+    """A pole is taped all along: few returns without tape lie between its points.
+
+    A dim one at the height of a bright one, or farther to the side, is from the edge of the pole,
+    where tape is met at a grazing angle.
+    """
+    between = (around.along > around.line.low) & (around.along < around.line.high)
+    dim = around.untaped & around.on_line & between
+    apart = to_nearest(around.line.along, around.along[dim])
+    alone = apart > max(LITTLE * around.line.step, FIT_ROOM)
+    own = len(around.line.index)
+    if np.count_nonzero(alone) <= HALF * own:
+        return None
+    count = int(np.count_nonzero(alone & ~_at_the_edges(around, dim)))
+    if count <= HALF * own:
+        return None
+    lie = counted(count, "return without tape lies", "returns without tape lie")
+    reason = f"{lie} between its {counted(own, 'point')}"
+    return Failure("part_of_a_surface", reason)
+
+
+def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
+    """Which of the dim returns (K of M) lie farther to the side than the line's own.
+
+    The side is the direction across the line in which the dim returns spread most beyond the
+    others: noise along the beam is in both. So the sensor's place need not be known.
+    """
+    line, xyz = around.line, around.cloud.xyz
+    offsets = [xyz[index] - line.point for index in (line.index, around.near[dim])]
+    own, others = (each - np.outer(each @ line.direction, line.direction) for each in offsets)
+    spread = others.T @ others / max(len(others), 1) - own.T @ own / len(own)
+    side = np.linalg.eigh(spread)[1][:, 2]
+    places, dim_places = own @ side, others @ side
+    middle = np.median(places)
+    reach = np.quantile(np.abs(places - middle), EDGE_QUANTILE)
+    return np.asarray(np.abs(dim_places - middle) > reach)
+
+
+def close_beside(around: Surroundings) -> BoolArray:
+    """Which returns (M,) lie close beside the line, too near for a wall behind it."""
+    return ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
+
+
+def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
+    """A pole has no returns of any kind all along it, except those of a wall behind it."""
+    line, xyz = around.line, around.cloud.xyz
+    beside = around.beside & (~around.is_retro | around.retro_beside)
+    share = cluttered_share(line, around.along[beside], MOST)
+    is_strict = around.is_suspect and not around.is_thick
+    if share <= (LITTLE if is_strict else HALF):
+        return None
+    is_close = cluttered_share(line, around.along[close_beside(around)], MOST) > HALF
+    if not (around.is_short or is_close) and is_wall_behind(
+        xyz[around.near[beside]], xyz[line.index]
+    ):
+        return None
+    return Failure(
+        "part_of_a_surface",
+        f"along {share:.0%} of it other returns lie {_where(around)}: a plate, a stripe or an "
+        "edge, not a free-standing pole",
+    )
+
+
+def along_the_sweeps(around: Surroundings) -> Failure | None:
+    """A pole runs across the rings; rings themselves say so better, where the cloud has them."""
+    cloud, line = around.cloud, around.line
+    if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
+        return None
+    reason = f"{len(line.index)} points in the direction in which the beams sweep"
+    return Failure("along_a_beam", reason)
+
+
+def in_single_file(around: Surroundings) -> Failure | None:
+    """A short pole seen by rings this close together has several points on each."""
+    line, count = around.line, len(around.line.index)
+    if not around.is_short or around.cloud.ring is not None:
+        return None
+    if line.returns_per_ring < SEVERAL_ON_A_RING:
+        return None
+    if line.step >= MAX_RING_EXTENT or line.rings <= MOST * count:
+        return None
+    return Failure(
+        "along_a_beam",
+        f"{count} points in single file, {100 * line.step:.0f} cm apart along {line.length:.2f} m: "
+        "as one beam leaves them on a plate",
+    )
+
+
+def _goes_on_without_tape(around: Surroundings) -> Failure | None:
+    """A short pole ends where its tape ends; a sign goes on as its post."""
+    if not around.is_short or around.is_thick:
+        return None
+    line = around.line
+    untaped = around.untaped & (around.distance < around.beside_limit)
+    above, below = around.along - line.high, line.low - around.along
+    needed = MOST * min(PIECES, SHORT_LENGTH / line.step)
+    if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
+        return None
+    reason = f"{line.length:.2f} m long, and goes on without tape: a sign on its post"
+    return Failure("goes_on_without_tape", reason)
+
+
+def _pieces_hit(places: Array) -> int:
+    """In how many of `PIECES` equal pieces of the length `SHORT_LENGTH` there is some place."""
+    return int(np.count_nonzero(np.histogram(places, PIECES, (0.0, SHORT_LENGTH))[0]))
+
+
+def _where(around: Surroundings) -> str:
+    return f"{around.line.tube:.2f} to {around.beside_limit:.2f} m beside it"

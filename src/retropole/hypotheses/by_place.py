@@ -1,7 +1,7 @@
 """Poles that leave a part of the pose open, and the place that gives it: chosen, or refused.
 
 One pole that both LiDARs see, or parallel ones, are laid on each other in all ways in which the
-place lies on itself (`one_pole`); without any, ground is laid on ground (`from_above`). What stands
+place lies on itself (`one_pole`); without any, ground is laid on ground. What stands
 off the ground chooses, rules the others out, and must confirm the pose; surfaces must hold it.
 """
 
@@ -19,11 +19,10 @@ from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.consistency import Standing
 from ..surfaces.disambiguation import score_hypotheses
 from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
-from .distinct import same_pose
+from .correspondence import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
 from .evidence import count as agreement
-from .from_above import matches_from_above
-from .one_pole import matches_about
+from .one_pole import matches_about, matches_from_above
 from .placements import (
     Chosen,
     PairedPlacement,

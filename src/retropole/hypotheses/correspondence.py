@@ -1,7 +1,21 @@
 """Which pole is which, and which way round: every rigid match of two sets of lines.
 
-Pairs of poles of one shape are laid on each other in all ways (`line_pairs`), all at once; of what
+Pairs of poles of one shape are laid on each other in all ways, all at once; of what
 fits exactly, every other pole that falls into place is taken in, and solved with them together.
+
+Matches that give nearly the same pose are one: which of them is kept, and in which order.
+
+Two poles as two skew lines: what no motion changes of them, and the ways of laying two on two.
+
+A line has no direction and two poles have no names, so a pair of poles fits another in 2 × 4 ways
+(Xue et al. 2019, Fig. 4). Each way has a start in closed form: the bisectors and the common
+perpendicular of two skew lines make a frame, the middle of the common perpendicular its origin,
+and frame is laid on frame. Of the eight, four are exact: the lines' own symmetry group is the
+identity and the half turns about the common perpendicular and about the two bisectors (the Klein
+four-group). The other four pair an angle with its supplement, so they are exact only where the
+poles are perpendicular and cross.
+
+Which further poles a match of two takes in, which it leaves out, and how well it fits.
 """
 
 from __future__ import annotations
@@ -13,13 +27,261 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..alignment.point_to_line import Lines, align_each, equivalent_points
+from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from .budget import Share
-from .distinct import distinct
-from .extension import EXTENSION_RMS, exact_part, extended, solved_each
-from .line_pairs import direction_sigma, line_pair, pair_ways
+from .placements import Share
+
+SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
+"""Matches nearer to each other than this, rad and m, are one."""
+
+
+def _expected_error(match: Match) -> float:
+    """Roughly how far a match may put a point 10 m away, metres: residual times lever."""
+    variance = np.diag(np.linalg.inv(match.information))
+    lever = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
+    return float(max(match.pole_rms, 1e-6) * np.sqrt(np.sum(lever**2 * variance)))
+
+
+def distinct(matches: list[Match], source_points: Array) -> list[Match]:
+    """Sort matches, most poles and least expected error first, and keep one of each pose.
+
+    The right pose and the wrong ones lie half a turn apart; what lies nearer is the same pose by
+    other poles.
+    """
+    kept: list[Match] = []
+    # 1 + 2 cos is the trace of R₁ᵀ R₂, the sum of the products of their entries.
+    least = 1 + 2 * np.cos(SAME_POSE_ANGLE)
+    rotations = np.zeros((len(matches), 9))
+    places = np.zeros((len(matches), len(source_points), 3))
+    for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
+        k, T = len(kept), match.T_target_source
+        rotations[k], places[k] = T[:3, :3].reshape(-1), se3.apply(T, source_points)
+        alike = np.flatnonzero(rotations[:k] @ rotations[k] > least)
+        apart = np.linalg.norm(places[alike] - places[k], axis=2).max(axis=1)
+        if not np.any(apart < SAME_POSE_DISTANCE):
+            kept.append(match)
+    return kept
+
+
+def same_pose(one: Match, other: Match, source_points: Array) -> bool:
+    """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
+    apart = se3.difference_at(one.T_target_source, other.T_target_source, source_points)
+    return apart.rotation < SAME_POSE_ANGLE and apart.translation < SAME_POSE_DISTANCE
+
+
+@dataclass(frozen=True, eq=False)
+class LinePair:
+    """The geometry of two skew lines that no rigid motion changes, and the frame that one moves.
+
+    Attributes
+    ----------
+    angle
+        Between the lines, in (0, π/2], radians.
+    distance
+        Along the common perpendicular, metres.
+    handedness
+        Sign of the screw from one line to the other, times `distance`: no proper motion changes it.
+    frame
+        (4, 4) bisector, other bisector, common perpendicular; origin midway between the lines.
+    """
+
+    angle: float
+    distance: float
+    handedness: float
+    frame: Array
+
+
+def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
+    """Measure two lines, with ``n1`` and ``n2`` taken as directed the way they are given.
+
+    Parameters
+    ----------
+    p1, n1, p2, n2
+        (3,) a point and the unit direction of each line.
+
+    Raises
+    ------
+    Refusal
+        ``parallel_poles`` where the lines have no common perpendicular of their own.
+    """
+    cross = np.cross(n1, n2)
+    sine = float(np.linalg.norm(cross))
+    if sine < 1e-6:
+        raise Refusal(
+            "parallel_poles",
+            "two poles are parallel; lean one by 15° or more against the other",
+            {"angle_deg": float(np.degrees(np.arcsin(sine)))},
+        )
+    e1 = (n1 + n2) / np.linalg.norm(n1 + n2)
+    e3 = cross / sine
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2] = e1, np.cross(e3, e1), e3
+    # Feet of the common perpendicular: solve p1 + a n1 + h e3 = p2 + b n2.
+    a, b, h = np.linalg.solve(np.stack([n1, -n2, e3], axis=1), p2 - p1)
+    frame[:3, 3] = (p1 + a * n1 + p2 + b * n2) / 2
+    cosine = float(n1 @ n2)
+    angle = float(np.arctan2(sine, abs(cosine)))
+    return LinePair(angle, abs(float(h)), float(h) * (1.0 if cosine >= 0 else -1.0), frame)
+
+
+def pair_starts(
+    target: tuple[Pole, Pole], source: tuple[Pole, Pole]
+) -> list[tuple[Array, tuple[int, int]]]:
+    """Lay one pair of poles on another in the paper's eight ways, in closed form.
+
+    Returns
+    -------
+    list of (T_target_source, order)
+        ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
+    """
+    frame = line_pair(
+        target[0].point, target[0].direction, target[1].point, target[1].direction
+    ).frame
+    return [(frame @ way, order) for way, order in pair_ways(source)]
+
+
+def pair_ways(pair: tuple[Pole, Pole]) -> list[tuple[Array, tuple[int, int]]]:
+    """Express points in the frame of a pair of poles, in the eight ways of naming and directing it.
+
+    Returns
+    -------
+    list of (T_frame_lidar, order)
+        (4, 4), and which pole (0 or 1) is the first and which the second.
+    """
+    ways = []
+    for order in ((0, 1), (1, 0)):
+        first, second = pair[order[0]], pair[order[1]]
+        for s1 in (1.0, -1.0):
+            for s2 in (1.0, -1.0):
+                frame = line_pair(
+                    first.point, s1 * first.direction, second.point, s2 * second.direction
+                ).frame
+                ways.append((se3.inverse(frame), order))
+    return ways
+
+
+def direction_sigma(pole: Pole) -> float:
+    """Roughly how well the points of a pole fix its direction, 1 σ in radians."""
+    return float(pole.rms * np.sqrt(12.0 / len(pole.xyz)) / max(pole.length, 1e-3))
+
+
+EXACT_RMS = 0.05
+"""Pole residual, metres, up to which a start counts as an exact match of the lines. The
+facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
+
+EXTENSION_RMS = 3 * EXACT_RMS
+"""Distance within which further poles fall into place under a match of two, metres."""
+
+MOVED = 0.5
+"""Poles that a match leaves out are one that moved where less lies between them, metres."""
+
+MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
+"""Two poles of a match are one only if they lean against each other by less, rad, and if less lies
+between them along the line, metres: two lines far apart along themselves are two posts."""
+
+
+def solved_each(
+    target: Sequence[Pole],
+    source: Sequence[Pole],
+    pairs: Sequence[tuple[tuple[int, int], ...]],
+    starts: Sequence[Array],
+) -> list[Match]:
+    """Lay paired poles on each other by least squares, each set of pairs from its start (4, 4)."""
+    if len(pairs) == 0:
+        return []
+    most = max(len(each) for each in pairs)
+    # A set with fewer pairs than the largest has its first one again, with no weight.
+    index = np.array([[*each, *(each[:1] * (most - len(each)))] for each in pairs])
+    counts = np.array([len(pole.xyz) for pole in source]) / 6.0
+    weights = counts[index[:, :, 1]] * (np.arange(most) < [[len(each)] for each in pairs])
+    points = np.stack([equivalent_points(pole.xyz) for pole in source])[index[:, :, 1]]
+    on = np.stack([pole.point for pole in target])[index[:, :, 0]]
+    along = np.stack([pole.direction for pole in target])[index[:, :, 0]]
+    fits = align_each(
+        Lines(
+            points.reshape(len(pairs), -1, 3),
+            np.repeat(on, 6, axis=1),
+            np.repeat(along, 6, axis=1),
+            np.repeat(weights, 6, axis=1),
+        ),
+        np.stack(starts),
+    )
+    return [
+        Match(
+            own, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
+        )
+        for own, fit in zip(pairs, fits, strict=True)
+    ]
+
+
+def extended(
+    target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
+) -> tuple[tuple[int, int], ...]:
+    """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
+    # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
+    from scipy.optimize import linear_sum_assignment
+
+    # Between all poles (T) of the target and all (S) of the source at once.
+    ends = np.stack([np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]) for pole in source])
+    moved = se3.apply(T, ends.reshape(-1, 3)).reshape(-1, 3, 3)
+    along = np.stack([pole.direction for pole in source]) @ T[:3, :3].T
+    points = np.stack([pole.point for pole in target])
+    directions = np.stack([pole.direction for pole in target])
+    offset = moved[None] - points[:, None, None]
+    across = np.cross(offset, directions[:, None, None])
+    gap = np.abs(np.einsum("tsi,ti->ts", offset[:, :, 1], directions))
+    gap -= np.add.outer([pole.length for pole in target], [pole.length for pole in source]) / 2
+    misfit = np.linalg.norm(across, axis=-1).max(axis=-1)
+    leaning = np.linalg.norm(np.cross(along[None], directions[:, None]), axis=-1)
+    is_one = (leaning < np.sin(MAX_MATCH_LEAN)) & (gap < MAX_MATCH_GAP)
+    distance = np.where(is_one, misfit, np.inf)
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
+    return tuple(
+        (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate
+    )
+
+
+def exact_part(target: Sequence[Pole], source: Sequence[Pole], first: Match, whole: Match) -> Match:
+    """Leave out of an inexact match, one by one, the pairs without which the others fit best."""
+    while not whole.exact and len(whole.pairs) > len(first.pairs) + 1:
+        rest = [
+            tuple(pair for pair in whole.pairs if pair != other)
+            for other in whole.pairs
+            if other not in first.pairs
+        ]
+        fits = solved_each(target, source, rest, [first.T_target_source] * len(rest))
+        whole = min(fits, key=lambda match: match.pole_rms)
+    return whole if whole.exact else first
+
+
+def left_out(
+    target: Sequence[Pole], source: Sequence[Pole], match: Match
+) -> list[tuple[int, int, float]]:
+    """Find the poles that a match does not pair though they are one: they moved by a little.
+
+    Returns
+    -------
+    list of (i, j, distance)
+        Pole of the target, of the source, and how far apart they lie under the match, metres.
+    """
+    rest_target, rest_source = (
+        [k for k in range(len(poles)) if k not in {pair[side] for pair in match.pairs}]
+        for side, poles in enumerate((target, source))
+    )
+    if not rest_target or not rest_source:
+        return []
+    T, found = match.T_target_source, []
+    others = [target[i] for i in rest_target], [source[j] for j in rest_source]
+    for i, j in extended(*others, T, MOVED):
+        pole, other = others[0][i], others[1][j]
+        offset = se3.apply(T, other.point) - pole.point
+        distance = float(np.linalg.norm(np.cross(offset, pole.direction)))
+        found.append((rest_target[i], rest_source[j], distance))
+    return found
+
 
 MIN_ANGLE = np.radians(5.0)
 """Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a

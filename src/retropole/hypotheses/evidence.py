@@ -21,14 +21,16 @@ from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
 from ..surfaces.consistency import (
+    SAME_SHIFT,
     Standing,
+    best_lifts,
+    best_shifts,
     consistency,
     grounds_in,
     is_ground_on_ground,
     standing_in,
 )
-from ..surfaces.shifts import SAME_SHIFT, best_lifts, best_shifts
-from ..surfaces.times import recorded_together
+from ..surfaces.static import recorded_together
 from .correspondence import are_alike
 from .placements import PairedPlacement, is_by_place
 

@@ -26,8 +26,7 @@ from ..surfaces.registration import (
     voxel_downsample,
 )
 from ..surfaces.visibility import tree_of
-from .distinct import same_pose
-from .extension import EXACT_RMS
+from .correspondence import EXACT_RMS, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is

@@ -13,17 +13,23 @@ from itertools import chain
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Refusal
 from ..base.timing import Step
-from ..extraction.candidates import with_candidates
-from ..extraction.dimmer import with_dimmer_candidates
+from ..extraction.candidates import with_candidates, with_dimmer_candidates
 from ..surfaces import disambiguation
 from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
-from .budget import Share, Tried, with_what_was_tried
 from .by_place import STAND_TWO, choose_by_place, has_rival
 from .candidate_confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from .choice import choose_best
 from .one_pole import MOST_POLES
-from .placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
+from .placements import (
+    Chosen,
+    PairedPlacement,
+    PlacementHypotheses,
+    PlacementMatches,
+    Share,
+    Tried,
+    with_what_was_tried,
+)
 from .prior import RotationPrior, agreeing_with_prior
 
 RESCUED = {

@@ -16,9 +16,8 @@ from ..surfaces.consistency import Standing, consistency, standing_in
 from ..surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..surfaces.similarity_fit import Planes, fit_similarity, planes_of, support
 from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
-from .correspondence import match_poles
+from .correspondence import match_poles, pair_starts
 from .evidence import MIN_TOTAL
-from .line_pairs import pair_starts
 from .similar import Change, changed_cloud, changed_pole, factors_of
 
 CHANGES_TRIED = 3

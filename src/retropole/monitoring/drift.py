@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 from scipy.special import chdtri
 
-from ..adjustment.one_mast import on_one_mast
+from ..adjustment.masts import on_one_mast
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..base.errors import Reason, Refusal, UsageError

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..alignment.joint import Sight
+from ..alignment.expansion import MAX_ROUNDS, WIDEST
+from ..alignment.maximum import Sight
 from ..alignment.network import Network, bands_of, observe
 from ..alignment.observations import BESIDE, beams_of
-from ..alignment.posterior import Posterior
-from ..alignment.state import JointState
+from ..alignment.posterior import JointState, Posterior
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
-from ..alignment.views import MAX_ROUNDS, WIDEST
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
 from ..simulation.inserting import DIVERGENCE, in_sensor_frame, range_noise
 from ..simulation.raycast import Cylinder

@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..adjustment.descent import RefinementProblem, minimise
+from ..adjustment.descent import RefinementProblem, ScenePair, minimise, scene_pairs
 from ..adjustment.places import parts_of
-from ..adjustment.terms import ScenePair, scene_pairs
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
-from ..alignment.factor import PoleFactor
-from ..alignment.network import factor_of
+from ..alignment.network import PoleFactor, factor_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray
 from ..base.relative import joint_of, relative

@@ -13,8 +13,8 @@ from ..base.datatypes import DEFAULT_RADIUS, Array, Placement, PointCloud, Scan
 from ..base.errors import Refusal
 from ..base.sensors import Sensor
 from ..hypotheses.evidence import count, grounds_of, under
-from ..hypotheses.from_above import matches_from_above
 from ..hypotheses.icp_refinement import registered
+from ..hypotheses.one_pole import matches_from_above
 from ..simulation.devices import TYPICAL
 from ..simulation.raycast import Box, Surface
 from ..simulation.recorded import recorded_beams

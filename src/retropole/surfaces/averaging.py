@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.se3 import lengths
-from .ordering import order_of
+from .sweeps import order_of
 
 AZIMUTH_CELL, ELEVATION_CELL = float(np.radians(0.2)), float(np.radians(0.1))
 """Returns of several sweeps in a cell of the beams' directions, rad, are of one place: it is as

@@ -16,7 +16,7 @@ import small_gicp
 from ..base.datatypes import Array
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from .ordering import order_of
+from .sweeps import order_of
 
 CORES = min(4, os.cpu_count() or 1)
 """Threads for large clouds. The method's own are small: there one thread is as fast, and several,

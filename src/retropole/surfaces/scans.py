@@ -7,8 +7,7 @@ from ..base.errors import Refusal
 from ..base.sensors import LITTLE, Sensor
 from ..extraction.extent import located
 from ..extraction.poles import extract_poles
-from .copies import without_copies
-from .static import remove_dynamic_points
+from .static import remove_dynamic_points, without_copies
 from .sway import steadied
 
 SWEEP = 50_000

@@ -1,22 +1,280 @@
 """A mast that sways: its returns are brought to rest, and how far off that may be is stated.
 
-The motion comes from the sweeps (`sweeps`), and where it rests from how masts move (`oscillation`).
+The motion comes from the sweeps (`sweeps`), and where it rests from how masts move.
+
+How a mast moves: hypotheses of an oscillation about rest, weighed by the returns of the sweeps.
+
+All sweeps of a recording show the same surfaces; how they lie against each other shows how the
+LiDAR moved (`sweeps`), but for what all have in common: where it rests. That follows from how a
+mast moves. It oscillates about rest, at a frequency and with a size that are not known beforehand::
+
+    ξ(t) = Σ_j  a_j cos(2π f_j t) + b_j sin(2π f_j t),    a_j, b_j ~ N(0, σ² S),
+
+ξ the turn and shift of the LiDAR, the f_j next to one frequency, one with faster modes, or spread
+over all, S any way or the one that was seen. Each combination of frequencies, σ and S is a
+hypothesis with the evidence of the returns; what is stated is the mean over all hypotheses. A
+recording that is shorter than a period sees a drift: hypotheses of few and of many degrees then say
+the same of it, and other things of where it rests. What they differ by is the uncertainty (MacKay
+2003, Information theory, inference, and learning algorithms, ch. 28).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ..alignment.certainty import root_of
 from ..base.datatypes import Array, PointCloud
 from ..base.sway import Sway, stated_sway
-from .ordering import numbered
-from .oscillation import SIZES, Asked, Motion, hypotheses, infer, length_of, ways_of
 from .static import MAX_TURN, MIN_FRAMES, turned_by
-from .sweeps import Observed, Timed, observe, timed, without
+from .sweeps import Observed, Timed, numbered, observe, timed, without
+
+LOWEST, HIGHEST = 0.2, 3.0
+"""Of the frequencies of masts, Hz; within, each period is as probable."""
+
+SPACING, RESOLVED = 0.15, 0.7
+"""From one frequency that is tried to the next: as a part of it, and in what a recording tells
+apart, which is one over its length."""
+
+FREQUENCY_SPREAD = 0.1
+"""A mast does not keep its frequency exactly: so far beside it, as a part, it moves as well."""
+
+BROAD = 10
+"""Frequencies of the hypothesis that a mast moves at all of them."""
+
+FASTER, PART_OF_FASTER = np.array([2.0, 4.0, 8.0]), 0.3
+"""A mast bends in faster modes as well: frequencies by that of the first, and all their size by its
+size. In a third of a period of the first they may look like all there is: of 24 such recordings
+(benchmarks/sway.py, --modes, 0.3 Hz, 10 sweeps, seeds 210 to 215) the rest of 22 is within the
+region of 95 %, of 8 without this hypothesis."""
+
+SIZES = np.radians([0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
+"""1 σ of the turn of a mast, rad, each as probable as it is large: a third of a period about a
+turning point would else be taken for a whole one of less."""
+
+LEVERS = 0.3, 2.0, 8.0
+"""Shift of the LiDAR by its turn, m/rad: about itself, and at the end of what bends."""
+
+ASIDE = 0.25
+"""Part of the turn that a mast moves aside of the way that was seen, 1 σ."""
+
+SHIFTS = np.array([0.002, 0.01, 0.05])
+"""1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
+half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by less than 0.03°."""
+
+SHIFTED = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+"""Root of the covariance of such a shift, of one metre."""
+
+SEEN, LEAST_SWAY = 3.0, float(np.radians(0.003))
+"""Logarithm of how much more probable the returns are with sway than without, or with a shift
+alone, from which it is seen, 20 times; and its least angle, rad, 1.5 mm at 30 m."""
+
+COUNTED = 1 / 3
+"""Part of the evidence that hypotheses are weighed by, a caution: no mast moves quite as one of
+them. Of the same 24 recordings it is 14 where all counts; of those at one frequency all, either
+way."""
+
+NEGLIGIBLE = 1e-4
+"""Hypotheses of less probability are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The motion as the returns have it.
+
+    Attributes
+    ----------
+    evidence, total
+        Logarithm of how much more probable they are with it than without, or with shifts alone;
+        and than without.
+    motion
+        (B, 6) turn and shift from rest of each part.
+    covariance
+        (6, 6) of their mean over the recording.
+    frequency
+        Hz, its geometric mean.
+    best
+        Features (B, F) of the most probable hypothesis, and its coefficients (F, 6).
+    """
+
+    evidence: float
+    total: float
+    motion: Array
+    covariance: Array
+    frequency: float
+    best: tuple[Array, Array]
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether it is sway, and so large that it counts."""
+        return self.evidence > SEEN and self.angle > LEAST_SWAY
+
+    @property
+    def angle(self) -> float:
+        """Root mean square of the angle from rest, rad."""
+        return angle_of(self.motion)
+
+
+def angle_of(motion: Array) -> float:
+    """Root mean square of the angle from rest of a motion (B, 6), rad."""
+    return float(np.sqrt(np.mean(np.sum(motion[:, :3] ** 2, axis=1))))
+
+
+class Asked(NamedTuple):
+    """A frequency, Hz, how probable it is, its features (B, F), and what the returns say of their
+    coefficients: information (6 F, 6 F) and gradient (6 F,)."""
+
+    frequency: float
+    share: float
+    features: Array
+    left: Array
+    pull: Array
+
+
+def infer(
+    asked: Sequence[Asked], sizes: Array, ways: Sequence[tuple[float, Array]], noise: float = 1.0
+) -> Motion:
+    """Weigh all hypotheses of the motion by the returns.
+
+    Parameters
+    ----------
+    asked
+        One at least.
+    sizes
+        1 σ of the turn, rad, each as probable as it is large.
+    ways
+        See `ways_of`.
+    noise
+        So many times the variance of the returns that they state themselves.
+    """
+    shares = sizes / sizes.sum()
+    evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
+    for frequency, share, features, *told in asked:
+        left, pull = (each / noise for each in told)
+        for of_way, root in ways:
+            for of_size, one in zip(shares, weigh(left, pull, root, sizes), strict=True):
+                evidence.append(one.evidence)
+                prior.append(share * of_way * of_size)
+                frequencies.append(frequency)
+                found.append((features, one))
+        for alone in weigh(left, pull, SHIFTED, SHIFTS):
+            shifted.append(alone.evidence + float(np.log(share / len(SHIFTS))))
+    total = float(np.logaddexp.reduce(np.array(evidence) + np.log(prior)))
+    weighed = COUNTED * np.array(evidence) + np.log(prior)
+    probability = np.exp(weighed - np.logaddexp.reduce(weighed))
+    motion, mean = np.zeros((len(asked[0].features), 6)), np.zeros(6)
+    square = np.zeros((6, 6))
+    for p in np.flatnonzero(probability > NEGLIGIBLE):
+        features, one = found[p]
+        own = features.mean(axis=0)
+        here = own @ one.coefficients
+        spread = np.einsum("i,ixk->xk", own, one.root.reshape(len(own), 6, -1))
+        motion += probability[p] * (features @ one.coefficients)
+        mean += probability[p] * here
+        square += probability[p] * (spread @ spread.T + np.outer(here, here))
+    features, one = found[int(np.argmax(probability))]
+    return Motion(
+        total - float(np.logaddexp.reduce(shifted)),
+        total,
+        motion,
+        square - np.outer(mean, mean),
+        float(np.exp(probability @ np.log(frequencies))),
+        (features, one.coefficients),
+    )
+
+
+class Weighed(NamedTuple):
+    """Logarithm of the evidence of a hypothesis, and its coefficients (F, 6); the `way` and the
+    `scale` of each are a root of their covariance."""
+
+    evidence: float
+    coefficients: Array
+    way: Array
+    scale: Array
+
+    @property
+    def root(self) -> Array:
+        """(6 F, 6 F) a root of the covariance of the coefficients."""
+        return self.way * self.scale
+
+
+def weigh(left: Array, pull: Array, root: Array, sizes: Array) -> list[Weighed]:
+    """Estimate coefficients with information (K, K) and gradient (K,) under priors of some sizes.
+
+    `root` (6, 6) is of the covariance of each six of them, over turn and shift, rad and m, where
+    the size is one.
+    """
+    count = len(pull) // 6
+    whole = np.kron(np.eye(count), root)
+    value, way = np.linalg.eigh(whole.T @ left @ whole)
+    value, way = np.maximum(value, 0.0), whole @ way
+    along = way.T @ pull
+    variance = sizes[:, None] ** 2
+    narrowed = 1 + variance * value
+    evidence = 0.5 * np.sum(variance * along**2 / narrowed - np.log(narrowed), axis=1)
+    coefficients = (variance * along / narrowed) @ way.T
+    return [
+        Weighed(float(each), own.reshape(count, 6), way, scale)
+        for each, own, scale in zip(
+            evidence, coefficients, np.sqrt(variance / narrowed), strict=True
+        )
+    ]
+
+
+def ways_of(motion: Array) -> list[tuple[float, Array]]:
+    """List ways to move: how probable each is, and a root (6, 6) of its covariance for 1 rad.
+
+    Half of them go any way, with turn and shift in several proportions. The others go the way that
+    was seen: a mast that moves to and fro in one plane would else be taken for one that moves less,
+    since it moves in no other.
+
+    Parameters
+    ----------
+    motion
+        (B, 6) as it is known; zero where it is not.
+    """
+    found = [(0.5 / len(LEVERS), np.diag(np.repeat([1.0, lever], 3))) for lever in LEVERS]
+    apart = motion - motion.mean(axis=0)
+    spread = apart.T @ apart / len(apart)
+    turn = float(np.trace(spread[:3, :3]))
+    if turn > 0:
+        own = spread / turn + np.diag(np.repeat([ASIDE, LEVERS[1] * ASIDE], 3) ** 2)
+        found.append((0.5, root_of(own)))
+    return found
+
+
+def hypotheses(times: Array) -> Iterator[tuple[float, float, Array]]:
+    """Yield frequencies that a mast may have, how probable each is, and its features (B, F)."""
+    length = length_of(times)
+    tried = [LOWEST]
+    while tried[-1] < HIGHEST:
+        tried.append(tried[-1] + min(SPACING * tried[-1], RESOLVED / length))
+    middles = np.array(tried)
+    shares = np.gradient(middles) / middles**2
+    for f, share in zip(middles.tolist(), (shares / shares.sum()).tolist(), strict=True):
+        beside = min(FREQUENCY_SPREAD * f, 0.5 / length)
+        yield f, share / 3, waves(times, f + beside * np.array([-1.0, 0.0, 1.0]))
+        first = waves(times, f + beside * np.array([-1.0, 1.0]))
+        faster = waves(times, f * FASTER)
+        yield f, share / 3, np.concatenate([first, PART_OF_FASTER * faster], axis=1)
+    every = np.geomspace(LOWEST, HIGHEST, BROAD)
+    yield float(np.sqrt(LOWEST * HIGHEST)), 1 / 3, waves(times, every)
+
+
+def length_of(times: Array) -> float:
+    """How long a recording is, s, by the middles of its parts (B,)."""
+    return float(np.ptp(times)) + float(np.median(np.diff(times)))
+
+
+def waves(times: Array, frequencies: Array) -> Array:
+    """(B, 2 F) cosines and sines of some frequencies, Hz, whose squares sum to one."""
+    angle = 2 * np.pi * times[:, None] * frequencies
+    both = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(both / np.sqrt(len(frequencies)))
+
 
 PASSES, AT_REST = 8, float(np.radians(2e-4))
 """The cells of the returns are made without the motion as it is known, and the motion estimated
@@ -107,7 +365,7 @@ def judged(
     observed, asked
         What the returns say, and what of the hypotheses.
     sizes
-        As of `oscillation.infer`.
+        As of `sway.infer`.
     motion, noise
         (B, 6) the motion, and the noise, as they are known.
     """

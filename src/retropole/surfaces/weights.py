@@ -10,8 +10,7 @@ from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
-from .patch_pairs import PatchPairs
-from .robust import LEAST_SCATTER, common_scatter, robust_scale
+from .patch_pairs import LEAST_SCATTER, PatchPairs, common_scatter, robust_scale
 
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""

@@ -19,11 +19,10 @@ from ..extraction.sensor_pattern import sensor_doubt
 from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
 from ..hypotheses.candidate_confirmation import candidate_reasons
 from ..hypotheses.choice import WARN_MARGIN, margin_of
-from ..hypotheses.correspondence import widest_angle
+from ..hypotheses.correspondence import left_out, widest_angle
 from ..hypotheses.evidence import check_unconfirmed
-from ..hypotheses.extension import left_out
 from ..hypotheses.placements import PairedPlacement, is_by_place
-from ..surfaces.times import other_times
+from ..surfaces.static import other_times
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""

@@ -9,8 +9,7 @@ import numpy as np
 from ..adjustment.agreement import check_radius
 from ..adjustment.answer import LidarPose, LoopClosure, Test
 from ..adjustment.blunders import POOR, place_of, worst_test
-from ..adjustment.links import find_links
-from ..adjustment.site import Adjusted
+from ..adjustment.site import Adjusted, find_links
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement
 from ..base.description import Site

@@ -11,11 +11,9 @@ from msgspec import structs
 
 from ..adjustment.answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from ..adjustment.closures import close_loops
-from ..adjustment.of_two import adjusted_of_two
 from ..adjustment.refinement import Refinement
-from ..adjustment.site import Adjusted
-from ..adjustment.solved import axes_of
-from ..adjustment.without import without_placements
+from ..adjustment.site import Adjusted, adjusted_of_two
+from ..adjustment.solved import axes_of, without_placements
 from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import SIDES, budget_of
 from ..alignment.origins import BeamOrigins

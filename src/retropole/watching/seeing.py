@@ -11,11 +11,9 @@ from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
-from ..extraction.candidates import with_candidates
-from ..extraction.dimmer import with_dimmer_candidates
+from ..extraction.candidates import with_candidates, with_dimmer_candidates
 from ..extraction.poles import extract_poles
-from ..hypotheses.correspondence import widest_angle
-from ..hypotheses.line_pairs import line_pair
+from ..hypotheses.correspondence import line_pair, widest_angle
 
 STILL = 1.0
 """A pole that stood where it does for so long stands still, s."""
