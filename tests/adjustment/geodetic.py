@@ -10,7 +10,7 @@ from retropole.alignment.network import Network, Observation, factor_of, observe
 from retropole.alignment.posterior import JointState, Posterior
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel, Groups, Sizes
-from tests.alignment.test_state import drawn
+from tests.alignment.test_posterior import drawn
 from tests.alignment.test_survey import everything
 
 LIDARS, POINTS = 3, 5

@@ -11,7 +11,7 @@ from retropole.base import se3
 from retropole.base.description import Site, Up
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import Steps, with_lidar
-from tests.alignment.test_state import drawn
+from tests.alignment.test_posterior import drawn
 from tests.alignment.test_survey import everything
 
 pytestmark = pytest.mark.full

@@ -15,7 +15,7 @@ from retropole.alignment.survey import (
 )
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from tests.alignment.test_state import drawn
+from tests.alignment.test_posterior import drawn
 from tests.numeric import numeric_jacobian
 
 

@@ -1,5 +1,7 @@
 """A sensor's name is held against the rings; a cloud of fewer of them never contradicts it."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import cache
 
@@ -10,11 +12,20 @@ import retropole as rp
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.base.sensors import SENSORS
+from retropole.base.sensors import SENSORS, find_sensor
 from retropole.base.systematic import SPINNING_BEND, Sizes, sizes_of
-from retropole.extraction.sensor_pattern import check_sensor, error_sizes, sensor_doubt
-
-pytestmark = pytest.mark.full
+from retropole.extraction.certainty import doubt_of
+from retropole.extraction.lines import fit_line
+from retropole.extraction.sensor_pattern import (
+    Beams,
+    beam_scatter,
+    beams_by,
+    check_sensor,
+    error_sizes,
+    returns_per_ring,
+    sensor_doubt,
+)
+from tests.extraction.synthetic import UP, code_of, on_pole
 
 WRONG = [
     ("VLP-16", "HDL-32E"),  # rings higher than it sees
@@ -32,6 +43,7 @@ def cloud_of(name: str) -> PointCloud:
     return rp.simulate("street", 3, sensor_target=name, sensor_source="VLP-16").target
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SENSORS)
 def test_its_own_name_is_never_doubted(name: str) -> None:
     cloud = cloud_of(name)
@@ -43,6 +55,7 @@ def test_its_own_name_is_never_doubted(name: str) -> None:
         assert sensor_doubt(seen, replace(SENSORS[name], name="front.toml")) == ""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("own", "named"), WRONG)
 def test_rings_that_the_named_sensor_has_not_are_refused(own: str, named: str) -> None:
     with pytest.raises(Refusal) as why:
@@ -52,6 +65,7 @@ def test_rings_that_the_named_sensor_has_not_are_refused(own: str, named: str) -
     assert own in why.value.message.split("name the sensor")[1]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kept", [slice(0, 32), slice(16, 48, 2), slice(60, 64), slice(5, 6)])
 def test_fewer_rings_are_no_contradiction(kept: slice) -> None:
     cloud = cloud_of("Pandar64")
@@ -61,6 +75,7 @@ def test_fewer_rings_are_no_contradiction(kept: slice) -> None:
     assert sensor_doubt(part, SENSORS["Pandar64"]) == ""
 
 
+@pytest.mark.full
 def test_a_lidar_may_hang_upside_down_or_stand_elsewhere() -> None:
     cloud = cloud_of("Pandar64")
     T = se3.from_rt(se3.exp_so3(np.array([np.pi, 0, 0])), np.array([3.0, 1.0, 2.0]))
@@ -69,6 +84,7 @@ def test_a_lidar_may_hang_upside_down_or_stand_elsewhere() -> None:
     assert sensor_doubt(hanging, SENSORS["Pandar64"]) == ""
 
 
+@pytest.mark.full
 def test_a_few_wrong_numbers_are_no_rings() -> None:
     cloud = cloud_of("VLP-16")
     assert cloud.ring is not None
@@ -77,12 +93,14 @@ def test_a_few_wrong_numbers_are_no_rings() -> None:
     check_sensor(replace(cloud, ring=ring), SENSORS["VLP-16"])
 
 
+@pytest.mark.full
 def test_rings_of_another_sensor_are_doubted() -> None:
     doubt = sensor_doubt(cloud_of("VLP-16"), SENSORS["Pandar64"])
     assert "are those of VLP-16" in doubt
     assert "not those of Pandar64" in doubt
 
 
+@pytest.mark.full
 def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
     cloud = replace(cloud_of("PandarQT"), ring=None)
     check_sensor(cloud, SENSORS["VLP-16"])
@@ -90,6 +108,7 @@ def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
     assert "outside of what the VLP-16 sees (-15.0° to 15.0°)" in doubt
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SENSORS)
 def test_rings_that_are_cones_say_that_a_lidar_spins(name: str) -> None:
     cloud, sensor = cloud_of(name), SENSORS[name]
@@ -104,15 +123,51 @@ def test_rings_that_are_cones_say_that_a_lidar_spins(name: str) -> None:
     assert error_sizes(replace(cloud, ring=None), None) == Sizes()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SENSORS)
 def test_what_is_stated_of_a_named_sensor_counts_whatever_its_rings_are(name: str) -> None:
     for cloud in (cloud_of(name), cloud_of("Mid-360")):
         assert error_sizes(cloud, SENSORS[name]) == sizes_of(SENSORS[name])
 
 
+@pytest.mark.full
 def test_bent_lines_are_no_cones() -> None:
     cloud = cloud_of("XT32")
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
     up = np.zeros_like(cloud.xyz)
     up[:, 2] = np.linalg.norm(cloud.xyz, axis=1) * np.radians(1.0) * np.cos(2 * azimuth)
     assert error_sizes(replace(cloud, xyz=cloud.xyz + up), None) == Sizes()
+
+
+@pytest.mark.parametrize("name", [None, "VLP-16", "Pandar64"])
+def test_ordinary_and_unknown_beams_widen_nothing(name: str | None) -> None:
+    beams = beams_by(None if name is None else find_sensor(name))
+    assert beam_scatter(9.0, 0.02, beams) == 0.0
+
+
+def test_wide_beams_add_the_scatter_of_a_pole_seen_wider() -> None:
+    beams = beams_by(find_sensor("PandarQT"))
+    near, far = (beam_scatter(d, 0.02, beams) for d in (3.0, 9.0))
+    assert near < far
+    seen, ordinary = 0.02 + 9.0 * 0.004, 0.02 + 9.0 * 0.0015
+    across = np.random.default_rng(0).uniform(-1, 1, 200_000)
+    added = np.sqrt(np.var(seen * across) - np.var(ordinary * across))
+    assert far == pytest.approx(added, rel=0.1)
+
+
+def test_returns_of_a_ring_on_a_pole_are_counted_where_the_step_is_known() -> None:
+    assert returns_per_ring(5.0, 0.02, Beams()) == np.inf
+    assert returns_per_ring(5.0, 0.02, Beams(0.008, 0.01)) == pytest.approx(0.08 / 0.05)
+
+
+@pytest.mark.parametrize(("name", "code"), [(None, "too_wide"), ("VLP-16", "too_wide"),
+    ("PandarQT", "")])  # fmt: skip
+def test_a_pole_is_sure_by_wide_beams_where_it_is_doubtful_by_others(
+    name: str | None, code: str
+) -> None:
+    xyz = on_pole(1.8, 16, 2, width=0.08)
+    xyz += np.array([9.0, 0, 0]) - xyz.mean(axis=0)
+    cloud = PointCloud(xyz, np.ones(len(xyz)))
+    beams = beams_by(None if name is None else find_sensor(name))
+    line = fit_line(cloud, np.arange(len(xyz)), xyz.mean(axis=0), UP, 0.02, beams)
+    assert code_of(doubt_of(cloud, line, 0.02, False)) == code

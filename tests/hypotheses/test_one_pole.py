@@ -9,12 +9,15 @@ import pytest
 from scipy import fft
 
 from retropole.base import se3
-from retropole.base.datatypes import Array, Match, Placement, Pole
+from retropole.base.datatypes import Array, Calibration, Match, Placement, PointCloud, Pole
+from retropole.base.errors import UsageError
 from retropole.hypotheses import one_pole as about
 from retropole.hypotheses.evidence import scenes_of
 from retropole.hypotheses.one_pole import ANGLES, CELL_ABOUT_POLE, LAYERS, SLIDE, matches_about
+from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair
 from retropole.surfaces.scans import find_poles
+from tests.hypotheses.conftest import simulated_with_one_pole
 
 WOOD = np.random.default_rng(0).uniform([-20, -20, -3], [20, 20, 8], (3000, 3))
 """Points about a pole: nothing repeats."""
@@ -96,3 +99,76 @@ def test_the_highest_peak_is_where_the_points_are(
     assert abs((np.degrees(found[0][0]) - turn + 180) % 360 - 180) <= 1.0
     assert abs(found[0][1] - slide) <= CELL_ABOUT_POLE
     assert found[0][2] > 2 * found[1][2]
+
+
+STEEP = se3.from_rt(se3.exp_so3(np.radians([70.0, 0.0, 0.0])), np.zeros(3))
+"""Tilts a LiDAR by more than LiDARs are tilted as a rule."""
+
+
+def bare(cloud: PointCloud) -> PointCloud:
+    """Leave out the intensity: no pole could be found."""
+    return replace(cloud, intensity=None)
+
+
+def by_the_place(pair: SimulatedPair) -> Calibration:
+    return calibrate(bare(pair.target), bare(pair.source), poles=0)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[("street", 1), pytest.param(("harbor", 2), marks=pytest.mark.full)],
+    ids=lambda each: each[0],
+)
+def pair(request: pytest.FixtureRequest) -> SimulatedPair:
+    return simulated_with_one_pole(*request.param)
+
+
+@pytest.fixture(scope="module")
+def answer(pair: SimulatedPair) -> Calibration:
+    return by_the_place(pair)
+
+
+@pytest.mark.full
+def test_the_place_gives_the_truth(pair: SimulatedPair, answer: Calibration) -> None:
+    assert answer.status != "refused", answer.reasons
+    assert_near(answer.T_target_source, pair.T_target_source)
+    assert answer.T_target_source is not None
+    assert answer.covariance is not None
+    off = se3.local(answer.T_target_source, pair.T_target_source)
+    assert off @ np.linalg.solve(answer.covariance, off) < 22.5
+    # Nothing is said of poles that nobody looked for.
+    assert answer.poles is None
+    assert answer.radius is None
+    assert answer.hypotheses[0].match.pairs == ()
+    assert "without_poles" in {reason.code for reason in answer.reasons}
+
+
+@pytest.mark.full
+def test_frames_and_order_of_the_lidars_do_not_matter(
+    pair: SimulatedPair, answer: Calibration
+) -> None:
+    back = calibrate(bare(pair.source), bare(pair.target.transformed(MOVED)), poles=0)
+    assert answer.T_target_source is not None
+    there = se3.inverse(MOVED @ answer.T_target_source)
+    assert_near(back.T_target_source, there, 0.05, 0.02)
+
+
+@pytest.mark.full
+def test_the_ground_of_a_steep_lidar_is_not_taken_for_a_wall(pair: SimulatedPair) -> None:
+    steep = replace(pair.source.transformed(STEEP), axis=pair.source.axis)
+    answer = calibrate(bare(pair.target), bare(steep), poles=0)
+    assert_near(answer.T_target_source, pair.T_target_source @ se3.inverse(STEEP))
+
+
+@pytest.mark.full
+def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
+    ground = simulated_with_one_pole("bare", 0)
+    refused = by_the_place(replace(pair, source=ground.source))
+    assert refused.status == "refused"
+    assert refused.T_target_source is None
+    assert "set up two poles" in refused.reasons[0].message
+
+
+def test_one_of_poles_and_scene_must_give_the_pose(pair: SimulatedPair) -> None:
+    with pytest.raises(UsageError, match="scene must give the pose"):
+        calibrate(pair.target, pair.source, poles=0, scene=False)

@@ -45,7 +45,7 @@ PLACED_APART = 2 * CLOSE
 MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
 """So many more patches must coincide under another answer, and so many times as many. Without a
 pole that stood still no patch was placed differently, and of every fourth up to 32 where none
-coincided either way (tuning seeds 3 to 40 of tests/adjustment/test_contradiction.py, 30 to 90 of
+coincided either way (tuning seeds 3 to 40 of tests/adjustment/test_blunders.py, 30 to 90 of
 benchmarks/site.py). Without one that made 33 answers of the former wrong by 0.15 m or more, and
 passed its own tests, 9 to 716 more coincided, 19 times as many or more."""
 

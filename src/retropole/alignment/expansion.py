@@ -44,7 +44,7 @@ WIDEST = 0.1
 
 FARTHEST = 2.0
 """Most that a view lies away from the state, in units of its own 1 σ: that of few returns may else
-lose some of them as outliers, and wander off (tests/adjustment/test_contradiction.py: a pole that
+lose some of them as outliers, and wander off (tests/adjustment/test_blunders.py: a pole that
 was pushed by 0.4 m said nothing any more)."""
 
 BLEND, MAX_ROUNDS, SETTLED = 0.5, 30, 0.1

@@ -35,7 +35,7 @@ from .unknowns import POSE
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres: with less, a pose that is off by 0.4 m
-is kept, since most returns are outliers there (tests/adjustment/test_contradiction.py)."""
+is kept, since most returns are outliers there (tests/adjustment/test_blunders.py)."""
 
 MAX_NOISE = 0.05
 """Most noise of a return that still says anything of a pole, metres: more than its thickness."""
