@@ -1,8 +1,11 @@
 """A street with one pole, simulated once."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
+from retropole.base.datatypes import Array, Hypothesis, Match
 from retropole.simulation import SimulatedPair, simulate_pair
 
 
@@ -21,3 +24,11 @@ def simulated_with_one_pole(scene: str, seed: int) -> SimulatedPair:
         sensor_source="VLP-16",
         poles=1,
     )
+
+
+def hypothesis_at(
+    T: Array, poles: Mapping[int, int], score: float = 0.5, *, stands: bool = True
+) -> Hypothesis:
+    """A pose that so many poles of each placement allow, and the scene does not rule out."""
+    match = Match(((0, 0), (1, 1)), T, 0.0, True, True, np.eye(6))
+    return Hypothesis(match, None, None, score, 0.0, score, None, stands, True, poles)

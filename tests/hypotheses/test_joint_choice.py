@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.base.datatypes import Array
+from retropole.base.datatypes import Array, Hypothesis
 from retropole.hypotheses.joint_choice import (
     EQUAL,
     choose_poses,
@@ -16,14 +16,15 @@ from retropole.hypotheses.joint_choice import (
     most_of,
     where_they_differ,
 )
-from retropole.hypotheses.pairs import Pair, PairHypothesis, is_same_pose
+from retropole.hypotheses.pairs import Pair, is_same_pose
+from tests.hypotheses.conftest import hypothesis_at
 
 
-def hypothesis(T: Array, placements: tuple[int, ...] = (0,), score: float = 0.5) -> PairHypothesis:
-    return PairHypothesis(T, placements, 2 * len(placements), score, 0.0, score, True)
+def hypothesis(T: Array, placements: tuple[int, ...] = (0,), score: float = 0.5) -> Hypothesis:
+    return hypothesis_at(T, dict.fromkeys(placements, 2), score)
 
 
-def pair(lidars: tuple[int, int], *hypotheses: PairHypothesis, overlaps: bool = True) -> Pair:
+def pair(lidars: tuple[int, int], *hypotheses: Hypothesis, overlaps: bool = True) -> Pair:
     return Pair(lidars, tuple(sorted(hypotheses, key=lambda h: -h.score)), overlaps)
 
 
@@ -116,7 +117,10 @@ def test_the_order_of_the_lidars_makes_no_difference(seed: int) -> None:
         i, j = (number[k] for k in each.lidars)
         turned = each.hypotheses
         if i > j:
-            turned = tuple(replace(one, T=se3.inverse(one.T)) for one in turned)
+            turned = tuple(
+                replace(one, match=replace(one.match, T_target_source=se3.inverse(one.T)))
+                for one in turned
+            )
         renamed.append(Pair((min(i, j), max(i, j)), turned, each.overlaps))
     again = choose_poses(range(4), renamed, [poles[k] for k in order], number[0])
     assert again.best.count == pytest.approx(found.best.count)
@@ -210,7 +214,7 @@ def test_poles_that_agree_outvote_scenes_that_prefer_another_pose() -> None:
     pairs = []
     for i in (0, 1):
         right = true_pair(poses, i, 2)
-        four = replace(hypothesis(right, score=0.1), poles=4, stands=False)
+        four = replace(hypothesis(right, score=0.1), poles={0: 4}, stands=False)
         two = hypothesis(right @ turn, score=0.2)
         pairs.append(pair((i, 2), two, four, overlaps=i == 0))
     pairs.append(pair((0, 1), hypothesis(true_pair(poses, 0, 1))))

@@ -28,12 +28,13 @@ from retropole.hypotheses import links as one_pole
 from retropole.hypotheses.by_place import HELD
 from retropole.hypotheses.joint_choice import choose_poses
 from retropole.hypotheses.links import link_by_place
-from retropole.hypotheses.pairs import Pair, PairHypothesis
+from retropole.hypotheses.pairs import Pair
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from tests.adjustment.adjusting import Steps, between, made, off, reordered
+from tests.hypotheses.conftest import hypothesis_at
 
 THOUSANDTH = 22.5
 """χ² with 6 degrees of freedom is above it once in a thousand times."""
@@ -248,7 +249,7 @@ def at(x: float, turn: float = 0.0) -> Array:
 
 
 def linked(i: int, j: int, T: Array, *, by_place: bool, score: float = 0.5) -> Pair:
-    own = PairHypothesis(T, (0,), 1 if by_place else 3, 0.5, 0.0, score, True)
+    own = hypothesis_at(T, {0: 1 if by_place else 3}, score)
     return Pair((i, j), (own,), True, by_place=by_place)
 
 

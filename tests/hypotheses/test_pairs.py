@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.hypotheses.pairs import Pair, PairHypothesis, find_pairs, is_same_pose, poles_of
+from retropole.hypotheses.pairs import Pair, find_pairs, is_same_pose, poles_of
 from retropole.hypotheses.scans import find_scans, views_of
 from retropole.simulation import FIELD
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from tests.adjustment.adjusting import Steps, made
+from tests.hypotheses.conftest import hypothesis_at
 
 pytestmark = pytest.mark.full
 
@@ -23,8 +24,8 @@ def test_every_pair_has_its_true_pose_from_both_placements(
         met = pair.at(T, poles_of(steps.scans, j))
         assert met is not None
         assert met is pair.hypotheses[0]
-        assert set(met.placements) == {0, 1}
-        assert met.poles >= 4
+        assert set(met.poles) == {0, 1}
+        assert sum(met.poles.values()) >= 4
         scores = [each.score for each in pair.hypotheses]
         assert scores == sorted(scores, reverse=True)
 
@@ -44,8 +45,8 @@ def test_a_placement_that_only_one_recorded_says_nothing(steps: Steps) -> None:
     assert not first.hypotheses
     assert first.refusal is not None
     assert first.refusal.code == "too_few_poles"
-    assert all(set(each.placements) == {1} for each in pairs[1].hypotheses)
-    assert all(set(each.placements) == {0} for each in pairs[2].hypotheses)
+    assert all(set(each.poles) == {1} for each in pairs[1].hypotheses)
+    assert all(set(each.poles) == {0} for each in pairs[2].hypotheses)
 
 
 def test_a_ring_closes_with_what_the_scene_speaks_against_a_little() -> None:
@@ -82,9 +83,9 @@ def test_symmetric_poles_leave_several_hypotheses_standing() -> None:
 def test_of_what_stands_at_a_pose_that_of_more_placements_is_met() -> None:
     T = se3.random(np.random.default_rng(0))
     at = np.zeros((1, 3))
-    few = PairHypothesis(T, (0,), 2, 0.9, 0.0, 0.9, True)
-    many = PairHypothesis(T, (0, 1), 4, 0.5, 0.0, 0.5, True)
-    fallen = PairHypothesis(T, (0, 1, 2), 6, 0.4, 0.0, 0.4, False)
+    few = hypothesis_at(T, {0: 2}, 0.9)
+    many = hypothesis_at(T, {0: 2, 1: 2}, 0.5)
+    fallen = hypothesis_at(T, {0: 2, 1: 2, 2: 2}, 0.4, stands=False)
     pair = Pair((0, 1), (few, many, fallen), True)
     assert pair.at(T, at) is many
     assert pair.at(se3.retract(T, np.r_[0, 0, 0, 5.0, 0, 0]), at) is None

@@ -135,7 +135,7 @@ def support_of(
         for p in range(len(scans.by_lidar[0])):
             if min(len(scans.poles(i, p)), len(scans.poles(j, p))) < 2:
                 continue
-            agrees = found is not None and p in found.placements
+            agrees = found is not None and p in found.poles
             for each in ((i, p), (j, p)):
                 possible[each] += 1
                 met[each] += agrees

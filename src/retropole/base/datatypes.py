@@ -206,7 +206,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A match of the poles, and what the scene says of it (Xue et al. 2019, Tab. III).
+    """A pose of one LiDAR beside another, and what speaks for it (Xue et al. 2019, Tab. III).
 
     Attributes
     ----------
@@ -222,6 +222,11 @@ class Hypothesis:
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
         Whether it is the best, or the scene does not rule it out beside the best.
+    possible
+        Whether it stands, or scores little less than the best: on bare ground a pose that brings
+        the LiDARs near each other overlaps twice as much as the right one. Of a site.
+    poles
+        From the index of each placement that allows it to how many poles there agree. Of a site.
     """
 
     match: Match
@@ -232,6 +237,22 @@ class Hypothesis:
     score: float
     covisible_overlap: float | None = None
     stands: bool = False
+    possible: bool = False
+    poles: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def T(self) -> Array:
+        """(4, 4) maps points of the source, or of the second LiDAR, to those of the other."""
+        return self.match.T_target_source
+
+    @property
+    def evidence(self) -> int:
+        """How much the poles of all placements say for it: of each one less than agree.
+
+        Two poles of one placement allow several poses, and one of them is right; every pole more
+        that agrees would do so by chance.
+        """
+        return sum(self.poles.values()) - len(self.poles)
 
 
 class PoseEstimate(msgspec.Struct, frozen=True, eq=False, rename={"rms": "rms_m"}):

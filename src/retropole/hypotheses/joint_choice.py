@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array
+from ..base.datatypes import Array, Hypothesis
 from ..base.description import Site
 from ..base.errors import Refusal
-from .pairs import Pair, PairHypothesis, is_same_pose
+from .pairs import Pair, is_same_pose
 from .scans import SiteScans
 
 WITHOUT_SCENE = 0.25
@@ -228,7 +228,7 @@ class _Search:
         return sum(self.most[pair] for pair in self.pairs if not waiting.isdisjoint(pair))
 
 
-def weight_of(pair: Pair, hypothesis: PairHypothesis) -> float:
+def weight_of(pair: Pair, hypothesis: Hypothesis) -> float:
     """What a hypothesis of a pair counts."""
     by_scene = 1.0 if pair.overlaps else WITHOUT_SCENE
     return by_scene * hypothesis.evidence * (1.0 if hypothesis.stands else UNLIKELY)

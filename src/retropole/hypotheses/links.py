@@ -25,7 +25,7 @@ from ..extraction.candidates import with_candidates
 from .by_place import check_told
 from .evidence import check_confirmation, confirm
 from .joint_choice import linked_groups
-from .pairs import Pair, PairHypothesis
+from .pairs import Pair
 from .placements import Chosen
 from .scans import SiteScans
 from .search import (
@@ -139,22 +139,25 @@ def _linked(
             [placement], radius, lambda step: nullcontext(), by_place=False
         )
         if chosen.refusal is None:
-            return with_chosen_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
+            return (
+                with_chosen_poles(scans, lidars, p, chosen),
+                _pair(lidars, p, chosen, by_place=False),
+            )
     return None
 
 
-def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
-    best = chosen.hypotheses[0]
-    hypothesis = PairHypothesis(
-        best.match.T_target_source,
-        (placement,),
-        len(best.match.pairs),
-        best.overlap,
-        best.free_space_violation,
-        best.score,
-        True,
+def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen, *, by_place: bool) -> Pair:
+    """State a choice as that of a pair: what was not chosen is none to choose from."""
+    hypotheses = tuple(
+        replace(
+            each,
+            stands=rank == 0,
+            possible=rank == 0,
+            poles={placement: len(each.match.pairs)},
+        )
+        for rank, each in enumerate(chosen.hypotheses)
     )
-    return Pair(lidars, (hypothesis,), True)
+    return Pair(lidars, hypotheses if by_place else hypotheses[:1], True, by_place=by_place)
 
 
 def with_chosen_poles(
@@ -218,7 +221,10 @@ def _linked_by_place(
         placement = Placement(target, source)
         chosen = choose_about_one_pole([placement], radius, lambda step: nullcontext())
         if chosen is not None and chosen.refusal is None and _is_confirmed(chosen):
-            return with_chosen_poles(scans, lidars, p, chosen), _pair_by_place(lidars, p, chosen)
+            return (
+                with_chosen_poles(scans, lidars, p, chosen),
+                _pair(lidars, p, chosen, by_place=True),
+            )
     return None
 
 
@@ -233,21 +239,3 @@ def _is_confirmed(chosen: Chosen) -> bool:
     except Refusal:
         return False
     return True
-
-
-def _pair_by_place(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
-    """State a choice as that of a pair: other angles about the pole are none to choose from."""
-    hypotheses = tuple(
-        PairHypothesis(
-            each.match.T_target_source,
-            (placement,),
-            len(each.match.pairs),
-            each.overlap,
-            each.free_space_violation,
-            each.score,
-            stands=rank == 0,
-            possible=rank == 0,
-        )
-        for rank, each in enumerate(chosen.hypotheses)
-    )
-    return Pair(lidars, hypotheses, True, by_place=True)

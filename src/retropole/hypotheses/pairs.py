@@ -7,7 +7,7 @@ same pose from several placements is one hypothesis. The scene is asked once for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -32,46 +32,6 @@ LEAST_TOLD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class PairHypothesis:
-    """A pose of two LiDARs that poles of at least one placement allow.
-
-    Attributes
-    ----------
-    T
-        (4, 4) maps points of the second LiDAR into the frame of the first.
-    placements
-        Those whose poles allow it.
-    poles
-        How many poles of all placements agree.
-    overlap, free_space_violation, score
-        What the scene says of it, as `datatypes.Hypothesis` has it.
-    stands
-        Whether the scene leaves it standing beside the best of the pair.
-    possible
-        Whether it stands, or scores no less than `MIN_OVERLAP` below the best: on bare ground a
-        pose that brings the LiDARs near each other overlaps twice as much as the right one.
-    """
-
-    T: Array
-    placements: tuple[int, ...]
-    poles: int
-    overlap: float
-    free_space_violation: float
-    score: float
-    stands: bool
-    possible: bool = True
-
-    @property
-    def evidence(self) -> int:
-        """How much the poles say for it: of each placement one less than there are.
-
-        Two poles of one placement allow several poses, and one of them is right; every pole more
-        that agrees would do so by chance.
-        """
-        return self.poles - len(self.placements)
-
-
-@dataclass(frozen=True, eq=False)
 class Pair:
     """Two LiDARs and their hypotheses, the best score first.
 
@@ -90,18 +50,18 @@ class Pair:
     """
 
     lidars: tuple[int, int]
-    hypotheses: tuple[PairHypothesis, ...]
+    hypotheses: tuple[Hypothesis, ...]
     overlaps: bool
     refusal: Reason | None = None
     by_place: bool = False
 
     @property
-    def standing(self) -> tuple[PairHypothesis, ...]:
+    def standing(self) -> tuple[Hypothesis, ...]:
         """Hypotheses that the scene leaves standing."""
         return tuple(each for each in self.hypotheses if each.stands)
 
     @cached_property
-    def possible(self) -> tuple[PairHypothesis, ...]:
+    def possible(self) -> tuple[Hypothesis, ...]:
         """Hypotheses that the scene does not rule out, even if it favours others by far."""
         return tuple(each for each in self.hypotheses if each.possible)
 
@@ -110,7 +70,7 @@ class Pair:
         """(H, 9) of those that are possible."""
         return np.array([each.T[:3, :3].ravel() for each in self.possible]).reshape(-1, 9)
 
-    def at(self, T: Array, points: Array) -> PairHypothesis | None:
+    def at(self, T: Array, points: Array) -> Hypothesis | None:
         """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
         # Asked a hundred thousand times, mostly in vain: all angles at once.
         turned = self._rotations @ T[:3, :3].ravel() >= 1.0 + 2.0 * np.cos(AGREE_ANGLE)
@@ -158,7 +118,7 @@ def poles_of(scans: SiteScans, lidar: int) -> Array:
 
 def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
     """Match the poles of every placement, put equal poses together, and ask the scene."""
-    found: list[tuple[Match, list[int], int]] = []
+    found: list[tuple[Match, dict[int, int]]] = []
     reason: Reason | None = None
     at = poles_of(scans, second)
     for placement in range(len(scans.by_lidar[first])):
@@ -189,63 +149,52 @@ def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
 
 
 def _add(
-    found: list[tuple[Match, list[int], int]], match: Match, placement: int, at: Array
+    found: list[tuple[Match, dict[int, int]]], match: Match, placement: int, at: Array
 ) -> None:
     """Add a match to the pose that it is, or as another one; more poles fix a pose better."""
     T = match.T_target_source
-    for k, (known, placements, poles) in enumerate(found):
+    for k, (known, poles) in enumerate(found):
         if is_same_pose(T, known.T_target_source, at):
             better = known if len(known.pairs) >= len(match.pairs) else match
-            if placement not in placements:
-                placements.append(placement)
-                poles += len(match.pairs)
-            found[k] = (better, placements, poles)
+            found[k] = (better, {placement: len(match.pairs), **poles})
             return
-    found.append((match, [placement], len(match.pairs)))
+    found.append((match, {placement: len(match.pairs)}))
 
 
 def _scored(
     lidars: tuple[int, int],
-    found: Sequence[tuple[Match, list[int], int]],
+    found: Sequence[tuple[Match, dict[int, int]]],
     target: View | None,
     source: View | None,
 ) -> Pair:
     assert target is not None
     assert source is not None
-    rows = []
-    for match, placements, poles in found:
-        T = match.T_target_source
-        seen = compare_views(target, source, T, within=OVERLAP_DISTANCE)
-        score = seen.overlap - seen.free_space_violation
-        hypothesis = Hypothesis(
-            match,
-            None,
-            None,
-            seen.overlap,
-            seen.free_space_violation,
-            score,
-            seen.covisible_overlap,
-        )
-        rows.append((hypothesis, tuple(placements), poles))
-    rows.sort(key=lambda row: -row[0].score)
-    best = rows[0][0]
-    return Pair(
-        lidars,
-        tuple(
-            PairHypothesis(
-                each.match.T_target_source,
-                placements,
-                poles,
-                each.overlap,
-                each.free_space_violation,
-                each.score,
-                each is best or _stands(each, best),
-                each is best or _is_possible(each, best),
+    scored = []
+    for match, poles in found:
+        seen = compare_views(target, source, match.T_target_source, within=OVERLAP_DISTANCE)
+        scored.append(
+            Hypothesis(
+                match,
+                None,
+                None,
+                seen.overlap,
+                seen.free_space_violation,
+                seen.overlap - seen.free_space_violation,
+                seen.covisible_overlap,
+                poles=poles,
             )
-            for each, placements, poles in rows
-        ),
-        _overlaps(best),
+        )
+    scored.sort(key=lambda each: -each.score)
+    best = scored[0]
+    hypotheses = tuple(
+        replace(
+            each,
+            stands=each is best or _stands(each, best),
+            possible=each is best or _is_possible(each, best),
+        )
+        for each in scored
     )
+    return Pair(lidars, hypotheses, _overlaps(best))
 
 
 def _overlaps(best: Hypothesis) -> bool:

@@ -134,18 +134,18 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
             for pole in shared
             if pole.placement == p
         )
-        paired.append(PairedPlacement(Placement(target, source), _hypothesis(T, pairs)))
+        match = Match(pairs, T, 0.0, True, True, np.eye(6))
+        own = Hypothesis(match, None, None, 0.0, 0.0, 0.0)
+        paired.append(PairedPlacement(Placement(target, source), own))
     if len(scans.by_lidar) > 2:
         # The poles of many placements check each other: the place is asked once.
         paired = [max(paired, key=lambda each: len(each.hypothesis.match.pairs))]
     # What does not recur in all placements is no rival.
-    most = max((len(each.placements) for each in pair.hypotheses), default=0)
-    recurring = [each for each in pair.hypotheses if len(each.placements) == most]
+    most = max((len(each.poles) for each in pair.hypotheses), default=0)
+    recurring = [each for each in pair.hypotheses if len(each.poles) == most]
     # All other angles about a pole are asked, where the place gives that.
     rivals = recurring if pair.by_place else recurring[:4]
-    others = [
-        _hypothesis(each.T, (), by_place=pair.by_place) for each in rivals if _is_other(each.T, T)
-    ]
+    others = [each for each in rivals if _is_other(each.T, T)]
     return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
 
 
@@ -156,13 +156,6 @@ def _index(poles: Sequence[object], pole: object) -> int:
 def _is_other(T: Array, answer: Array) -> bool:
     apart = se3.difference(T, answer)
     return apart.rotation > 0.2 or apart.translation > 1.0
-
-
-def _hypothesis(
-    T: Array, pairs: tuple[tuple[int, int], ...], *, by_place: bool = False
-) -> Hypothesis:
-    match = Match(pairs, T, 0.0, True, True, np.eye(6), by_place=by_place)
-    return Hypothesis(match, None, None, 0.0, 0.0, 0.0)
 
 
 def weaknesses(
