@@ -1,7 +1,7 @@
 """Which pole is which, and which way round: every rigid match of two sets of lines.
 
-Pairs of poles of one shape are laid on each other in all ways, all at once; of what
-fits exactly, every other pole that falls into place is taken in, and solved with them together.
+Pairs of poles of one shape are laid on each other in all ways, all at once; of what fits exactly,
+every other pole that falls into place is taken in, and solved with them together.
 
 Matches that give nearly the same pose are one: which of them is kept, and in which order.
 
