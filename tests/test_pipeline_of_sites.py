@@ -16,7 +16,6 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
 from retropole.base.relative import RelativePose
 from retropole.base.uncertainty import predicted_error
-from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import between, made, off, poses_of, reordered, with_lidar
@@ -141,21 +140,6 @@ def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: Simula
         assert off(before, true) < FIVE_SIGMA
 
 
-def test_two_lidars_are_a_pair(pair_site: SimulatedSite) -> None:
-    """The same pose, and nearly the covariance of `pipeline.calibrate`."""
-    (target,), (source,) = pair_site.clouds
-    assert target is not None
-    assert source is not None
-    alone = calibrate(target, source, sensors=(pair_site.sensors[0], pair_site.sensors[1]))
-    assert alone.T_target_source is not None
-    assert alone.covariance is not None
-    found = between(calibrate_site(pair_site.as_site()), 0, 1)
-    assert off(found, alone.T_target_source) < 1e-3
-    # Places are cut elsewhere, and half of the floor turns the target's own frame.
-    ratios = np.linalg.eigvals(np.linalg.solve(alone.covariance, found.covariance)).real
-    assert np.all((ratios > 0.7) & (ratios < 1.4))
-
-
 def test_more_poles_and_lidars_make_no_pair_less_sure(
     simulated: SimulatedSite, found: SiteCalibration
 ) -> None:
@@ -233,15 +217,15 @@ def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None
     assert found.reasons[0].code == "survey_too_weak"
 
 
-def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedSite) -> None:
+def test_steps_are_named_and_timed(simulated: SimulatedSite, found: SiteCalibration) -> None:
     told: list[str] = []
-    again = calibrate_site(pair_site.as_site(), progress=told.append)
+    again = calibrate_site(simulated.as_site(), progress=told.append)
     assert told == list(again.seconds)
     assert list(found.seconds) == told
 
 
 def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
-    found: SiteCalibration, pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+    simulated: SimulatedSite, found: SiteCalibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Under rough poses returns may lie beside their pole that do not under the adjusted ones."""
     starts: list[Array] = []
@@ -255,7 +239,7 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
         return replace(adjusted, tests=tests)
 
     monkeypatch.setattr(calibration, "adjust", misfits_at_first)
-    again = calibrate_site(pair_site.as_site())
+    again = calibrate_site(simulated.as_site())
     assert again.status == found.status
     assert len(starts) == 2
     T = poses_of(again)[1]
@@ -264,7 +248,7 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
 
 
 def test_a_refusal_says_what_was_left_out_before_it(
-    pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+    simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def one_left_out(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
         return first, [Reason("pole_moved", "pole 1 of placement 1 was left out", {})]
@@ -274,7 +258,7 @@ def test_a_refusal_says_what_was_left_out_before_it(
 
     monkeypatch.setattr(calibration, "without_blunders", one_left_out)
     monkeypatch.setattr(calibration, "confirm_links", contradicted)
-    found = calibrate_site(pair_site.as_site())
+    found = calibrate_site(simulated.as_site())
     assert found.status == "refused"
     assert [reason.code for reason in found.reasons] == ["scene_contradicts", "pole_moved"]
     assert not found.lidars
