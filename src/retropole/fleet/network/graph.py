@@ -7,12 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
+from ...base.errors import UsageError
+
+LEAST_APART = 1e-5
+"""Part of its own variance that is added to that of each number: GTSAM gives up where one is known
+2¹² times better given another."""
 
 LEAST_LEVER = 1e-3
 """Control points that lie on one line but for so much, metres, hold no rotation about it."""
@@ -91,7 +97,7 @@ class Graph:
     edges: Edges
     points: ControlPoints = field(default_factory=ControlPoints)
 
-    @property
+    @cached_property
     def ends(self) -> IntArray:
         """(M, 2) the two ends of each observation; the number behind the last pose is the ground.
 
@@ -99,6 +105,41 @@ class Graph:
         """
         points = np.stack([self.points.node, np.full(len(self.points), self.nodes)], axis=1)
         return np.concatenate([np.stack([self.edges.i, self.edges.j], axis=1), points])
+
+    @cached_property
+    def numbers(self) -> IntArray:
+        """(M,) how many numbers each observation is: 6, or the 3 of a point."""
+        return np.repeat([6, 3], [len(self.edges), len(self.points)])
+
+    @cached_property
+    def roots(self) -> Array:
+        """(M, 6, 6) by which residuals of GTSAM are counted in σ, ``WᵀW = C⁻¹``.
+
+        A point has its three numbers first.
+
+        Raises
+        ------
+        UsageError
+            Of a covariance that is not positive.
+        """
+        C = np.tile(np.eye(6), (len(self.ends), 1, 1))
+        # GTSAM has the axes of the second pose, at its end.
+        turn = twice(np.swapaxes(self.edges.T_i_j[:, :3, :3], 1, 2))
+        C[self.numbers == 6] = turn @ self.edges.covariance @ np.swapaxes(turn, 1, 2)
+        C[self.numbers == 3, :3, :3] = self.points.covariance
+        C[:, range(6), range(6)] *= 1 + LEAST_APART
+        try:
+            # GTSAM takes a matrix without upper entries for a diagonal one.
+            return np.swapaxes(np.linalg.cholesky(np.linalg.inv(C)), 1, 2)
+        except np.linalg.LinAlgError:
+            raise UsageError("a covariance of the network is not positive") from None
+
+
+def twice(R: Array) -> Array:
+    """(K, 6, 6) rotations (K, 3, 3) of a rotation and of a translation."""
+    found = np.zeros((len(R), 6, 6))
+    found[:, :3, :3] = found[:, 3:, 3:] = R
+    return found
 
 
 @dataclass(frozen=True, eq=False)
