@@ -41,7 +41,7 @@ from retropole.fleet.network.adjustment import (
     NetworkAdjustment,
     adjust_network,
     noncentrality,
-    tests_at,
+    all_tests,
     values_of,
 )
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph
@@ -99,7 +99,7 @@ def strength(city: City, graph: Graph) -> Array:
     graph = replace(graph, edges=replace(graph.edges, T_i_j=wrong))
     points = replace(graph.points, world=city.T_world_node[city.control, :3, 3])
     active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
-    tests = tests_at(replace(graph, points=points), values_of(city.T_world_node), active)
+    tests = all_tests(replace(graph, points=points), values_of(city.T_world_node), active)
     return tests.chi2[: len(city.i)]
 
 

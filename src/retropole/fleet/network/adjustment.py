@@ -160,7 +160,7 @@ def _adjusted(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustmen
     for rounds in range(1, MOST_ROUNDS + 1):
         factors = as_factors(graph, active)
         values, converged = _solved(graph, factors, values)
-        tests = tests_at(graph, values, active)
+        tests = all_tests(graph, values, active)
         beyond = tests.chi2 > _critical(tests.freedom)
         fits = ~active & ~beyond & ~returned
         wanted = (active & ~worst_around(graph, tests.chi2, active & beyond)) | fits
@@ -396,7 +396,7 @@ class Tests(NamedTuple):
     freedom: IntArray
 
 
-def tests_at(graph: Graph, values: Any, active: BoolArray) -> Tests:
+def all_tests(graph: Graph, values: Any, active: BoolArray) -> Tests:
     """Test all observations at poses, values of GTSAM, against those that are active (M,)."""
     factors, edges = as_factors(graph, active), len(graph.edges)
     linear = factors.linearize(values)
