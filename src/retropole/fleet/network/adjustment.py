@@ -268,7 +268,7 @@ def find_start(graph: Graph) -> Any:
     gtsam, edges, points = engine(), graph.edges, graph.points
     model, ends = gtsam.noiseModel, graph.ends[: len(edges)].tolist()
     components = find_components(graph, np.ones(len(graph.ends), dtype=bool))
-    poses, turns, moves = (gtsam.NonlinearFactorGraph() for _ in range(3))
+    poses, turns, moves = as_factors(graph), *(gtsam.NonlinearFactorGraph() for _ in range(2))
     places = gtsam.Values()
     for k in (int(each.nodes[0]) for each in components):
         poses.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(), model.Isotropic.Sigma(6, 1e-3)))
@@ -285,9 +285,8 @@ def find_start(graph: Graph) -> Any:
 
     each = np.diagonal(edges.covariance, axis1=1, axis2=2)
     turned, moved = each[:, :3].mean(axis=1), each[:, 3:].mean(axis=1)
-    unit, noise = model.Isotropic.Sigma(6, 1e-2), alike(turned)
+    noise = alike(turned)
     for (i, j), T in zip(ends, edges.T_i_j, strict=True):
-        poses.add(gtsam.BetweenFactorPose3(i, j, gtsam.Pose3(T), unit))
         turns.add(gtsam.BetweenFactorRot3(i, j, gtsam.Rot3(T[:3, :3]), noise))
     rotations = gtsam.InitializePose3.initializeOrientations(poses)
     rotations, _ = _solved(graph, turns, rotations, 20, 1.0)
