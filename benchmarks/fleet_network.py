@@ -15,11 +15,9 @@ adjusts each and holds it against the truth. ``--nodes 100000 --seeds 2000:2001`
 - *coverage* is the part of poses, and of relative poses along edges, whose 95 % region holds the
   truth.
 
-Seeds below 1000 are for tuning, from 2000 on they state the figure. On tuning seeds 0 to 3 it
-was decided that edges count alike in `start._majority`, that two outvote one
-(`doubtful.outvoted`), and `snooping.PLAIN`; that these two must agree (`doubtful.agrees`) was seen
-on 100,000 LiDARs, seed 2000. All other constants are as they were first written down, and the
-levels of the tests (`testing`) are probabilities.
+Seeds below 1000 are for tuning, from 2000 on they state the figure. On tuning seeds 0 to 7 of 1000
+nodes it was decided that edges count alike in the start (`adjustment.find_start`), and
+`adjustment.KERNEL`. The levels of the tests are probabilities.
 """
 
 from __future__ import annotations

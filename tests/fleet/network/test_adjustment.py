@@ -71,7 +71,7 @@ def test_covariances_are_those_of_the_scatter() -> None:
     exact = np.linalg.inv(T[graph.edges.i]) @ T[graph.edges.j]
     rng, steps = np.random.default_rng(1), []
     survey = se3.apply(T[0], graph.points.at)
-    for _ in range(300):
+    for _ in range(100):
         noise = 1e-3 * rng.normal(size=(len(exact), 6))
         edges = replace(graph.edges, T_i_j=se3.retract(exact, noise))
         points = replace(graph.points, world=survey + 1e-4 * rng.normal(size=survey.shape))
@@ -79,8 +79,8 @@ def test_covariances_are_those_of_the_scatter() -> None:
         steps.append(se3.local(T, found.T_world_node))
     root = np.linalg.cholesky(np.linalg.inv(found.covariance))
     normal = np.einsum("kba,nkb->nka", root, np.array(steps))
-    np.testing.assert_allclose((normal**2).mean(axis=0), 1, atol=0.4)
-    np.testing.assert_allclose((normal**2).mean(), 1, atol=0.08)
+    np.testing.assert_allclose((normal**2).mean(axis=0), 1, atol=0.7)
+    np.testing.assert_allclose((normal**2).mean(), 1, atol=0.12)
 
 
 def test_moving_the_frame_moves_the_poses_and_nothing_else(drawn: tuple[City, Graph]) -> None:
