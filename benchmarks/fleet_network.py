@@ -38,8 +38,8 @@ from retropole.base.relative import relative_jacobian
 from retropole.fleet.network.adjustment import (
     NetworkAdjustment,
     adjust_network,
-    noncentrality,
     all_tests,
+    noncentrality,
     values_of,
 )
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph
