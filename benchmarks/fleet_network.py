@@ -15,11 +15,9 @@ adjusts each and holds it against the truth. ``--nodes 100000 --seeds 2000:2001`
 - *coverage* is the part of poses, and of relative poses along edges, whose 95 % region holds the
   truth.
 
-Seeds below 1000 are for tuning, from 2000 on they state the figure. On tuning seeds 0 to 3 it
-was decided that edges count alike in `start._majority`, that two outvote one
-(`doubtful.outvoted`), and `snooping.PLAIN`; that these two must agree (`doubtful.agrees`) was seen
-on 100,000 LiDARs, seed 2000. All other constants are as they were first written down, and the
-levels of the tests (`testing`) are probabilities.
+Seeds below 1000 are for tuning, from 2000 on they state the figure. On tuning seeds 0 to 7 of 1000
+nodes it was decided that edges count alike in the start (`adjustment.find_start`), and
+`adjustment.KERNEL`. The levels of the tests are probabilities.
 """
 
 from __future__ import annotations
@@ -37,10 +35,14 @@ from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import relative_jacobian
-from retropole.fleet.network.adjustment import adjust, find_layout
-from retropole.fleet.network.graph import ControlPoints, Edges, Graph, find_components
-from retropole.fleet.network.network import NetworkAdjustment, adjust_network
-from retropole.fleet.network.testing import all_tests, noncentrality
+from retropole.fleet.network.adjustment import (
+    NetworkAdjustment,
+    adjust_network,
+    all_tests,
+    noncentrality,
+    values_of,
+)
+from retropole.fleet.network.graph import ControlPoints, Edges, Graph
 
 
 @dataclass
@@ -93,13 +95,9 @@ def strength(city: City, graph: Graph) -> Array:
     """(E,) by how much the error of each edge raises its χ² against all sound ones."""
     wrong = se3.retract(relative_poses(city.T_world_node, city), -city.error)
     graph = replace(graph, edges=replace(graph.edges, T_i_j=wrong))
-    active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
-    components = find_components(graph, active)
-    layout = find_layout(graph)
     points = replace(graph.points, world=city.T_world_node[city.control, :3, 3])
-    graph = replace(graph, points=points)
-    adjusted = adjust(graph, layout, city.T_world_node, active, components)
-    tests = all_tests(graph, layout, replace(adjusted, T=city.T_world_node), active)
+    active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
+    tests = all_tests(replace(graph, points=points), values_of(city.T_world_node), active)
     return tests.chi2[: len(city.i)]
 
 
@@ -132,15 +130,11 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
     cpu, wall = time.process_time(), time.perf_counter()
     found = adjust_network(graph)
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    out = np.zeros(len(city.i), dtype=bool)
-    rivals = out.copy()
-    for one in found.left_out:
-        if one.kind == "edge":
-            out[one.index] = True
-        rivals[[k for kind, k in one.rivals if kind == "edge"]] = True
+    out = ~found.used[: len(city.i)]
+    rivals = np.zeros(len(found.used), dtype=bool)
+    rivals[[k for some in found.rivals.values() for k in some]] = True
     detectable = city.wrong & (strength(city, graph) >= noncentrality(6, power))
-    named = out | rivals
-    alone = {one.index for one in found.left_out if one.kind == "edge" and not one.rivals}
+    named = out | rivals[: len(city.i)]
     lost = np.flatnonzero(out & ~city.wrong)
     T = found.T_world_node
     between = se3.local(relative_poses(T, city), relative_poses(city.T_world_node, city))
@@ -155,8 +149,8 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
         int((detectable & named).sum()),
         int((~city.wrong).sum()),
         len(lost),
-        sum(int(k) in alone for k in lost),
-        sorted(found.edges.chi2[detectable & ~named].tolist()),
+        sum(int(k) not in found.rivals for k in lost),
+        sorted(found.chi2[: len(city.i)][detectable & ~named].tolist()),
         found.rounds,
         found.settled,
         int(found.doubtful.sum()),

@@ -13,6 +13,7 @@ from tests.fleet.network.made_up_fleet import WRONG, MadeUpFleet, write_made_up_
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra fleet")
 pytest.importorskip("fsspec", reason="needs the extra fleet")
+pytest.importorskip("gtsam", reason="needs the extra network")
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +94,11 @@ def test_a_slip_ends_with_2_and_writes_nothing(made_up: MadeUpFleet, tmp_path: P
     assert done.returncode == 2
     assert "there is no site 'gone'" in done.stderr
     assert not out.exists()
+
+
+def test_the_graph_is_exported(made_up: MadeUpFleet, tmp_path: Path) -> None:
+    out = tmp_path / "network.g2o"
+    options = ("--nodes", made_up.nodes, "--to", "g2o", "--out", out)
+    done = retropole_here("fleet", "export", made_up.dataset, *options)
+    assert (done.returncode, done.stdout) == (0, f"written: {out}\n")
+    assert out.read_text().startswith("VERTEX_SE3:QUAT 0 ")

@@ -8,7 +8,7 @@ import click
 
 from .common import EXIT_WARNED, Group, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
-from .fleet_network import fleet_network
+from .fleet_network import fleet_export, fleet_network
 from .options import SENSORS, run_options
 
 if TYPE_CHECKING:
@@ -28,11 +28,13 @@ def fleet() -> None:
       retropole fleet report fleet --out fleet.html
       retropole fleet check sites.csv --history history
       retropole fleet network fleet --nodes nodes.csv --out network.parquet
+      retropole fleet export fleet --nodes nodes.csv --to g2o --out network.g2o
     """
 
 
 fleet.add_command(fleet_check)
 fleet.add_command(fleet_network)
+fleet.add_command(fleet_export)
 
 
 @fleet.command()

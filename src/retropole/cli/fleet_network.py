@@ -1,18 +1,19 @@
-"""The command ``retropole fleet network``."""
+"""The commands ``retropole fleet network`` and ``retropole fleet export``."""
 
 from __future__ import annotations
 
 from collections import Counter
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import click
 
-from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show, show_written
 from .fleet_check import protocol_option
 
 if TYPE_CHECKING:
+    from ..fleet.network.adjustment import NetworkAdjustment
     from ..fleet.network.dataset import FleetNetwork
-    from ..fleet.network.network import NetworkAdjustment
 
 SCHEMA = "retropole/fleet-network/1"
 
@@ -20,14 +21,17 @@ MOST_COMPONENTS = 10
 """The largest that are told by a line each."""
 
 
-@click.command("network")
-@click.argument("dataset")
-@click.option(
+nodes_option = click.option(
     "--nodes",
     metavar="TABLE",
     required=True,
     help="Which LiDAR of which site is which node, and surveyed points; .csv or .parquet.",
 )
+
+
+@click.command("network")
+@click.argument("dataset")
+@nodes_option
 @click.option("--out", metavar="FILE", required=True, help="Parquet file to write, or its URL.")
 @protocol_option
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
@@ -66,9 +70,9 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
       4    a relative pose or a control point does not fit and was left out
       130  interrupted
     """
+    from ..fleet.network.adjustment import adjust_network
     from ..fleet.network.answer import write_network
     from ..fleet.network.dataset import find_network, read_nodes
-    from ..fleet.network.network import adjust_network
 
     with progress_on_terminal(quiet or as_json) as progress:
         progress("read")
@@ -83,37 +87,70 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
         show(in_words(network, found, out))
     if not found.settled:
         return EXIT_REFUSED
-    return EXIT_MOVED if found.left_out else 0
+    return 0 if found.used.all() else EXIT_MOVED
+
+
+@click.command("export")
+@click.argument("dataset")
+@nodes_option
+@click.option("--to", type=click.Choice(["g2o"]), required=True, help="Format to write.")
+@click.option("--out", metavar="FILE", required=True, help="File to write, or its URL.")
+@protocol_option
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def fleet_export(dataset: str, nodes: str, to: str, out: str, quiet: bool) -> int:
+    """Write the network of DATASET, not adjusted, for another program.
+
+    g2o has a vertex for each node, where an adjustment may start, and an edge for each relative
+    pose with its information; comments name the nodes. It has no control points.
+
+    \b
+    Examples:
+      retropole fleet export fleet --nodes nodes.csv --to g2o --out network.g2o
+
+    \b
+    Exit code:
+      0    written
+      2    a file or an option is wrong, or nothing joins two nodes
+      130  interrupted
+    """
+    from ..fleet.network.answer import write_g2o
+    from ..fleet.network.dataset import find_network, read_nodes
+
+    write_g2o(out, find_network(dataset, read_nodes(nodes)))
+    if not quiet:
+        show_written(out)
+    return 0
 
 
 def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     """Write what was found as one line of JSON."""
     from ..fleet.network.answer import name_of
 
+    edges = len(network.graph.edges)
+    left_out = [
+        {
+            "kind": "edge" if k < edges else "control point",
+            "name": name_of(network, k),
+            "w": float(found.w[k]),
+            "rivals": [name_of(network, rival) for rival in found.rivals.get(k, ())],
+        }
+        for k, is_used in enumerate(found.used)
+        if not is_used
+    ]
+    components = [
+        {"poses": len(each.nodes), "datum": each.datum(network.nodes)} for each in found.components
+    ]
     return json_text(
         {
             "schema": SCHEMA,
             "out": out if found.settled else None,
             "settled": found.settled,
             "poses": len(network.nodes),
-            "edges": len(network.graph.edges),
+            "edges": edges,
             "control_points": len(network.graph.points),
-            "components": [
-                {"poses": len(each.nodes), "datum": each.datum_of(network.nodes)}
-                for each in found.components
-            ],
-            "left_out": [
-                {
-                    "kind": one.kind,
-                    "name": name_of(network, one.kind, one.index),
-                    "w": one.w,
-                    "rivals": [name_of(network, *rival) for rival in one.rivals],
-                }
-                for one in found.left_out
-            ],
-            "doubtful": [
-                name for name, is_so in zip(network.nodes, found.doubtful, strict=True) if is_so
-            ],
+            "components": components,
+            "left_out": left_out,
+            "doubtful": list(compress(network.nodes, found.doubtful)),
             "not_used": network.not_used,
             "unit_variance": found.unit_variance,
         }
@@ -134,20 +171,21 @@ def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     ]
     by_size = sorted(found.components, key=lambda each: -len(each.nodes))
     lines += [
-        printable(f"{counted(len(each.nodes), 'pose')}: {each.datum_of(network.nodes)}")
+        f"{counted(len(each.nodes), 'pose')}: {each.datum(network.nodes)}"
         for each in by_size[:MOST_COMPONENTS]
     ]
     if len(by_size) > MOST_COMPONENTS:
         lines.append(f"and {counted(len(by_size) - MOST_COMPONENTS, 'component')} more")
-    lines += [printable(f"left out: {reason_of(network, one)}") for one in found.left_out]
-    doubtful = int(found.doubtful.sum())
-    if doubtful:
+    out_of = compress(range(len(found.used)), ~found.used)
+    lines += [f"left out: {reason_of(network, found, k)}" for k in out_of]
+    if doubtful := int(found.doubtful.sum()):
         lines.append(f"{counted(doubtful, 'pose')} doubtful: tied by what may be wrong instead")
     kinds = Counter((one.kind, one.reason) for one in network.not_used)
     lines += [
-        printable(f"not used: {counted(count, kind)} ({reason})")
+        f"not used: {counted(count, kind)} ({reason})"
         for (kind, reason), count in sorted(kinds.items(), key=lambda each: (-each[1], each[0]))
     ]
-    settled = printable(f"written: {out}")
-    lines.append(settled if found.settled else "the adjustment did not settle: nothing is written")
-    return "\n".join(lines)
+    end = (
+        f"written: {out}" if found.settled else "the adjustment did not settle: nothing is written"
+    )
+    return "\n".join(printable(line) for line in [*lines, end])

@@ -1,4 +1,4 @@
-"""Small networks whose truth is known, and their dense counterparts."""
+"""Small networks whose truth is known."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
-from retropole.fleet.network.elimination import Blocks
-from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
+from retropole.fleet.network.graph import ControlPoints, Edges, Graph
 
 
 def city(
@@ -28,7 +27,7 @@ def city(
 
 
 def ladder(length: int, rng: np.random.Generator, sigma: float = 1e-3) -> tuple[Array, Graph]:
-    """True poses, and a network of two rows of nodes with rungs; the first pose is known.
+    """True poses, and a network of two rows of nodes with rungs; the first sees four known points.
 
     Edges are the rails first, then the rungs, then a brace across each field: without it the rails
     of a field could not be told apart.
@@ -43,14 +42,16 @@ def ladder(length: int, rng: np.random.Generator, sigma: float = 1e-3) -> tuple[
 
 
 def network_of(T: Array, ends: IntArray, rng: np.random.Generator, sigma: float = 1e-3) -> Graph:
-    """A network of edges between true poses with isotropic noise; the first pose is known."""
+    """Edges between true poses with isotropic noise; the first pose sees four known points."""
     i, j = ends.T
     measured = np.linalg.inv(T[i]) @ T[j]
     noise = sigma * rng.normal(size=(len(i), 6))
     measured = np.array([se3.retract(a, step) for a, step in zip(measured, noise, strict=True)])
     covariance = np.tile(np.eye(6) * sigma**2, (len(i), 1, 1))
-    known = KnownPoses(np.array([0]), T[:1], np.eye(6)[None] * 1e-8)
-    return Graph(len(T), Edges(i, j, measured, covariance), known)
+    seen = np.concatenate([np.zeros((1, 3)), 10 * np.eye(3)])
+    survey = np.tile(np.eye(3) * 1e-8, (4, 1, 1))
+    points = ControlPoints(np.zeros(4, dtype=np.int64), se3.apply(T[0], seen), survey, seen)
+    return Graph(len(T), Edges(i, j, measured, covariance), points)
 
 
 def spoiled(graph: Graph, edge: int, step: Array) -> Graph:
@@ -58,17 +59,6 @@ def spoiled(graph: Graph, edge: int, step: Array) -> Graph:
     measured = graph.edges.T_i_j.copy()
     measured[edge] = se3.retract(measured[edge], step)
     return replace(graph, edges=replace(graph.edges, T_i_j=measured))
-
-
-def dense(matrix: Blocks, pairs: IntArray) -> Array:
-    """All of a symmetric matrix of blocks."""
-    size, b, _ = matrix.diagonal.shape
-    out = np.zeros((size, b, size, b))
-    k = np.arange(size)
-    out[k, :, k, :] = matrix.diagonal
-    out[pairs[:, 0], :, pairs[:, 1], :] = matrix.pairs
-    out[pairs[:, 1], :, pairs[:, 0], :] = np.swapaxes(matrix.pairs, 1, 2)
-    return out.reshape(size * b, size * b)
 
 
 def in_sigma(T: Array, other: Array, covariance: Array) -> float:

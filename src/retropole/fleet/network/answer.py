@@ -1,4 +1,4 @@
-"""A network adjusted, as one Parquet file, schema ``retropole/network/1``.
+"""A network adjusted, as one Parquet file, schema ``retropole/network/1``; a graph as g2o.
 
 A row for each pose, each relative pose, each control point, and each site or node that is not in
 the network; its `kind` says which.
@@ -6,31 +6,23 @@ the network; its `kind` says which.
 
 from __future__ import annotations
 
-import math
+import tempfile
 from collections.abc import Iterator
-from functools import partial
+from pathlib import Path
 from typing import Any
 
-from ...api import Array
+import numpy as np
+
 from ..storage import absolute, write_bytes
 from ..tables import arrow, parquet_of
+from .adjustment import NetworkAdjustment, as_factors, engine, find_start
 from .dataset import FleetNetwork
-from .network import Kind, LeftOut, NetworkAdjustment
 
 NETWORK_SCHEMA = "retropole/network/1"
 
 
 def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> None:
-    """Write a network whole or not at all.
-
-    Parameters
-    ----------
-    place
-        Path or URL of the file.
-    of
-        The network.
-    found
-        Its adjustment.
+    """Write an adjusted network, whole or not at all, to a path or URL.
 
     Raises
     ------
@@ -49,69 +41,74 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
         **{"rivals": pa.list_(text), "reason": text},
     }
     metadata = {"schema": NETWORK_SCHEMA, "unit_variance": repr(found.unit_variance)}
-    schema = pa.schema(columns, metadata)
-    write_bytes(absolute(place), parquet_of(_lines(of, found), schema))
+    write_bytes(absolute(place), parquet_of(_lines(of, found), pa.schema(columns, metadata)))
 
 
-def name_of(of: FleetNetwork, kind: Kind, index: int) -> str:
+def write_g2o(place: str, of: FleetNetwork) -> None:
+    """Write the relative poses of a network, and poses to start from, as g2o to a path or URL.
+
+    Comments at its end say which vertex is which node. Control points have no form in g2o.
+
+    Raises
+    ------
+    MissingExtraError
+        Where the extra ``network`` is not installed.
+    OSError
+        Where it cannot be written.
+    """
+    factors = as_factors(of.graph)
+    factors.resize(len(of.graph.edges))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "network.g2o"
+        engine().writeG2o(factors, find_start(of.graph), str(file))
+        names = "".join(f"# {k} {name}\n" for k, name in enumerate(of.nodes))
+        write_bytes(absolute(place), file.read_bytes() + names.encode())
+
+
+def name_of(of: FleetNetwork, k: int) -> str:
     """Name an observation as the fleet knows it."""
-    graph = of.graph
-    if kind == "edge":
-        i, j = of.nodes[graph.edges.i[index]], of.nodes[graph.edges.j[index]]
-        return f"{of.sites[index]} ({i} to {j})"
-    return f"control point of {of.nodes[graph.points.node[index]]}"
+    edges = of.graph.edges
+    if k < len(edges):
+        return f"{of.sites[k]} ({of.nodes[edges.i[k]]} to {of.nodes[edges.j[k]]})"
+    return f"control point of {of.nodes[of.graph.points.node[k - len(edges)]]}"
 
 
-def reason_of(of: FleetNetwork, one: LeftOut) -> str:
-    """Say what does not fit, and what may be wrong in its stead."""
-    return one.reason_of(partial(name_of, of))
+def reason_of(of: FleetNetwork, found: NetworkAdjustment, k: int) -> str:
+    """Say how an observation does not fit, and what may be wrong in its stead."""
+    words = f"{name_of(of, k)}: w {found.w[k]:.1f} against all others"
+    if rivals := ", ".join(name_of(of, rival) for rival in found.rivals.get(k, ())):
+        words += f"; {rivals} may be wrong in its stead"
+    return words
 
 
 def _lines(of: FleetNetwork, found: NetworkAdjustment) -> Iterator[dict[str, Any]]:
-    component: dict[int, int] = {
-        node: k for k, each in enumerate(found.components) for node in each.nodes.tolist()
-    }
-    datums = [each.datum_of(of.nodes) for each in found.components]
-    for k, name in enumerate(of.nodes):
+    for number, each in enumerate(found.components):
+        part = {"kind": "pose", "component": number, "datum": each.datum(of.nodes)}
+        for k in each.nodes.tolist():
+            yield {
+                **part,
+                "node": of.nodes[k],
+                "T": found.T_world_node[k].ravel(),
+                "covariance": found.covariance[k].ravel(),
+                "doubtful": found.doubtful[k],
+            }
+    edges = len(of.sites)
+    for k, (i, j) in enumerate(of.graph.ends.tolist()):
+        edge = {"kind": "edge", "other": of.nodes[j], "site": of.sites[k]} if k < edges else {}
+        rotation, translation = (x if np.isfinite(x) else None for x in found.detectable[k])
         yield {
-            "kind": "pose",
-            "node": name,
-            "T": found.T_world_node[k].ravel(),
-            "covariance": found.covariance[k].ravel(),
-            "component": component[k],
-            "datum": datums[component[k]],
-            "doubtful": found.doubtful[k],
+            "kind": "control point",
+            "node": of.nodes[i],
+            **edge,
+            "used": found.used[k],
+            "chi2": found.chi2[k],
+            "freedom": found.freedom[k],
+            "w": found.w[k],
+            "redundancy": found.redundancy[k],
+            "detectable_rotation_rad": rotation,
+            "detectable_translation_m": translation,
+            "rivals": [name_of(of, rival) for rival in found.rivals.get(k, ())],
+            "reason": None if found.used[k] else reason_of(of, found, k),
         }
-    out = {(one.kind, one.index): one for one in found.left_out}
-    i, j = of.graph.edges.i.tolist(), of.graph.edges.j.tolist()
-    for k, site in enumerate(of.sites):
-        ends = {"node": of.nodes[i[k]], "other": of.nodes[j[k]], "site": site}
-        yield {**ends, **_tested(of, found, "edge", k, out.get(("edge", k)))}
-    for k, node in enumerate(of.graph.points.node.tolist()):
-        point = _tested(of, found, "control point", k, out.get(("control point", k)))
-        yield {"node": of.nodes[node], **point}
     for one in of.not_used:
         yield {"kind": one.kind, one.kind: one.name, "used": False, "reason": one.reason}
-
-
-def _tested(
-    of: FleetNetwork, found: NetworkAdjustment, kind: Kind, k: int, out: LeftOut | None
-) -> dict[str, Any]:
-    """Give the columns that an observation has."""
-    tests = found.edges if kind == "edge" else found.points
-    return {
-        "kind": kind,
-        "used": out is None,
-        "chi2": float(tests.chi2[k]),
-        "freedom": int(tests.freedom[k]),
-        "w": float(tests.w[k]),
-        "redundancy": float(tests.redundancy[k]),
-        "detectable_rotation_rad": _finite(tests.detectable_rotation, k),
-        "detectable_translation_m": _finite(tests.detectable_translation, k),
-        "rivals": [] if out is None else [name_of(of, *rival) for rival in out.rivals],
-        "reason": None if out is None else reason_of(of, out),
-    }
-
-
-def _finite(values: Array, k: int) -> float | None:
-    return float(values[k]) if math.isfinite(values[k]) else None

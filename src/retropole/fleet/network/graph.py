@@ -1,6 +1,6 @@
-"""What a network is made of: poses to find, relative poses between them, and what was surveyed.
+"""What a network is made of: poses to find, relative poses between them, and surveyed points.
 
-Nodes that are connected are a component, whose datum is control, or the first node held.
+Observations are numbered: edges first, then control points, which join a pose and the ground.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
-from .observations import Observations
 
-MOST_NODES = 10_000_000
-"""More poses than any city has posts: a count beyond it is a mistake."""
+LEAST_APART = 1e-5
+"""Part of its own variance that is added to that of each number: GTSAM gives up where one is known
+2¹² times better given another."""
+
+LEAST_LEVER = 1e-3
+"""Control points that lie on one line but for so much, metres, hold no rotation about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +46,6 @@ class Edges:
     def __len__(self) -> int:
         """How many there are."""
         return len(self.i)
-
-
-@dataclass(frozen=True, eq=False)
-class KnownPoses:
-    """Poses that are known in the frame of the network, with a covariance.
-
-    Attributes
-    ----------
-    node
-        (K,) which.
-    T_world_node
-        (K, 4, 4) maps points of it into the frame of the network.
-    covariance
-        (K, 6, 6) over ``[φ, δ]``, rad and m, axes of the network.
-    """
-
-    node: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    T_world_node: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
-
-    def __len__(self) -> int:
-        """How many there are."""
-        return len(self.node)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,111 +89,57 @@ class Graph:
         How many poses are to be found.
     edges
         Relative poses between them.
-    known, points
+    points
         What ties them to the frame of the network.
-
-    Raises
-    ------
-    UsageError
-        Of arrays that do not fit together, numbers that are not finite, a node that is not there,
-        an edge from a node to itself, a transform that is not rigid, or a covariance that is not
-        symmetric and positive.
     """
 
     nodes: int
     edges: Edges
-    known: KnownPoses = field(default_factory=KnownPoses)
     points: ControlPoints = field(default_factory=ControlPoints)
 
-    def __post_init__(self) -> None:
-        """Check all of it."""
-        if not 0 < self.nodes <= MOST_NODES:
-            raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
-        edges, known, points = self.edges, self.known, self.points
-        _check("edge", self.nodes, (edges.i, edges.j), edges.covariance, 6, edges.T_i_j)
-        _check("known pose", self.nodes, (known.node,), known.covariance, 6, known.T_world_node)
-        _check("control point", self.nodes, (points.node,), points.covariance, 3)
-        _refuse("edge", edges.i == edges.j, "it leads from a pose to itself")
-        for what, xyz in (("world", points.world), ("seen", points.at)):
-            if xyz.shape != (len(points), 3) or not (np.abs(xyz) <= se3.FARTHEST).all():
-                raise UsageError(
-                    f"control points: {what} is {xyz.shape}, expected finite ({len(points)}, 3)"
-                )
+    @cached_property
+    def ends(self) -> IntArray:
+        """(M, 2) the two ends of each observation; the number behind the last pose is the ground.
+
+        The ground is the second end.
+        """
+        points = np.stack([self.points.node, np.full(len(self.points), self.nodes)], axis=1)
+        return np.concatenate([np.stack([self.edges.i, self.edges.j], axis=1), points])
 
     @cached_property
-    def observed(self) -> Observations:
-        """Edges first, then known poses and control points as what the ground observes."""
-        edges, known, points = self.edges, self.known, self.points
-        surveyed = np.tile(np.eye(4), (len(points), 1, 1))
-        surveyed[:, :3, 3] = points.world
-        translations = np.zeros((len(points), 6, 6))
-        translations[:, 3:, 3:] = _roots(points.covariance)
-        ground = np.full(len(known) + len(points), self.nodes)
-        return Observations(
-            np.concatenate([edges.i, ground]),
-            np.concatenate([edges.j, known.node, points.node]),
-            np.concatenate([edges.T_i_j, known.T_world_node, surveyed]),
-            np.concatenate([np.zeros((len(edges) + len(known), 3)), points.at]),
-            np.concatenate([_roots(edges.covariance), _roots(known.covariance), translations]),
-            np.repeat([6, 6, 3], [len(edges), len(known), len(points)]),
-        )
+    def numbers(self) -> IntArray:
+        """(M,) how many numbers each observation is: 6, or the 3 of a point."""
+        return np.repeat([6, 3], [len(self.edges), len(self.points)])
+
+    @cached_property
+    def roots(self) -> Array:
+        """(M, 6, 6) by which residuals of GTSAM are counted in σ, ``WᵀW = C⁻¹``.
+
+        A point has its three numbers first.
+
+        Raises
+        ------
+        UsageError
+            Of a covariance that is not positive.
+        """
+        C = np.tile(np.eye(6), (len(self.ends), 1, 1))
+        # GTSAM has the axes of the second pose, at its end.
+        turn = twice(np.swapaxes(self.edges.T_i_j[:, :3, :3], 1, 2))
+        C[self.numbers == 6] = turn @ self.edges.covariance @ np.swapaxes(turn, 1, 2)
+        C[self.numbers == 3, :3, :3] = self.points.covariance
+        C[:, range(6), range(6)] *= 1 + LEAST_APART
+        try:
+            # GTSAM takes a matrix without upper entries for a diagonal one.
+            return np.swapaxes(np.linalg.cholesky(np.linalg.inv(C)), 1, 2)
+        except np.linalg.LinAlgError:
+            raise UsageError("a covariance of the network is not positive") from None
 
 
-def _roots(covariance: Array) -> Array:
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-
-def grouped(label: IntArray, count: int) -> list[IntArray]:
-    """Give for each label from 0 on the numbers of those that have it, in rising order."""
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
-
-
-def _check(
-    what: str,
-    most: int,
-    ends: tuple[IntArray, ...],
-    covariance: Array,
-    size: int,
-    T: Array | None = None,
-) -> None:
-    """Check observations of one kind: the poses of each, its covariance and its transform."""
-    count = len(ends[0])
-    shapes: list[tuple[str, Array | IntArray | None, tuple[int, ...]]] = [
-        *(("poses", end, (count,)) for end in ends),
-        ("covariance", covariance, (count, size, size)),
-        ("transforms", T, (count, 4, 4)),
-    ]
-    for name, array, shape in shapes:
-        if array is None:
-            continue
-        if array.shape != shape or (name == "poses" and array.dtype.kind not in "iu"):
-            raise UsageError(f"{name} of each {what}: {array.shape}, expected {shape}")
-    for end in ends:
-        _refuse(what, (end < 0) | (end >= most), f"there is no pose of that number, only {most}")
-    sigma = np.sqrt(np.abs(np.diagonal(covariance, axis1=1, axis2=2)))
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        correlation = covariance / sigma[:, :, None] / sigma[:, None, :]
-        skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
-        fine = skew < 1e-6
-    fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
-    _refuse(what, ~fine, "its covariance is not symmetric and positive")
-    if T is not None:
-        R = T[:, :3, :3]
-        with np.errstate(invalid="ignore", over="ignore"):
-            off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
-            fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
-            fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
-        _refuse(what, ~fine, "its transform is not rigid")
-
-
-def _refuse(what: str, wrong: BoolArray, words: str) -> None:
-    if wrong.any():
-        raise UsageError(f"{what} {np.flatnonzero(wrong)[0]}: {words}")
-
-
-LEAST_LEVER = 1e-3
-"""Control points that lie on one line but for so much, metres, hold no rotation about it."""
+def twice(R: Array) -> Array:
+    """(K, 6, 6) rotations (K, 3, 3) of a rotation and of a translation."""
+    found = np.zeros((len(R), 6, 6))
+    found[:, :3, :3] = found[:, 3:, 3:] = R
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,72 +150,58 @@ class Component:
     ----------
     nodes
         (K,) in rising order.
-    controls
-        How many known poses and control points tie it to the frame of the network.
+    points
+        (C,) control points that tie it to the frame of the network.
     held
-        (H, 6) directions in which its first node is held, since no control says anything of
-        them: rows over ``[φ, δ]``, orthonormal; all six without control.
+        (H, 3) axes about which its first node is held, since control says nothing of these
+        rotations; without control all of its pose is held.
     """
 
     nodes: IntArray
-    controls: int
+    points: IntArray
     held: Array
 
-    @property
-    def datum(self) -> str:
-        """In words."""
-        return self.datum_of(None)
-
-    def datum_of(self, names: Sequence[str] | None) -> str:
-        """In words, with the first node by its name (N,) rather than by its number."""
-        first = int(self.nodes[0])
-        pose = f"pose {first if names is None else names[first]}"
-        if not self.controls:
+    def datum(self, names: Sequence[object]) -> str:
+        """In words, with the first node by its name (N,)."""
+        pose = f"pose {names[int(self.nodes[0])]}"
+        if not len(self.points):
             return f"no control: {pose} is held"
-        if len(self.held):
-            return (
-                f"{self.controls} controls leave {len(self.held)} of its rotations open: "
-                f"{pose} is held in them"
-            )
-        return f"{self.controls} controls"
+        open_ = f" leave {len(self.held)} of its rotations open: {pose} is held in them"
+        return f"{len(self.points)} controls" + (open_ if len(self.held) else "")
 
 
-def hanging_together(graph: Graph, kept: BoolArray, but: Sequence[int] = ()) -> IntArray:
-    """(N + 1,) label of each node and, last, of the ground: equal where those kept (M,) join.
-
-    Some of these may be left out: their numbers are `but`.
-    """
-    kept = kept.copy()
-    kept[list(but)] = False
-    ends, size = (graph.observed.i[kept], graph.observed.j[kept]), graph.nodes + 1
-    matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))
+def labels(graph: Graph, kept: BoolArray) -> IntArray:
+    """(N + 1,) of each node and, last, of the ground: equal where observations kept (M,) join."""
+    a, b = graph.ends[kept].T
+    size = graph.nodes + 1
+    matrix = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
 
 
-def find_components(graph: Graph, active: BoolArray | None = None) -> tuple[Component, ...]:
-    """Find the components of a network, by its observations or those that are active (M,)."""
-    active = np.ones(len(graph.observed), dtype=bool) if active is None else active
-    is_control = graph.observed.i == graph.nodes
-    label = np.unique(hanging_together(graph, active & ~is_control)[:-1], return_inverse=True)[1]
-    controls, count = graph.observed.only(np.flatnonzero(active & is_control)), label.max() + 1
-    components = []
-    groups = grouped(label, count), grouped(label[controls.j], count)
-    for nodes, own in zip(*groups, strict=True):
-        is_posed = (controls.freedom[own] == 6).any()
-        held = np.zeros((0, 6)) if is_posed else _open(controls.T_i_j[own, :3, 3])
-        components.append(Component(nodes, len(own), held))
-    return tuple(sorted(components, key=lambda component: int(component.nodes[0])))
+def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
+    """Find the components of a network by its active observations (M,)."""
+    edges = len(graph.edges)
+    label = labels(graph, active & (np.arange(len(active)) < edges))[:-1]
+    some = np.flatnonzero(active[edges:])
+    _, first, label = np.unique(label, return_index=True, return_inverse=True)
+    groups = _grouped(label, len(first)), _grouped(label[graph.points.node[some]], len(first))
+    found = [
+        Component(nodes, some[own], _open(graph.points.world[some[own]]))
+        for nodes, own in zip(*groups, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda component: int(component.nodes[0])))
+
+
+def _grouped(label: IntArray, count: int) -> list[IntArray]:
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
 def _open(points: Array) -> Array:
-    """(H, 6) directions that points (K, 3) do not hold."""
-    if not len(points):
-        return np.eye(6)
-    away = points - points.mean(axis=0)
-    arms = se3.hat(away)
+    """(H, 3) axes about which points (K, 3) hold no rotation."""
+    arms = se3.hat(points - points.mean(axis=0)) if len(points) else np.zeros((0, 3, 3))
     size, way = np.linalg.eigh(np.einsum("kba,kbc->ac", arms, arms))
-    free = way[:, size <= LEAST_LEVER**2].T
-    return np.hstack([free, np.zeros_like(free)])
+    return np.asarray(way[:, size <= LEAST_LEVER**2].T)
 
 
 def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
@@ -300,7 +212,7 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """
     size = graph.nodes + 1
     order = np.lexsort((squares, ~wanted))
-    low, high = np.sort([graph.observed.i, graph.observed.j], axis=0)[:, order]
+    low, high = np.sort(graph.ends[order], axis=1).T
     # Between the same two ends the best one counts.
     best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
     # What the tree is the least sum of, ranks, tells which they are.
@@ -309,3 +221,20 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     kept = wanted.copy()
     kept[order[tree.data.astype(np.int64) - 1]] = True
     return kept
+
+
+def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
+    """Which of the wrong observations (M,) have the largest χ² of all around.
+
+    Around an edge are all that share one of its poses, or are one edge away from it.
+    """
+    i, j = graph.ends.T
+    score = np.where(wrong, chi2, 0.0)
+    near = np.zeros(graph.nodes + 1)
+    for _ in range(2):
+        reach = np.maximum(score, np.maximum(near[i], near[j]))
+        # The ground is no neighbourhood: controls at two ends of a city do not meet there.
+        for end in (i, j):
+            np.maximum.at(near, end, reach)
+        near[-1] = 0.0
+    return wrong & (score >= np.maximum(near[i], near[j]))
