@@ -12,12 +12,11 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.export import FORMATS, export_lines
-from retropole.report.certainty import error_parts
-from retropole.report.error_curve import error_curve
+from retropole.report.curves import error_curve
+from retropole.report.listings import error_parts
 from retropole.report.page import NO_BREAK
-from retropole.report.poses import FRAMES, UNFOLDED, poses, transform
+from retropole.report.poses import FRAMES, UNFOLDED, certainty, poses, transform
 from retropole.report.subject import Subject, of_pair
-from retropole.report.uncertainty import certainty
 from retropole.result import BudgetEntry, ResultDoc
 from tests.report.made_up import AS_SHOWN, BUDGET, HOSTILE, RANDOM, T_TRUE, Page, made_up
 from tests.report.pages import of_each_kind, page_of, subject_of

@@ -20,7 +20,7 @@ from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..report import render_report, write_report
-from ..report.certainty import largest_error, radius_words, scene_words
+from ..report.listings import largest_error, radius_words, scene_words
 from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
 from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
 from ..surfaces.consistency import contradicting_points, standing_in
@@ -276,7 +276,7 @@ class CalibrationResult(Result[ResultDoc]):
         ReadError
             Of a loaded result, where its inputs are not found again.
         """
-        from ..report.figures import for_notebooks, result_figure
+        from ..report.figures import result_figure
 
         T = self.required_transform()
         placement = self._inputs().placements[0]
@@ -287,14 +287,13 @@ class CalibrationResult(Result[ResultDoc]):
             pairs = []
         rng = np.random.default_rng(0)
         standing = [standing_in(s.cloud, rng) for s in (placement.target, placement.source)]
-        figure = result_figure(
+        return result_figure(
             placement.target.cloud,
             placement.source.cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
             contradicting=contradicting_points(standing[0], standing[1], T),
         )
-        return for_notebooks(figure)
 
     def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
         """Take the placements of the run, or read them again."""

@@ -9,12 +9,10 @@ from ..base.uncertainty import RANGES
 from ..result import BudgetEntry, ResultDoc
 from ..result.site import LidarDoc, SiteDoc
 from . import listings
-from .certainty import checks_of_site, fitness_words, radius_words, scene_words
-from .listings import columns
+from .listings import checks_of_site, columns, fitness_words, radius_words, scene_words
 from .page import EMPTY, Html, fill, join, listed, plus_minus, table
-from .poses import pose_parts, transform_matrix
+from .poses import covariances, pose_parts, ranges, sources, states, transform_matrix
 from .subject import Subject
-from .uncertainty import covariances, ranges, sources, states
 from .verdict import VERDICTS
 
 LISTED_SOURCES = 8

@@ -12,19 +12,15 @@ from ..result import ResultDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certificate import certificate
-from .error_curve import curve_sentence, error_curve
+from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
 from .listings import Listing
-from .map import site_map
-from .missing import missing_poles
+from .map import pairs, site_map
 from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
-from .pairs import pairs
 from .plan import plan_of
-from .poses import poses, transform
-from .recorded import poles, run
+from .poses import certainty, poses, transform
+from .recorded import missing_poles, poles, run
 from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
-from .sway import sways
-from .uncertainty import certainty
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
 
