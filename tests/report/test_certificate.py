@@ -8,9 +8,9 @@ from msgspec.structs import replace
 from retropole.base.bounded import Status
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report import render_report
-from retropole.report.certificate import LISTED_SOURCES
-from retropole.report.certificate import certificate as certificate_of
 from retropole.report.page import fill
+from retropole.report.poses import LISTED_SOURCES
+from retropole.report.poses import certificate as certificate_of
 from retropole.report.subject import Subject, of_pair
 from retropole.result import ResultDoc
 from tests.report.made_up import HOSTILE, Page, made_up

@@ -39,15 +39,21 @@ def test_ellipses_are_enlarged_by_what_is_said() -> None:
     (factor,) = re.findall(r"enlarged ([\d,]+) times", MAP)
     (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
     scale = float(factor.replace(",", "")) * float(bar[0]) / float(bar[1])
-    drawn = re.findall(r'class="ellipse lidar-(\d)" points="([^"]*)"', MAP)
-    assert [k for k, _ in drawn] == ["1", "2", "3"]
-    for k, points in drawn:
-        corners = np.array([pair.split(",") for pair in points.split()], dtype=float)
-        half = np.linalg.norm(corners - places(MAP)[int(k)], axis=1)
-        covariance = np.array(DOCUMENT.lidars[int(k)].covariance)[3:5, 3:5]
-        sigma = np.sqrt(np.linalg.eigvalsh(covariance)) * scale
-        assert half.max() == pytest.approx(sigma[1], rel=0.02, abs=0.2)
-        assert half.min() == pytest.approx(sigma[0], rel=0.02, abs=0.2)
+    drawn = re.findall(
+        r'class="ellipse lidar-(\d)" rx="([\d.]+)" ry="([\d.]+)" '
+        r'transform="translate\(([\d.]+) ([\d.]+)\) rotate\(([-\d.]+)\)"',
+        MAP,
+    )
+    assert [k for k, *_ in drawn] == ["1", "2", "3"]
+    for k, *numbers in drawn:
+        long, wide, x, y, turn = map(float, numbers)
+        assert (x, y) == pytest.approx(places(MAP)[int(k)])
+        # The picture's y axis points down.
+        axis = np.array([np.cos(np.radians(turn)), -np.sin(np.radians(turn))])
+        across = np.array([-axis[1], axis[0]])
+        covariance = np.array(DOCUMENT.lidars[int(k)].covariance)[3:5, 3:5] * scale**2
+        assert long == pytest.approx(np.sqrt(axis @ covariance @ axis), rel=0.02, abs=0.2)
+        assert wide == pytest.approx(np.sqrt(across @ covariance @ across), rel=0.02, abs=0.2)
 
 
 def test_everything_is_named_and_said_in_words() -> None:

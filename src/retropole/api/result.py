@@ -14,12 +14,12 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Placement
 from ..base.errors import printable, visible
-from ..base.files import write_together
+from ..base.files import write_atomically, write_together
 from ..base.quantities import error
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
-from ..report import render_report, write_report
+from ..report import render_report
 from ..report.listings import largest_error, radius_words, scene_words
 from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
 from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
@@ -249,14 +249,10 @@ class CalibrationResult(Result[ResultDoc]):
             Where the file cannot be written.
         """
         stored = self._inputs([Path(cloud) for cloud in clouds])
-        write_report(
-            Path(path),
-            self.document,
-            stored.placements,
-            notes=stored.notes,
-            site=site,
-            serials=serials,
+        page = render_report(
+            self.document, stored.placements, notes=stored.notes, site=site, serials=serials
         )
+        write_atomically(Path(path), page.encode("utf-8"))
         return Path(path)
 
     def plot(self) -> Figure:

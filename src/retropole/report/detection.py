@@ -14,14 +14,9 @@ from ..base.errors import shortened
 from ..base.files import write_atomically
 from ..base.quantities import counted
 from ..base.sampling import every_nth
+from .figures import MAX_FIGURE_POINTS
 from .page import Html, fill, join
 from .svg import Chart, Labels, round_numbers
-
-SIZE = 1240.0, 950.0
-"""Width and height of the picture, in its own units."""
-
-MAX_DRAWN = 40_000
-"""Points of a cloud that are drawn from each side."""
 
 MAX_NUMBERED_POLES = 20
 """Poles that are numbered in the view from above."""
@@ -52,7 +47,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     """
     middle, half = _frame(cloud, detection)
     offset = cloud.xyz - middle
-    drawn = every_nth(offset[np.linalg.norm(offset, axis=1) < 1.5 * half], MAX_DRAWN)
+    drawn = every_nth(offset[np.linalg.norm(offset, axis=1) < 1.5 * half], MAX_FIGURE_POINTS)
     low, high = np.quantile(drawn[:, 2], [0.005, 0.995]) if len(drawn) else (-1.0, 1.0)
     above = Chart((60.0, 90.0, 620.0, 650.0), (-half, half), (-half, half))
     heights = float(low) - 1.0, float(high) + 1.0
@@ -72,8 +67,6 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     ]
     page = fill(
         "detection",
-        width=f"{SIZE[0]:g}",
-        height=f"{SIZE[1]:g}",
         title=f"{shortened(title, 60)}: {count}, {bright}",
         rejected=", ".join(f"{code} {number}" for code, number in codes) or "none",
         marks=join(marks),

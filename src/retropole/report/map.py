@@ -29,9 +29,6 @@ LEAST_SPAN = 2.0
 SEEN_ELLIPSE = 34.0
 """The largest half axis is at most so long in the picture."""
 
-CORNERS = 33
-"""Points of an ellipse."""
-
 
 def site_map(subject: Subject, plan: Plan) -> Html:
     """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
@@ -87,26 +84,24 @@ def _fit(points: Array) -> tuple[float, float, Chart]:
 
 def _ellipses(
     site: SiteDoc, R: Array, places: Array, scale: float
-) -> tuple[float | None, list[Html], list[tuple[float, float]]]:
+) -> tuple[float | None, list[Html], Array]:
     """Draw 1 σ of where each LiDAR stands, enlarged; give how many times, and half of each size."""
-    half_axes = []
-    for each in site.lidars:
-        values, vectors = np.linalg.eigh((R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2])
-        half_axes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-    largest = max(float(np.linalg.norm(each, axis=0).max()) for each in half_axes)
-    if largest <= 0:
-        return None, [], [(0.0, 0.0)] * len(half_axes)
-    factor = round_below(SEEN_ELLIPSE / (scale * largest))
-    angle = np.linspace(0, 2 * np.pi, CORNERS)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    drawn, sizes = [], []
-    for k, (axes, (x, y)) in enumerate(zip(half_axes, places, strict=True)):
-        corners = factor * scale * (axes @ circle)
-        sizes.append((float(corners[0].max()), float(corners[1].max())))
-        line = " ".join(f"{x + a:.1f},{y - b:.1f}" for a, b in corners.T)
-        if axes.any():
-            drawn.append(fill("ellipse", colour=colour_class(k), points=line))
-    return factor, drawn, sizes
+    spreads = [(R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2] for each in site.lidars]
+    values, vectors = np.linalg.eigh(np.array(spreads))
+    half_axes = np.sqrt(np.maximum(values, 0.0))
+    if half_axes.max() <= 0:
+        return None, [], np.zeros((len(spreads), 2))
+    factor = round_below(SEEN_ELLIPSE / (scale * half_axes.max()))
+    turns = -np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    drawn = [
+        fill("ellipse", colour=colour_class(k), x=x, y=y, rx=long, ry=wide, turn=turns[k])
+        for k, ((x, y), (wide, long)) in enumerate(
+            zip(places, factor * scale * half_axes, strict=True)
+        )
+        if long
+    ]
+    extents = np.sqrt(np.maximum(np.diagonal(spreads, axis1=1, axis2=2), 0.0))
+    return factor, drawn, factor * scale * extents
 
 
 def _pole_marks(names: Sequence[str], chart: Chart, ends: Array, labels: Labels) -> list[Html]:

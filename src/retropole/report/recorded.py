@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import permutations
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -183,12 +184,6 @@ def _option(value: object) -> str:
 HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units; `pieces.html` has the same."""
 
-MAX_CIRCLE_STEPS = 500
-"""Returns on a pole need about ten; more where they scatter so that no surface is seen."""
-
-CIRCLE_STEP_TOLERANCE = 1e-9
-"""A step of the circle's centre by less than this share of the radius is the last."""
-
 RESIDUAL_SCALE = 0.01
 """Returns further than this from the surface, metres, count for less and less in its place."""
 
@@ -233,14 +228,8 @@ def fit_circle(flat: Array, radius: float, start: Array) -> tuple[Array, bool]:
         offset = centre - flat
         return np.asarray(offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)[:, None])
 
-    found = least_squares(
-        *(away, start, slope),
-        loss="soft_l1",
-        f_scale=RESIDUAL_SCALE,
-        x_scale=radius,
-        **{"ftol": None, "gtol": None, "xtol": CIRCLE_STEP_TOLERANCE},
-        max_nfev=MAX_CIRCLE_STEPS,
-    )
+    robust: dict[str, Any] = {"loss": "soft_l1", "f_scale": RESIDUAL_SCALE, "x_scale": radius}
+    found = least_squares(away, start, slope, ftol=None, gtol=None, **robust)
     return np.asarray(found.x), bool(found.success)
 
 
