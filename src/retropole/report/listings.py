@@ -21,6 +21,15 @@ POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
 
 DEGREES = 180 / np.pi
 
+BUDGET_RANGE = 30.0
+"""Range at which the shares of the budget are stated, metres."""
+
+UNCHECKED = 0.01
+"""Less redundancy than this is none: nothing would show an error there."""
+
+NAMED = 3
+"""So many observations that stand out are named; the page lists them all."""
+
 
 class Listing(NamedTuple):
     """A table: its caption, names of its columns, its rows, and which columns are words."""
@@ -275,16 +284,6 @@ def left_out_words(document: InputDoc) -> str:
         if count
     ]
     return f"{' and '.join(parts)} left out as too many" if parts else ""
-
-
-BUDGET_RANGE = 30.0
-"""Range at which the shares of the budget are stated, metres."""
-
-UNCHECKED = 0.01
-"""Less redundancy than this is none: nothing would show an error there."""
-
-NAMED = 3
-"""So many observations that stand out are named; the page lists them all."""
 
 
 Stated = ResultDoc | LidarDoc

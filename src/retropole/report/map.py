@@ -29,6 +29,26 @@ LEAST_SPAN = 2.0
 SEEN_ELLIPSE = 34.0
 """The largest half axis is at most so long in the picture."""
 
+DOUBT_W = 1.96
+"""A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""
+
+GRAPH_HEIGHT = 420.0
+"""Of the graph of the pairs."""
+
+RADIUS = 145.0
+"""Of the circle that the LiDARs stand on in the picture."""
+
+LABELLED_PAIRS = 10
+"""Up to so many lines all bear their w; of more only those beyond `DOUBT_W`."""
+
+LEVELS = (
+    ("calm", f"|w| up to {DOUBT_W:g}"),
+    ("doubt", f"{DOUBT_W:g} to {POOR:g}"),
+    ("blunder", f"above {POOR:g}"),
+    ("untested", "not tested"),
+)
+"""How a line is drawn by the size of its w, and what the legend says of it."""
+
 
 def site_map(subject: Subject, plan: Plan) -> Html:
     """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
@@ -159,27 +179,6 @@ def _poles(site: SiteDoc) -> Html:
     header = ("pole", "name", "x, m", "y, m", "z, m", "length, m", "seen by")
     listed = table("Poles, the middle of the tape", header, rows, (1, 6))
     return folded(f"Poles: {len(rows)}", listed) if rows else EMPTY
-
-
-DOUBT_W = 1.96
-"""A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""
-
-GRAPH_HEIGHT = 420.0
-"""Of the graph of the pairs."""
-
-RADIUS = 145.0
-"""Of the circle that the LiDARs stand on in the picture."""
-
-LABELLED_PAIRS = 10
-"""Up to so many lines all bear their w; of more only those beyond `DOUBT_W`."""
-
-LEVELS = (
-    ("calm", f"|w| up to {DOUBT_W:g}"),
-    ("doubt", f"{DOUBT_W:g} to {POOR:g}"),
-    ("blunder", f"above {POOR:g}"),
-    ("untested", "not tested"),
-)
-"""How a line is drawn by the size of its w, and what the legend says of it."""
 
 
 def level_of(w: float | None) -> str:

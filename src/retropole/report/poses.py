@@ -50,6 +50,21 @@ UNFOLDED = ("matrix", "ros2")
 WHOLE = ("launch", "urdf", "yaml")
 """Formats of a whole site that are ready to copy; `retropole export` writes the others."""
 
+STATES = (
+    *(f"rotation about {axis} (phi_{axis})" for axis in "xyz"),
+    *(f"translation along {axis} (delta_{axis})" for axis in "xyz"),
+)
+"""The six directions of a covariance, in its order."""
+
+UNITS: tuple[Unit, ...] = ("rad", "rad", "rad", "m", "m", "m")
+"""Of the states."""
+
+FOLDED_BELOW = 0.005
+"""Sources of error with a smaller share, written ``< 1 %``, are folded away."""
+
+LISTED_SOURCES = 8
+"""So many sources of error are listed one by one, the largest first: the sheet stays one page."""
+
 
 def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
     """Show the transform of a pair, its lines to copy, and its error over the distance."""
@@ -190,19 +205,6 @@ def _copies(subject: Subject, k: int) -> Html:
     return fill("copies", fields=fields, shown=shown, more=folded("More formats", more))
 
 
-STATES = (
-    *(f"rotation about {axis} (phi_{axis})" for axis in "xyz"),
-    *(f"translation along {axis} (delta_{axis})" for axis in "xyz"),
-)
-"""The six directions of a covariance, in its order."""
-
-UNITS: tuple[Unit, ...] = ("rad", "rad", "rad", "m", "m", "m")
-"""Of the states."""
-
-FOLDED_BELOW = 0.005
-"""Sources of error with a smaller share, written ``< 1 %``, are folded away."""
-
-
 def certainty(subject: Subject) -> Html:
     """Say how certain an answer is, in sentences first; of a pair its figures follow."""
     if not subject.answered:
@@ -340,10 +342,6 @@ def sources(caption: str, entries: Sequence[BudgetEntry]) -> Listing:
     lidar = ["LiDAR"] if whose else []
     header = ("source of error", *lidar, "1 σ", "estimated", f"share at {BUDGET_RANGE:g} m")
     return Listing(caption, header, rows, (1,) if whose else ())
-
-
-LISTED_SOURCES = 8
-"""So many sources of error are listed one by one, the largest first: the sheet stays one page."""
 
 
 def certificate(subject: Subject, place: str = "") -> Html:

@@ -25,6 +25,29 @@ from .subject import LIDARS, Subject, colour_class, pair_name, pole_name
 UNFOLDED_CLUSTERS = 4
 """Up to so many rejected clusters of a pair are listed unfolded."""
 
+HALF_PICTURE = 110.0
+"""Half the side of a picture, in its own units; `pieces.html` has the same."""
+
+RESIDUAL_SCALE = 0.01
+"""Returns further than this from the surface, metres, count for less and less in its place."""
+
+SHOWN_RETURNS = 0.98
+"""Share of the returns that a picture holds; strays are cut off."""
+
+SAME_DISTANCE = 0.3
+"""A cluster may be the missing pole where it stands as far beside a found one as the other LiDAR's
+poles stand beside each other, within this, metres: two poles leaning by 15°, of which the LiDARs
+see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
+
+TOO_LITTLE = ("too_few_points", "too_few_rows")
+"""Codes of clusters of which too little was seen."""
+
+NAMED = 3
+"""So many candidates are named of each LiDAR; the page lists all clusters below."""
+
+NEAREST = 2.0
+"""No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
+
 
 def poles(subject: Subject) -> Html:
     """Show what was found in every recording; of a refused run, all of it unfolded."""
@@ -181,16 +204,6 @@ def _option(value: object) -> str:
     return str(value) or UNKNOWN
 
 
-HALF_PICTURE = 110.0
-"""Half the side of a picture, in its own units; `pieces.html` has the same."""
-
-RESIDUAL_SCALE = 0.01
-"""Returns further than this from the surface, metres, count for less and less in its place."""
-
-SHOWN_RETURNS = 0.98
-"""Share of the returns that a picture holds; strays are cut off."""
-
-
 def cross_sections(subject: Subject) -> Html:
     """Draw the returns of both LiDARs of a pair on each of its poles, in the plane across it."""
     pair = subject.pair
@@ -274,21 +287,6 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
         bar=bar * scale,
         cm=f"{100 * bar:g}",
     )
-
-
-SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it stands as far beside a found one as the other LiDAR's
-poles stand beside each other, within this, metres: two poles leaning by 15°, of which the LiDARs
-see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
-
-TOO_LITTLE = ("too_few_points", "too_few_rows")
-"""Codes of clusters of which too little was seen."""
-
-NAMED = 3
-"""So many candidates are named of each LiDAR; the page lists all clusters below."""
-
-NEAREST = 2.0
-"""No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
 
 
 def missing_poles(subject: Subject) -> Html:
