@@ -229,5 +229,8 @@ def _draw(
     above.set_ylim(y - half, y + half)
     above.set_aspect("equal")
     beside.set_title("from the side, heights stretched", fontsize=10)
-    # Large enough to tell the colours.
-    above.legend(loc="upper right", fontsize=9, markerscale=8)
+    legend: Any = above.legend(loc="upper right", fontsize=9)
+    for handle in legend.legend_handles[: len(clouds)]:
+        if hasattr(handle, "set_sizes"):
+            # Large enough to tell the colours.
+            handle.set_sizes([60.0])
