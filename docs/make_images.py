@@ -24,7 +24,7 @@ import numpy as np
 from PIL import Image
 
 import retropole as rp
-from retropole.report.figures import new_figure, save_figure
+from retropole.report.figures import new_figure
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 sys.path.insert(0, str(EXAMPLES))
@@ -70,7 +70,7 @@ def draw_placements(path: Path) -> None:
         for axes in (front, above):
             axes.tick_params(labelsize=8)
             axes.grid(alpha=0.25)
-    save_figure(figure, path)
+    figure.savefig(path)
 
 
 def draw_bias(path: Path) -> None:
@@ -93,7 +93,7 @@ def draw_bias(path: Path) -> None:
         arrow = {"arrowstyle": "->", "color": colour}
         axes.annotate("", (0.97 * u, 0.97 * v), (0, 0), arrowprops=arrow)
     axes.set(xlabel="mm", ylabel="mm")
-    save_figure(figure, path)
+    figure.savefig(path)
 
 
 def draw_scene(scene: str, path: Path) -> None:
@@ -159,7 +159,7 @@ def draw_street(out: Path, wanted: Collection[str]) -> None:
         run("simulate", "street", "--seed", 1, "--out", folder, "-q")
         if "detect" in wanted:
             run("detect", scans[0], "--out", folder, "-q")
-            shutil.copy(folder / "detect.png", out / "detect.png")
+            shutil.copy(folder / "detect.svg", out / "detect.svg")
         if "plan" in wanted:
             sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
             run("plan", *scans, *sensors, "--out", folder / "p", "-q")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from retropole.pipeline import calibrate
-from retropole.report.figures import draw_result
+from retropole.report.figures import result_figure
 from retropole.simulation import simulate_pair
 
 
@@ -26,7 +26,7 @@ def main() -> None:
         [placement.target.poles[i] for i, _ in chosen.match.pairs],
         [placement.source.poles[j] for _, j in chosen.match.pairs],
     )
-    draw_result(pair.target, pair.source, answer.T_target_source, poles, path)
+    result_figure(pair.target, pair.source, answer.T_target_source, poles).savefig(path)
     print(f"written: {path}")
 
 

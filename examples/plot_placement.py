@@ -14,7 +14,7 @@ from retropole.base import se3
 from retropole.base.sensors import find_sensor
 from retropole.base.uncertainty import predicted_error
 from retropole.extraction.poles import extract_poles
-from retropole.report.figures import new_figure, save_figure
+from retropole.report.figures import new_figure
 from retropole.simulation import TYPICAL, Cylinder, Material, scan
 
 LIDARS = [se3.from_rt(np.eye(3), np.array([0.0, y, 1.2])) for y in (-0.5, 0.5)]
@@ -57,4 +57,5 @@ if __name__ == "__main__":
         print(f"| {name} | {at} |\n{'| --- ' * (1 + len(cm))}|\n| {options.sensor} | {said} |\n")
         axes = figure.add_subplot(1, 3, k + 1, xlabel=name, ylabel="1 σ at 10 m, cm", ylim=(0, 14))
         axes.plot([p[k] for p in placements], cm, "o-")
-    save_figure(figure, options.out / "placement.png")
+    options.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(options.out / "placement.png")

@@ -42,7 +42,7 @@ DOORS = {
     # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
     "report": {
         *("base", "result", "export", "certify"),
-        *("extraction", "alignment", "surfaces", "hypotheses", "adjustment"),
+        *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
     # A recording is written in the frames that one is read in, a tree in the frames of a site.
     "export": {"base", "io", "result", "world"},

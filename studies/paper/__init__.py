@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from retropole.base.files import write_atomically
 from retropole.base.quantities import step_of
-from retropole.report.figures import new_figure, save_figure
+from retropole.report.figures import new_figure
 from studies.paper.beams import two_matlab
 from studies.paper.choosing import choosing
 from studies.paper.comparing import comparing_real, comparing_simulated
@@ -155,5 +155,5 @@ def write_exhibit(exhibit: Exhibit, out: Path) -> list[Path]:
         exhibit.draw(figure)
         for suffix in ("png", "svg"):
             written.append(out / f"{exhibit.name}.{suffix}")
-            save_figure(figure, written[-1])
+            figure.savefig(written[-1])
     return written

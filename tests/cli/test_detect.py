@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -15,7 +16,7 @@ def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
     done = retropole_here("detect", scene / "lidar0.pcd", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout
-    assert (tmp_path / "detect.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert ElementTree.parse(tmp_path / "detect.svg").getroot().tag.endswith("}svg")
     as_json = retropole_here("detect", scene / "lidar0.pcd", "--out", tmp_path, "--json")
     assert len(json.loads(as_json.stdout)["poles"]) == 2
 
@@ -23,7 +24,7 @@ def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
 def test_detect_and_info_take_a_topic(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("retropole.report.figures.draw_detection", lambda *args, **named: None)
+    monkeypatch.setattr("retropole.report.detection.draw_detection", lambda *args, **named: None)
     done = retropole_here("detect", bag, "--topic", "/front", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout

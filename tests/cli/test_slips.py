@@ -131,7 +131,9 @@ class TestUnits:
     def test_detect_says_it(
         self, millimetres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("retropole.report.figures.draw_detection", lambda *args, **named: None)
+        monkeypatch.setattr(
+            "retropole.report.detection.draw_detection", lambda *args, **named: None
+        )
         path = millimetres / "0.pcd"
         done = retropole_here("detect", path, "--out", tmp_path)
         assert "if they are, read them with --unit mm" in done.stderr

@@ -17,7 +17,7 @@ from retropole.base.bounded import Status
 from retropole.report import render_report
 from tests.report.browser import Browser, needs_browser
 from tests.report.pages import STATUSES, page_of
-from tests.report.test_missing import lacking
+from tests.report.test_recorded import lacking
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
 

@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.report.map import site_map
+from retropole.report.listings import pair_words
+from retropole.report.map import level_of, pairs, site_map
 from retropole.report.plan import Plan, plan_of
 from retropole.report.subject import Subject
 from tests.report.made_up import Page
@@ -38,15 +39,21 @@ def test_ellipses_are_enlarged_by_what_is_said() -> None:
     (factor,) = re.findall(r"enlarged ([\d,]+) times", MAP)
     (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
     scale = float(factor.replace(",", "")) * float(bar[0]) / float(bar[1])
-    drawn = re.findall(r'class="ellipse lidar-(\d)" points="([^"]*)"', MAP)
-    assert [k for k, _ in drawn] == ["1", "2", "3"]
-    for k, points in drawn:
-        corners = np.array([pair.split(",") for pair in points.split()], dtype=float)
-        half = np.linalg.norm(corners - places(MAP)[int(k)], axis=1)
-        covariance = np.array(DOCUMENT.lidars[int(k)].covariance)[3:5, 3:5]
-        sigma = np.sqrt(np.linalg.eigvalsh(covariance)) * scale
-        assert half.max() == pytest.approx(sigma[1], rel=0.02, abs=0.2)
-        assert half.min() == pytest.approx(sigma[0], rel=0.02, abs=0.2)
+    drawn = re.findall(
+        r'class="ellipse lidar-(\d)" rx="([\d.]+)" ry="([\d.]+)" '
+        r'transform="translate\(([\d.]+) ([\d.]+)\) rotate\(([-\d.]+)\)"',
+        MAP,
+    )
+    assert [k for k, *_ in drawn] == ["1", "2", "3"]
+    for k, *numbers in drawn:
+        long, wide, x, y, turn = map(float, numbers)
+        assert (x, y) == pytest.approx(places(MAP)[int(k)])
+        # The picture's y axis points down.
+        axis = np.array([np.cos(np.radians(turn)), -np.sin(np.radians(turn))])
+        across = np.array([-axis[1], axis[0]])
+        covariance = np.array(DOCUMENT.lidars[int(k)].covariance)[3:5, 3:5] * scale**2
+        assert long == pytest.approx(np.sqrt(axis @ covariance @ axis), rel=0.02, abs=0.2)
+        assert wide == pytest.approx(np.sqrt(across @ covariance @ across), rel=0.02, abs=0.2)
 
 
 def test_everything_is_named_and_said_in_words() -> None:
@@ -79,3 +86,54 @@ def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
 def test_a_refused_site_has_no_map() -> None:
     refused = document_of(made_up_site("refused", lidars=3, placements=2, count=10))
     assert site_map(Subject(refused), plan_of(refused)) == ""
+
+
+PAIRED = document_of(made_up_site(lidars=5, placements=2, count=10))
+
+
+def test_every_pair_is_a_line_as_it_stands() -> None:
+    html = pairs(PAIRED).split("<figcaption>")[0]
+    drawn = re.findall(r'class="pair (\w+) (\w+)"', html)
+    stated = [
+        (level_of(each.w), "solid" if each.standing == 1 else "dashed") for each in PAIRED.pairs
+    ]
+    assert sorted(drawn) == sorted(stated)
+
+
+def test_the_table_says_what_colour_says() -> None:
+    text = Page(pairs(PAIRED)).text
+    for each in PAIRED.pairs:
+        assert " – ".join(PAIRED.lidars[k].name for k in each.lidars) in text
+    beyond = [each for each in PAIRED.pairs if level_of(each.w) == "blunder"]
+    assert text.count("stands out") == len(beyond) > 0
+
+
+@pytest.mark.parametrize(
+    ("w", "level"),
+    [(None, "untested"), (0.0, "calm"), (-1.9, "calm"), (2.5, "doubt"), (-9.0, "blunder")],
+)
+def test_levels_go_by_the_size_of_w(w: float | None, level: str) -> None:
+    assert level_of(w) == level
+
+
+def test_what_a_pair_says_alone() -> None:
+    pair = PAIRED.pairs[0]
+    words = [
+        pair_words(msgspec.structs.replace(pair, standing=standing), refused=refused)
+        for refused in (False, True)
+        for standing in (0, 1, 2)
+    ]
+    assert words == [
+        "linked through others",
+        "decides by itself",
+        "leaves 2 ways, others decide",
+        "no answer of its own",
+        "decides by itself",
+        "leaves 2 ways",
+    ]
+
+
+def test_two_lidars_are_one_line_and_none_is_no_section() -> None:
+    two = document_of(made_up_site(lidars=2, placements=1, count=10))
+    assert len(re.findall(r'class="pair', pairs(two).split("<figcaption>")[0])) == 1
+    assert pairs(msgspec.structs.replace(two, pairs=[])) == ""

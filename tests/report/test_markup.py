@@ -13,10 +13,10 @@ from msgspec.structs import replace
 
 from retropole.base.errors import escaped
 from retropole.report import render_report, render_site
-from retropole.report.certainty import number
 from retropole.report.field_test import render_field_test
 from retropole.report.layout import legible
-from retropole.report.page import NO_BREAK, inline, plus_minus, share_styles, table
+from retropole.report.listings import number
+from retropole.report.page import NO_BREAK, PIECE, asset, inline, plus_minus, share_styles, table
 from tests.report.hostile import everywhere, hostile_pair, hostile_site
 from tests.report.made_up import AS_SHOWN, HOSTILE, Page
 from tests.report.pages import STATUSES
@@ -144,3 +144,8 @@ def test_no_text_of_a_document_steers_a_page() -> None:
 def test_what_is_on_a_terminal_and_what_a_watch_shows_has_none() -> None:
     shown = legible({"words": [STEERING], STEERING: {"name": f"a{STEERING}"}})
     assert set().union(*map(steering_in, texts_in(shown))) == set()
+
+
+def test_every_piece_has_a_name_of_its_own() -> None:
+    names = PIECE.findall(asset("pieces.html"))
+    assert sorted(names) == sorted({*names})

@@ -13,13 +13,12 @@ from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.confirmation import UNUSABLE, Confirmation
 from retropole.base.uncertainty.purpose import Fitness
-from retropole.report.certainty import checks_of_site, probability, statements
-from retropole.report.certificate import certificate
-from retropole.report.error_curve import curve_sentence, error_curve
+from retropole.report.curves import curve_sentence, error_curve
+from retropole.report.listings import checks_of_site, probability, statements
 from retropole.report.page import NO_BREAK
+from retropole.report.poses import certainty, certificate
 from retropole.report.subject import Subject, of_pair
 from retropole.report.text import describe_result
-from retropole.report.uncertainty import certainty
 from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.site import SiteDoc

@@ -14,13 +14,13 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Placement
 from ..base.errors import printable, visible
-from ..base.files import write_together
+from ..base.files import write_atomically, write_together
 from ..base.quantities import error
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
-from ..report import render_report, write_report
-from ..report.certainty import largest_error, radius_words, scene_words
+from ..report import render_report
+from ..report.listings import largest_error, radius_words, scene_words
 from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
 from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
 from ..surfaces.consistency import contradicting_points, standing_in
@@ -249,14 +249,10 @@ class CalibrationResult(Result[ResultDoc]):
             Where the file cannot be written.
         """
         stored = self._inputs([Path(cloud) for cloud in clouds])
-        write_report(
-            Path(path),
-            self.document,
-            stored.placements,
-            notes=stored.notes,
-            site=site,
-            serials=serials,
+        page = render_report(
+            self.document, stored.placements, notes=stored.notes, site=site, serials=serials
         )
+        write_atomically(Path(path), page.encode("utf-8"))
         return Path(path)
 
     def plot(self) -> Figure:
@@ -276,7 +272,7 @@ class CalibrationResult(Result[ResultDoc]):
         ReadError
             Of a loaded result, where its inputs are not found again.
         """
-        from ..report.figures import for_notebooks, result_figure
+        from ..report.figures import result_figure
 
         T = self.required_transform()
         placement = self._inputs().placements[0]
@@ -287,14 +283,13 @@ class CalibrationResult(Result[ResultDoc]):
             pairs = []
         rng = np.random.default_rng(0)
         standing = [standing_in(s.cloud, rng) for s in (placement.target, placement.source)]
-        figure = result_figure(
+        return result_figure(
             placement.target.cloud,
             placement.source.cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
             contradicting=contradicting_points(standing[0], standing[1], T),
         )
-        return for_notebooks(figure)
 
     def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
         """Take the placements of the run, or read them again."""

@@ -217,7 +217,7 @@ class SiteResult(Result[SiteDoc]):
         ReadError
             Of a loaded result, where a recording of the run cannot be read.
         """
-        from ..report.figures import for_notebooks, site_figure
+        from ..report.figures import site_figure
 
         poses = [self.pose(name).T_site_lidar for name in self.lidars]
         clouds = [
@@ -226,7 +226,7 @@ class SiteResult(Result[SiteDoc]):
         ]
         poles = [pole.point for pole in self.document.poles]
         frame = self.document.frame.name
-        return for_notebooks(site_figure(self.lidars, poses, clouds, poles, frame))
+        return site_figure(self.lidars, poses, clouds, poles, frame)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []

@@ -12,12 +12,12 @@ from .common import listening, say, show
 from .options import CLOUD, run_option, run_options
 from .out import out_folder
 
-PICTURE = "detect.png"
+PICTURE = "detect.svg"
 
 
 @click.command()
 @click.argument("file", type=CLOUD)
-@out_folder("Folder for detect.png.", PICTURE)
+@out_folder("Folder for detect.svg.", PICTURE)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
@@ -40,7 +40,7 @@ def detect(
 ) -> int:
     """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
-    Writes a picture, detect.png (needs the extra 'figures').
+    Writes a picture, detect.svg.
 
     \b
     Examples:
@@ -60,8 +60,8 @@ def detect(
 
     from ..api.detection import detect_in
     from ..api.inputs import input_documents, read_input
-    from ..base.errors import MissingExtraError, printable
-    from ..report.figures import draw_detection
+    from ..base.errors import printable
+    from ..report.detection import draw_detection
     from ..report.text import describe_detection
     from ..result import encode
     from ..result.contents import detection_document
@@ -80,19 +80,14 @@ def detect(
         given = read_input(file, config.of_target, listener)
         listener.progress("extract")
         found = detect_in(given, config.radius_m)
-        written: list[str] = []
         listener.progress("draw")
-        try:
-            draw_detection(given.cloud, found, out / PICTURE, title=printable(file.name))
-            written.append(str(out / PICTURE))
-        except MissingExtraError as error:
-            say(f"retropole: no picture: {error}")
+        draw_detection(given.cloud, found, out / PICTURE, title=printable(file.name))
     used = replace(given, threshold=found.threshold)
     result = detection_document(found, input_documents([used])[0])
     if as_json:
         show(encode(result))
     elif not quiet:
-        show(describe_detection(result, written))
+        show(describe_detection(result, [str(out / PICTURE)]))
     if wanted is not None and not quiet:
         from ..api.plan_checking import against
 

@@ -14,8 +14,7 @@ from ..base.reasons import plain
 from ..hypotheses.prior import MAX_SIGMAS, RotationPrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
-from .certainty import number
-from .listings import numbers
+from .listings import number, numbers
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
 from .subject import hypothesis_name
 

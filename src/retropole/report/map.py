@@ -1,23 +1,21 @@
-"""The site seen from above: LiDARs with how certain they stand there, poles, control points."""
+"""Pictures of a site: from above, with how certain its LiDARs stand; and the graph of its pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ..adjustment.blunders import POOR
 from ..base.datatypes import Array
 from ..base.quantities import large, round_below
 from ..result.site import SiteDoc
-from .certainty import number
-from .page import EMPTY, Html, fill, folded, join, table
+from . import listings
+from .listings import number
+from .page import EMPTY, Html, fill, folded, join, listed, table
 from .plan import Plan
 from .subject import Subject, colour_class, pole_labels
-from .svg import FONT, Labels, short
-
-WIDTH = 520.0
-"""Of the picture, in its own units."""
+from .svg import FONT, WIDTH, Chart, Labels, picture, short
 
 HEIGHTS = 260.0, 560.0
 """Least and greatest height of the picture."""
@@ -31,8 +29,25 @@ LEAST_SPAN = 2.0
 SEEN_ELLIPSE = 34.0
 """The largest half axis is at most so long in the picture."""
 
-CORNERS = 33
-"""Points of an ellipse."""
+DOUBT_W = 1.96
+"""A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""
+
+GRAPH_HEIGHT = 420.0
+"""Of the graph of the pairs."""
+
+RADIUS = 145.0
+"""Of the circle that the LiDARs stand on in the picture."""
+
+LABELLED_PAIRS = 10
+"""Up to so many lines all bear their w; of more only those beyond `DOUBT_W`."""
+
+LEVELS = (
+    ("calm", f"|w| up to {DOUBT_W:g}"),
+    ("doubt", f"{DOUBT_W:g} to {POOR:g}"),
+    ("blunder", f"above {POOR:g}"),
+    ("untested", "not tested"),
+)
+"""How a line is drawn by the size of its w, and what the legend says of it."""
 
 
 def site_map(subject: Subject, plan: Plan) -> Html:
@@ -49,94 +64,71 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     ends = [[p.point + s * p.length * p.direction for s in (-0.5, 0.5)] for p in site.poles]
     poles = np.array(ends).reshape(-1, 2, 3) @ R.T
     points = np.array([each.at for each in site.control_points]).reshape(-1, 3) @ R.T
-    scale, height, to_picture = _fit(np.concatenate([lidars, *poles, points])[:, :2])
+    scale, height, chart = _fit(np.concatenate([lidars, *poles, points])[:, :2])
     labels = Labels(WIDTH, height)
-    for x, y in [*to_picture(lidars), *to_picture(points), *to_picture(poles.mean(axis=1))]:
+    for x, y in [*chart.at(lidars), *chart.at(points), *chart.at(poles.mean(axis=1))]:
         labels.keep_free(x, y, 6.0)
     # The corners of the scale bar and of north.
     labels.keep_free(40.0, height - 10.0, 40.0)
     labels.keep_free(WIDTH - 35.0, 30.0, 35.0)
-    factor, ellipses, sizes = _ellipses(site, R, to_picture(lidars), scale)
-    for (x, y), (wide, high) in zip(to_picture(lidars), sizes, strict=True):
+    factor, ellipses, sizes = _ellipses(site, R, chart.at(lidars), scale)
+    for (x, y), (wide, high) in zip(chart.at(lidars), sizes, strict=True):
         labels.keep_free(x, y, wide, high)
     metres = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
     # The names of the LiDARs choose their places first, and are drawn last.
     named = []
-    for k, ((x, y), (wide, high)) in enumerate(zip(to_picture(lidars), sizes, strict=True)):
+    for k, ((x, y), (wide, high)) in enumerate(zip(chart.at(lidars), sizes, strict=True)):
         named.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
         name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
         beside = {"away": max(11.0, wide + 4.0), "away_y": max(14.0, high + 8.0)}
         named.append(labels.place(name, x, y, style=style, **beside))
-    marks = [*ellipses, *_pole_marks(pole_labels(site), to_picture, poles, labels)]
-    for point, (x, y) in zip(site.control_points, to_picture(points), strict=True):
+    marks = [*ellipses, *_pole_marks(pole_labels(site), chart, poles, labels)]
+    for point, (x, y) in zip(site.control_points, chart.at(points), strict=True):
         marks.append(fill("control", x=x, y=y - 6))
         marks.append(labels.place(short(point.name), x, y, 10.0, "soft", FONT - 2))
     marks += named
     scale_bar = {"length": metres * scale, "m": large(metres)}
     marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **scale_bar))
     marks.append(_direction(plan))
-    return fill(
-        "map-figure",
-        width=f"{WIDTH:g}",
-        height=f"{height:.0f}",
-        marks=join(marks),
-        said=_caption(site, plan, factor),
-    )
+    return picture("map-said", height, marks, _caption(site, plan, factor), "map")
 
 
-@dataclass(frozen=True, eq=False)
-class _ToPicture:
-    """From the plan, metres, to the picture: y points up in the one and down in the other."""
-
-    middle: Array
-    scale: float
-    height: float
-
-    def __call__(self, points: Array) -> list[tuple[float, float]]:
-        away = (np.asarray(points)[:, :2] - self.middle) * self.scale
-        return [(WIDTH / 2 + float(x), self.height / 2 - float(y)) for x, y in away]
-
-
-def _fit(points: Array) -> tuple[float, float, _ToPicture]:
+def _fit(points: Array) -> tuple[float, float, Chart]:
     """Choose units per metre and the height of the picture so that all points are in it."""
     low, high = points.min(axis=0), points.max(axis=0)
     span = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / span[0], (HEIGHTS[1] - 2 * MARGIN) / span[1]))
     height = float(np.clip(scale * span[1] + 2 * MARGIN, *HEIGHTS))
-    return scale, height, _ToPicture((low + high) / 2, scale, height)
+    return scale, height, Chart.around((low + high) / 2, scale, (0.0, 0.0, WIDTH, height))
 
 
 def _ellipses(
-    site: SiteDoc, R: Array, places: Sequence[tuple[float, float]], scale: float
-) -> tuple[float | None, list[Html], list[tuple[float, float]]]:
+    site: SiteDoc, R: Array, places: Array, scale: float
+) -> tuple[float | None, list[Html], Array]:
     """Draw 1 σ of where each LiDAR stands, enlarged; give how many times, and half of each size."""
-    half_axes = []
-    for each in site.lidars:
-        values, vectors = np.linalg.eigh((R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2])
-        half_axes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-    largest = max(float(np.linalg.norm(each, axis=0).max()) for each in half_axes)
-    if largest <= 0:
-        return None, [], [(0.0, 0.0)] * len(half_axes)
-    factor = round_below(SEEN_ELLIPSE / (scale * largest))
-    angle = np.linspace(0, 2 * np.pi, CORNERS)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    drawn, sizes = [], []
-    for k, (axes, (x, y)) in enumerate(zip(half_axes, places, strict=True)):
-        corners = factor * scale * (axes @ circle)
-        sizes.append((float(corners[0].max()), float(corners[1].max())))
-        line = " ".join(f"{x + a:.1f},{y - b:.1f}" for a, b in corners.T)
-        if axes.any():
-            drawn.append(fill("ellipse", colour=colour_class(k), points=line))
-    return factor, drawn, sizes
+    spreads = [(R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2] for each in site.lidars]
+    values, vectors = np.linalg.eigh(np.array(spreads))
+    half_axes = np.sqrt(np.maximum(values, 0.0))
+    if half_axes.max() <= 0:
+        return None, [], np.zeros((len(spreads), 2))
+    factor = round_below(SEEN_ELLIPSE / (scale * half_axes.max()))
+    turns = -np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    drawn = [
+        fill("ellipse", colour=colour_class(k), x=x, y=y, rx=long, ry=wide, turn=turns[k])
+        for k, ((x, y), (wide, long)) in enumerate(
+            zip(places, factor * scale * half_axes, strict=True)
+        )
+        if long
+    ]
+    extents = np.sqrt(np.maximum(np.diagonal(spreads, axis1=1, axis2=2), 0.0))
+    return factor, drawn, factor * scale * extents
 
 
-def _pole_marks(
-    names: Sequence[str], to_picture: _ToPicture, ends: Array, labels: Labels
-) -> list[Html]:
+def _pole_marks(names: Sequence[str], chart: Chart, ends: Array, labels: Labels) -> list[Html]:
     """Draw each pole as the line that it covers from above, and a ring in its middle."""
     marks = []
     for name, pole in zip(names, ends, strict=True):
-        (x1, y1), (x2, y2) = to_picture(pole)
+        (x1, y1), (x2, y2) = chart.at(pole)
         x, y = (x1 + x2) / 2, (y1 + y2) / 2
         marks.append(fill("pole", x1=x1, y1=y1, x2=x2, y2=y2, x=x, y=y))
         marks.append(labels.place(name, x, y, 8.0, "soft", FONT - 2))
@@ -187,3 +179,54 @@ def _poles(site: SiteDoc) -> Html:
     header = ("pole", "name", "x, m", "y, m", "z, m", "length, m", "seen by")
     listed = table("Poles, the middle of the tape", header, rows, (1, 6))
     return folded(f"Poles: {len(rows)}", listed) if rows else EMPTY
+
+
+def level_of(w: float | None) -> str:
+    """Name the class of a line by its w."""
+    if w is None:
+        return "untested"
+    return "calm" if abs(w) <= DOUBT_W else "doubt" if abs(w) <= POOR else "blunder"
+
+
+def pairs(site: SiteDoc) -> Html:
+    """Draw the pairs as a graph, and list them."""
+    if not site.pairs:
+        return EMPTY
+    decided = "" if site.status == "refused" else " and others decide"
+    listing = listed(listings.pairs(site))
+    return fill("pairs", decided=decided, figure=_graph(site), table=listing)
+
+
+def _graph(site: SiteDoc) -> Html:
+    count = len(site.lidars)
+    angle = np.pi / 2 - 2 * np.pi * np.arange(count) / count
+    if count == 2:
+        angle += np.pi / 2
+    x, y = WIDTH / 2 + RADIUS * np.cos(angle), GRAPH_HEIGHT / 2 - RADIUS * np.sin(angle)
+    labels = Labels(WIDTH, GRAPH_HEIGHT)
+    lines, figures, nodes = [], [], []
+    for k, lidar in enumerate(site.lidars):
+        labels.keep_free(x[k], y[k], 9.0)
+        cosine, colour = float(np.cos(angle[k])), colour_class(k)
+        anchor = "middle" if abs(cosine) < 0.3 else "start" if cosine > 0 else "end"
+        place = {"x": x[k] + 16 * cosine, "y": y[k] - 20 * np.sin(angle[k]) + 0.35 * FONT}
+        nodes.append(fill("place", colour=colour, x=x[k], y=y[k], r=8))
+        nodes.append(
+            fill("label", **place, anchor=anchor, style=f"name {colour}", text=short(lidar.name))
+        )
+    # The largest w is drawn last: it lies on top of all others.
+    for pair in sorted(site.pairs, key=lambda each: abs(each.w or 0.0)):
+        a, b = pair.lidars
+        kind = f"{level_of(pair.w)} {'solid' if pair.standing == 1 else 'dashed'}"
+        lines.append(fill("pair", kind=kind, x1=x[a], y1=y[a], x2=x[b], y2=y[b]))
+        labelled = len(site.pairs) <= LABELLED_PAIRS or level_of(pair.w) != "calm"
+        if pair.w is not None and labelled:
+            middle = ((x[a] + x[b]) / 2, (y[a] + y[b]) / 2)
+            figures.append(labels.place(number(abs(pair.w), 1), *middle, 9.0, "halo", FONT - 1))
+    return fill(
+        "graph",
+        width=f"{WIDTH:g}",
+        height=f"{GRAPH_HEIGHT:g}",
+        marks=join((*lines, *nodes, *figures)),
+        legend=join(fill("level", level=level, words=words) for level, words in LEVELS),
+    )

@@ -4,27 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from ..base.datatypes import Placement
-from ..base.files import write_atomically
 from ..result import ResultDoc
 from ..result.site import SiteDoc
 from . import listings
-from .certificate import certificate
-from .error_curve import curve_sentence, error_curve
+from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
 from .listings import Listing
-from .map import site_map
-from .missing import missing_poles
+from .map import pairs, site_map
 from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
-from .pairs import pairs
 from .plan import plan_of
-from .poses import poses, transform
-from .recorded import poles, run
+from .poses import certainty, certificate, poses, transform
+from .recorded import missing_poles, poles, run
 from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
-from .sway import sways
-from .uncertainty import certainty
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
 
@@ -233,20 +226,3 @@ def viewer(subject: Subject, view: PageView | None) -> Html:
         keys=fill("keys-of-pair" if pair else "keys-of-site"),
         shown=view.shown,
     )
-
-
-def write_report(
-    path: Path,
-    result: ResultDoc,
-    placements: Sequence[Placement],
-    *,
-    notes: Sequence[str] = (),
-    max_points: int = MAX_CLOUD_POINTS,
-    site: str = "",
-    serials: Sequence[str] = ("", ""),
-) -> None:
-    """Write `render_report`'s page to a file, whole or not at all."""
-    page = render_report(
-        result, placements, notes=notes, max_points=max_points, site=site, serials=serials
-    )
-    write_atomically(path, page.encode("utf-8"))

@@ -1,11 +1,20 @@
-"""Labels of the pictures of a site: none covers another, and long names are shortened."""
+"""Pictures of a page: their frame, axes of charts, and labels, of which none covers another."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from .page import Html, fill
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..base.datatypes import Array
+from ..base.quantities import round_below
+from .page import Html, fill, join
+
+WIDTH = 520.0
+"""Of a picture, in its own units: the page scales it."""
 
 LONGEST_LABEL = 18
 """Characters of a name in a picture; the tables have it whole."""
@@ -32,7 +41,69 @@ _AROUND: tuple[tuple[float, float, str], ...] = (
 
 
 Box = tuple[float, float, float, float]
-"""Left, top, right and bottom of a label."""
+"""Left, top, right and bottom, in a picture's own units."""
+
+
+def picture(name: str, height: float, marks: Iterable[Html], said: object, kind: str = "") -> Html:
+    """Frame a picture `WIDTH` wide, and say below it, by an id, what it shows."""
+    size = {"width": f"{WIDTH:g}", "height": f"{height:.0f}"}
+    return fill("picture", name=name, kind=kind, marks=join(marks), said=said, **size)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A box in a picture; `x` are the numbers at its left and right, `y` at its bottom and top."""
+
+    box: Box
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    @classmethod
+    def around(cls, middle: Array, scale: float, box: Box) -> Chart:
+        """Show what is about a point (2,), at so many units of the picture per number both ways."""
+        across, down = (box[2] - box[0]) / scale / 2, (box[3] - box[1]) / scale / 2
+        x, y = float(middle[0]), float(middle[1])
+        return cls(box, (x - across, x + across), (y - down, y + down))
+
+    def at(self, points: Array) -> Array:
+        """Give the places in the picture (N, 2) of points (N, 2 or more): y points down there."""
+        (left, top, right, bottom), xy = self.box, np.asarray(points)[:, :2]
+        low = np.array([self.x[0], self.y[0]])
+        scale = np.array([right - left, top - bottom]) / ([self.x[1], self.y[1]] - low)
+        return np.asarray([left, bottom] + (xy - low) * scale)
+
+    def line(self, x: ArrayLike, y: ArrayLike) -> str:
+        """Write the corners of a line as those of a path."""
+        return "L".join(f"{a:.1f} {b:.1f}" for a, b in self.at(np.transpose([x, y])))
+
+    def axes(
+        self, x: dict[float, str], y: dict[float, str], across: str, down: str = ""
+    ) -> list[Html]:
+        """Draw axes: a tick or a line across at each number, with its text, and what they are."""
+        left, top, right, bottom = self.box
+        marks = []
+        for value, text in y.items():
+            at = float(self.at(np.array([[0.0, value]]))[0, 1])
+            ends = {"x": left, "y": at, "right": right}
+            marks.append(fill("axis-level", **ends, at=left - 8, below=at + 5, value=text))
+        for value, text in x.items():
+            at = float(self.at(np.array([[value, 0.0]]))[0, 0])
+            marks.append(fill("axis-tick", x=at, y=bottom, below=bottom + 22, value=text))
+        places = {"left": left, "above": top - 16, "x": (left + right) / 2, "y": bottom + 44}
+        return [*marks, fill("axis-names", **places, across=across, down=down)]
+
+
+def round_step(span: float) -> float:
+    """Choose the distance of the lines across a chart: 1, 2, 2.5 or 5, four or five in the span."""
+    least = round_below(span / 5)
+    return next(k * least for k in (1.0, 2.0, 2.5, 5.0) if k * least >= span / 5 * (1 - 1e-9))
+
+
+def round_numbers(low: float, high: float, unit: float = 1.0) -> dict[float, str]:
+    """Give round numbers from low to high for an axis, with their texts in a unit."""
+    step = round_step(high - low)
+    numbers = [k * step for k in range(math.ceil(low / step), math.floor(high / step + 1e-9) + 1)]
+    return {number: f"{number / unit:g}" for number in numbers}
 
 
 def short(name: str) -> str:

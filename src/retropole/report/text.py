@@ -16,10 +16,18 @@ from ..result import InputDoc, ReasonDoc, ResultDoc
 from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
-from .certainty import fitness_words, statements
 from .hypotheses import describe_standing, margin_words, tried_words
 from .layout import LINES, WIDTH, legible, table, wrapped
-from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
+from .listings import (
+    POLE_COLUMNS,
+    Listing,
+    columns,
+    fitness_words,
+    left_out_words,
+    numbers,
+    pole_row,
+    statements,
+)
 from .subject import Subject, of_pair, recorded_by
 from .verdict import instead_words
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..base.quantities import counted, percent
 from ..base.reasons import explain
 from ..result import ReasonDoc
-from .certainty import fitness_words, statements
+from .listings import fitness_words, statements
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join
 from .subject import Subject
 

@@ -1,4 +1,4 @@
-"""The predicted error over the distance: 1 σ, what 95 % are below, and what was asked for."""
+"""Charts: the predicted error over the distance, and how each LiDAR swayed while it recorded."""
 
 from __future__ import annotations
 
@@ -11,19 +11,15 @@ import numpy as np
 from ..base.quantities import MILLIMETRES_BELOW, error, round_below
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import CONFIDENCE, Need, displacement_bounds
+from ..result.sway import SwayDoc
 from ..result.verdict import chance_wrong
-from .certainty import BUDGET_RANGE, worst_lidar
+from .listings import BUDGET_RANGE, worst_lidar
 from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject
+from .svg import Chart, picture, round_numbers, round_step
 
 RANGES = (1.0, *(5.0 * k for k in range(1, 13)))
 """Where the curves have their corners, metres: both are nearly straight beyond the first."""
-
-WIDTH, HEIGHT = 520.0, 300.0
-"""Of the picture, in its own units."""
-
-LEFT, RIGHT, TOP, BOTTOM = 58.0, 462.0, 34.0, 246.0
-"""Edges of what is plotted."""
 
 LEAST_GAP = 20.0
 """Names of two curves are at least so far from each other."""
@@ -95,69 +91,43 @@ def curve_figure(curve: ErrorCurve | None) -> Html:
         return EMPTY
     most = max([*curve.sigmas, *(curve.bounds or ())])
     need = curve.need if curve.need and curve.need.within <= MOST_ABOVE * most else None
-    step = _step(1.05 * max(most, need.within if need else 0.0))
-    count = math.ceil(1.05 * max(most, need.within if need else 0.0) / step)
-    plot = _Plot(RANGES[-1], count * step)
-    marks = [*_axes(plot, step, count), *_curves(plot, curve)]
-    if need is not None:
-        marks += _need(plot, need)
-    return fill(
-        "curve-figure",
-        width=f"{WIDTH:g}",
-        height=f"{HEIGHT:g}",
-        marks=join(marks),
-        said=_caption(curve, is_drawn=need is not None),
+    top = 1.05 * max(most, need.within if need else 0.0)
+    step = round_step(top)
+    top = step * math.ceil(top / step)
+    scale, unit = (1000.0, "mm") if top < MILLIMETRES_BELOW else (1.0, "m")
+    chart = Chart((58.0, 34.0, 462.0, 246.0), (0.0, RANGES[-1]), (0.0, top))
+    marks = chart.axes(
+        {distance: f"{distance:g}" for distance in RANGES if distance % 10 == 0} | {0.0: "0"},
+        round_numbers(0.0, top, 1 / scale),
+        "distance from the LiDAR, m",
+        f"error, {unit}",
     )
+    marks += _curves(chart, curve)
+    if need is not None:
+        marks.append(_need(chart, need))
+    return picture("curve-said", 300.0, marks, _caption(curve, is_drawn=need is not None), "curve")
 
 
-class _Plot(NamedTuple):
-    """From metres of distance and of error to the picture."""
-
-    far: float
-    top: float
-
-    def at(self, distance: float, size: float) -> tuple[float, float]:
-        x = LEFT + (RIGHT - LEFT) * distance / self.far
-        return x, BOTTOM - (BOTTOM - TOP) * size / self.top
-
-
-def _step(top: float) -> float:
-    """Choose the distance of the lines across the picture: 1, 2 or 5, four or five of them."""
-    least = round_below(top / 5)
-    return next(k * least for k in (1.0, 2.0, 2.5, 5.0) if k * least >= top / 5 * (1 - 1e-9))
-
-
-def _axes(plot: _Plot, step: float, count: int) -> Iterator[Html]:
-    scale, unit = (1000.0, "mm") if plot.top < MILLIMETRES_BELOW else (1.0, "m")
-    for k in range(count + 1):
-        _, y = plot.at(0.0, k * step)
-        value = f"{scale * k * step:g}"
-        yield fill("curve-level", x=LEFT, y=y, right=RIGHT, at=LEFT - 8, below=y + 5, value=value)
-    for k in range(0, int(plot.far) + 1, 10):
-        x, y = plot.at(float(k), 0.0)
-        yield fill("curve-distance", x=x, y=y, below=y + 22, value=k)
-    yield fill("curve-names", left=LEFT, above=TOP - 16, unit=unit, x=(LEFT + RIGHT) / 2, y=290.0)
-
-
-def _curves(plot: _Plot, curve: ErrorCurve) -> Iterator[Html]:
+def _curves(chart: Chart, curve: ErrorCurve) -> Iterator[Html]:
     """Draw the curves and name each at its end, the names apart from each other."""
     lines = [("one-sigma", "1 σ", curve.sigmas)]
     if curve.bounds is not None:
         lines.append(("bound", f"{100 * CONFIDENCE:.0f} %", curve.bounds))
-    last = HEIGHT
+    last = math.inf
     for kind, name, values in lines:
-        corners = [plot.at(*each) for each in zip(RANGES, values, strict=True)]
-        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in corners)
-        last = min(corners[-1][1] + 5, last - LEAST_GAP)
-        yield fill("curve-line", kind=kind, path=path, x=RIGHT + 8, y=last, name=name)
+        x, y = chart.at(np.array([[RANGES[-1], values[-1]]]))[0]
+        last = min(float(y) + 5, last - LEAST_GAP)
+        yield fill("line", kind=kind, path=chart.line(RANGES, values))
+        yield fill("label", x=x + 8, y=last, anchor="start", style="name", text=name)
 
 
-def _need(plot: _Plot, need: Need) -> Iterator[Html]:
+def _need(chart: Chart, need: Need) -> Html:
     """Draw what was asked for, as far as it was asked for."""
-    x, y = plot.at(min(need.at, plot.far), need.within)
-    beside = y + 20 if y < TOP + 20 else y - 8
+    x, y = chart.at(np.array([[min(need.at, RANGES[-1]), need.within]]))[0]
+    left, top, _, _ = chart.box
+    beside = y + 20 if y < top + 20 else y - 8
     name = f"needed: {100 * need.within:g} cm up to {need.at:g} m"
-    yield fill("curve-need", left=LEFT, x=x, y=y, text=LEFT + 8, beside=beside, name=name)
+    return fill("curve-need", left=left, x=x, y=y, text=left + 8, beside=beside, name=name)
 
 
 def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
@@ -177,3 +147,31 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
         outside = "" if is_drawn else ", far above this picture"
         said.append(f"Needed: {curve.need.words}{outside}.")
     return " ".join(said)
+
+
+def sways(subject: Subject) -> Html:
+    """Draw what was seen of each recording, name what was stated; nothing where all stood."""
+    if not subject.site.sways:
+        return EMPTY
+    several = len(subject.site.placements) > 1
+    figures = [_figure(subject, each, several=several) for each in subject.site.sways]
+    return fill("sways", figures=join(figures))
+
+
+def _figure(subject: Subject, found: SwayDoc, *, several: bool) -> Html:
+    """Draw the angle over time, between three lines."""
+    sway, name = found.sway, subject.called(found.lidar)
+    name = f"{name[0].upper()}{name[1:]}"
+    if several:
+        name += f", placement {subject.placement(found.placement)}"
+    said = f"{name}: {sway.words}."
+    if len(sway.times_s) < 2:
+        return fill("p", text=said)
+    angles, last = [math.degrees(each) for each in sway.angles_rad], sway.times_s[-1]
+    most = max(*map(abs, angles), 1e-3)
+    chart = Chart((66.0, 34.0, 500.0, 166.0), (0.0, last), (-1.1 * most, 1.1 * most))
+    levels = {k * round_below(most): f"{k * round_below(most):.2g}" for k in (-1, 0, 1)}
+    times = {k * last / 4: f"{k * last / 4:.2g}" for k in range(5)}
+    line = fill("line", kind="bound", path=chart.line(sway.times_s, angles))
+    marks = [*chart.axes(times, levels, "time, s", "angle, °"), line]
+    return picture(f"sway-{found.lidar}-{found.placement}", 220.0, marks, said, "curve")
