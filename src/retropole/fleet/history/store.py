@@ -62,7 +62,7 @@ def _raise(error: ReadError) -> None:
 Tell = Callable[[ReadError], None]
 """Is told what is damaged, which is then left out; or raises it."""
 
-Sites = dict[str, list[str]]
+Sites = dict[str, tuple[str, ...]]
 """Files of a history, and the sites that each has."""
 
 
@@ -279,6 +279,7 @@ def contents(
     Of millions of checks the keys are kept as lines of text: sets would need four times the memory.
     """
     sites: Sites = {}
+    alike: dict[tuple[str, ...], tuple[str, ...]] = {}
     keys: dict[str, bytearray] = {}
     months = filter(re.compile(r"month=\d{4}-\d{2}").fullmatch, names_in(folder))
     files = (
@@ -287,7 +288,9 @@ def contents(
     places = [place for place in files if place.endswith(".parquet") and place not in known]
     for place, table in _tables(places, tell, ["id", "key"]):
         names = table["id"].to_pylist()
-        sites[place] = sorted(set(names))
+        # Files that were appended one after the other have the same sites.
+        own = (*sorted(set(names)),)
+        sites[place] = alike.setdefault(own, own)
         for name, key in zip(names, table["key"].to_pylist(), strict=True):
             keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
     return sites, keys

@@ -58,9 +58,6 @@ the logarithm of how likely each is before a site has told: the site's own check
 
 SHARES, TIMES = np.array(list(SLOW)).T
 
-LOST = np.r_[np.full(3, np.radians(2.0)), np.full(3, 0.2)]
-"""1 σ of the level, rad and m, after no two of the waiting checks agreed."""
-
 CHANCE = 0.001
 """How often chance alone makes a check wait for another."""
 
@@ -68,7 +65,7 @@ GATE = float(chdtri(6, CHANCE))
 """χ²(6) beyond which a check waits."""
 
 MOST_WAITING = 6
-"""Checks that may wait. If no two of as many agree, the place has become another."""
+"""Checks that may wait. If no two of as many agree, that is an alarm too."""
 
 WINDOW = 400.0
 """Days back to which a change may have begun: a year and the weeks to see it."""
@@ -233,11 +230,6 @@ class _Filter:
     vector: Array
 
     @property
-    def scale(self) -> Array:
-        """(R,) scatter of the site beside what is stated, in σ."""
-        return np.asarray(np.sqrt(self.total / self.weight))
-
-    @property
     def best(self) -> int:
         """The likeliest filter."""
         return int(self.likelihood.argmax())
@@ -249,18 +241,6 @@ class _Filter:
     def without_changes(self) -> _Filter:
         """Give the same with no change that may have begun."""
         return replace(self, **_no_changes(len(self.likelihood)))
-
-
-class _Ahead(NamedTuple):
-    """What filters make of their next check: the transition, the state, and how it shows."""
-
-    F: Array
-    P: Array
-    shown: Array
-    size: Array
-    off: Array
-    gain: Array
-    chi2: Array
 
 
 def _no_changes(filters: int) -> dict[str, Array]:
@@ -294,46 +274,32 @@ def _begin(first: Observed) -> _Filter:
     return blank
 
 
-def _ahead(now: _Filter, check: Observed) -> _Ahead:
-    """Predict a check."""
-    days = check.days - now.days
-    kept, squared = np.exp(-days / TIMES)[:, None], np.square(now.scale)[:, None]
-    F = np.zeros((len(kept), 1, 6, 6))
-    F[:] = np.eye(6)
+def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
+    """Take the check n in, and give its χ²; what is too old is left out, and changes begin."""
+    days, scale = check.days - now.days, np.sqrt(now.total / now.weight)[:, None]
+    F = np.zeros((len(TIMES), 1, 6, 6)) + np.eye(6)
+    kept = np.exp(-days / TIMES)[:, None]
     F[..., LEVEL, SLOPE], F[..., SLOWLY, SLOWLY] = days / YEAR, kept
-    P = F @ now.covariance @ np.swapaxes(F, -1, -2)
-    random = squared * now.along(check.random)
+    P = F @ now.covariance @ F.swapaxes(-1, -2)
+    random = scale**2 * now.along(check.random)
     P[..., SLOWLY, SLOWLY] += (1 - kept**2) * (now.along(floor()) + SHARES[:, None] * random)
     if check.other and not now.knows_other:
         P[..., OTHER, OTHER] += LEVEL_FACTOR**2 * now.along(check.common)
     angle = 2.0 * np.pi * check.days / YEAR
     shown = np.array([1.0, np.cos(angle), np.sin(angle), 1.0, 0.0, check.other])
-    across = P @ shown
-    size = across @ shown + random
-    off = now.axes @ check.step - (F @ now.mean[..., None])[..., 0] @ shown
+    mean, across = (F @ now.mean[..., None])[..., 0], P @ shown
+    size, off = across @ shown + random, now.axes @ check.step - mean @ shown
     chi2 = (off**2 / size).sum(axis=1)
+    clipped = np.minimum(chi2, GATE)
+    likelihood = now.likelihood - 0.5 * (clipped + np.log(size).sum(axis=1))
+    # One that is excluded counts as if it were just about excluded.
     size *= np.maximum(chi2 / GATE, 1.0)[:, None]
-    return _Ahead(F, P, shown, size, off, across / size[..., None], chi2)
+    gain = across / size[..., None]
 
-
-def _told(now: _Filter, ahead: _Ahead) -> _Filter:
-    """Let a check correct scale and likelihood; an outlier counts as the gate."""
-    chi2 = np.minimum(ahead.chi2, GATE)
-    return replace(
-        now,
-        total=now.total + now.scale**2 * chi2 / 6.0,
-        weight=now.weight + 1.0,
-        likelihood=now.likelihood - 0.5 * (chi2 + np.log(ahead.size).sum(axis=1)),
-    )
-
-
-def _taken(now: _Filter, ahead: _Ahead, check: Observed, n: int) -> _Filter:
-    """Take the check n in; what is too old is left out, and changes begin with it."""
-    F, P, shown, size, off, gain, _ = ahead
     keep = _kept(now, n, check.days)
     count = np.count_nonzero(keep)
     # Behind those that are kept a step begins that the check shows, and a trend that it does not.
-    D = np.zeros((*now.mean.shape, count + 2))
+    D = np.zeros((*mean.shape, count + 2))
     D[..., :count] = now.deviation[..., keep]
     D[:, :, LEVEL] += F[..., LEVEL, SLOPE, None] * D[:, :, SLOPE]
     D[:, :, SLOWLY] *= F[..., SLOWLY, SLOWLY, None]
@@ -341,26 +307,27 @@ def _taken(now: _Filter, ahead: _Ahead, check: Observed, n: int) -> _Filter:
     G = shown @ D
     D -= gain[..., None] * G[:, :, None]
     D[:, :, SLOPE, count + 1] = 1.0
-    information, vector = np.full((2, *G.shape), UNKNOWN)
-    information[..., :count], vector[..., :count] = (
-        now.information[..., keep],
-        now.vector[..., keep],
-    )
-    vector[..., count:] = 0.0
-    weighted = G / size[..., None]
-    return replace(
+    information, vector = (weight[..., None] * G for weight in (1.0 / size, off / size))
+    information = information * G + UNKNOWN
+    information[..., :count] += now.information[..., keep] - UNKNOWN
+    vector[..., :count] += now.vector[..., keep]
+    after = replace(
         now,
         days=check.days,
         knows_other=now.knows_other or check.other,
-        mean=(F @ now.mean[..., None])[..., 0] + gain * off[..., None],
-        covariance=P - gain[..., None] * gain[..., None, :] * size[..., None, None],
+        likelihood=likelihood,
+        total=now.total + scale[:, 0] ** 2 * clipped / 6.0,
+        weight=now.weight + 1.0,
+        mean=mean + gain * off[..., None],
+        covariance=P - gain[..., None] * across[..., None, :],
         onset=np.r_[now.onset[keep], n, n],
         began=np.r_[now.began[keep], check.days, check.days],
         is_trend=np.r_[now.is_trend[keep], False, True],
         deviation=D,
-        information=information + weighted * G,
-        vector=vector + weighted * off[..., None],
+        information=information,
+        vector=vector,
     )
+    return after, float(chi2[now.best])
 
 
 def _kept(now: _Filter, n: int, days: float) -> BoolArray:
@@ -392,14 +359,6 @@ def _adopted(now: _Filter, m: int) -> _Filter:
     mean = now.mean + D * now.vector[..., m, None] / A
     P = now.covariance + D[..., None] * D[..., None, :] / A[..., None]
     return replace(now, mean=mean, covariance=P).without_changes()
-
-
-def _lost(now: _Filter, check: Observed) -> _Filter:
-    """Start the level anew from a check."""
-    P = now.covariance.copy()
-    P[..., LEVEL, LEVEL] += now.along(np.diag(LOST**2))
-    anew = replace(now, covariance=P)
-    return _taken(anew, _ahead(anew, check), check, 0).without_changes()
 
 
 def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
@@ -450,12 +409,10 @@ def watch(checks: Sequence[Observed]) -> Watched:
         return Watched()
     now, events, waiting = _begin(checks[0]), list[Event](), list[int]()
     for n, check in enumerate(checks):
-        ahead = _ahead(now, check)
-        is_off = ahead.chi2[now.best] > GATE
-        now = _taken(_told(now, ahead), ahead, check, n)
-        waiting += [n] * bool(is_off)
+        now, chi2 = _taken(now, check, n)
+        waiting += [n] * (chi2 > GATE)
         found = _found(now, n)
-        if found is not None or not is_off:
+        if found is not None or chi2 <= GATE:
             onset = n + 1 if found is None else found[1].onset
             events += [Event("outlier", k, n) for k in waiting if k < onset]
             waiting = []
@@ -467,9 +424,9 @@ def watch(checks: Sequence[Observed]) -> Watched:
             now = _adopted(now, m)
         elif len(waiting) > MOST_WAITING:
             events.append(Event("unsettled", waiting[0], n))
-            now, waiting = _lost(now, check), []
+            waiting = []
         newest = checks[max(n - 2, 0) : n + 1]
         if check.moved and not Watched((*events,)).alarms and _stays_moved(newest):
             size = check.random + check.common
             events.append(Event("moved", n - 1, n, check.step, size, _from_stored(check)))
-    return Watched((*events,), (*waiting,), float(now.scale[now.best]))
+    return Watched((*events,), (*waiting,), float(np.sqrt(now.total[now.best] / now.weight)))
