@@ -77,7 +77,7 @@ SPACING, FRESH = 20.0, 4
 """Days between onsets of trends that are tried: those of neighbours are hardly told apart; but each
 of the newest checks is tried: at 5 mm a day and a check a week nothing else says what happens."""
 
-STEP, TREND = 40.0, 18.0
+STEP, TREND = 42.0, 18.0
 """Twice the log likelihood ratio from which a step, or a trend of few days, was found, and one of
 many: trends of neighbouring onsets are almost one, so that chance makes less of them."""
 
