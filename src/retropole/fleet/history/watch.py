@@ -320,9 +320,9 @@ def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
         weight=now.weight + 1.0,
         mean=mean + gain * off[..., None],
         covariance=P - gain[..., None] * across[..., None, :],
-        onset=np.r_[now.onset[keep], n, n],
-        began=np.r_[now.began[keep], check.days, check.days],
-        is_trend=np.r_[now.is_trend[keep], False, True],
+        onset=np.append(now.onset[keep], [n, n]),
+        began=np.append(now.began[keep], [check.days, check.days]),
+        is_trend=np.append(now.is_trend[keep], [False, True]),
         deviation=D,
         information=information,
         vector=vector,
@@ -367,8 +367,8 @@ def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
     statistics = np.where(now.onset < n, _statistics(now), 0.0)
     beyond = statistics - np.where(now.is_trend & ~short, TREND, STEP)
     likeliest = np.argsort(BEHIND * short - beyond, kind="stable")
-    back = np.linalg.inv(now.axes)
     for m in likeliest[beyond[likeliest] > 0.0].tolist():
+        back = np.linalg.inv(now.axes)
         A, b = now.information[now.best, :, m], now.vector[now.best, :, m]
         size, covariance = back @ (b / A), (back / A) @ back.T
         # What a short trend has moved by so far, and what a long one moves by in a year.
