@@ -50,10 +50,8 @@ from scipy.special import chdtrc
 from fleet_bound import bound_table
 from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
-from retropole.fleet.history.events import Watched
-from retropole.fleet.history.model import YEAR, Observed
 from retropole.fleet.history.store import CheckRow, flat, observed
-from retropole.fleet.history.watch import watch
+from retropole.fleet.history.watch import YEAR, Observed, Watched, watch
 from retropole.monitoring.certainty import FALSE_ALARM, upper_limit
 from retropole.monitoring.drift import check
 from retropole.monitoring.movement import BOUND_SIGMAS

@@ -6,17 +6,14 @@
 Writes a history of sites that are checked daily for a year, as `fleet check` appends it: a file a
 day for each 100 sites. Checks scatter by a law of benchmarks/fleet_history.py, with heavy tails and
 lorries; one site in twenty has a step, one a drift. Then it is looked through and replayed as
-`fleet check` does, by local workers: all checks but the newest from the first on; the same once the
-files of closed months are merged; and then the newest days, from where the sites stood. CPU times
-are of all processes, those of the workers too; times are of this machine at this moment. A folder
-that has a history already is not written again, and replayed once as it is.
+`fleet check` does, by local workers. CPU times are of all processes, those of the workers too;
+times are of this machine at this moment. A folder that has a history already is not written again.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
-import shutil
 import tempfile
 import threading
 import time
@@ -32,10 +29,8 @@ import psutil
 
 from fleet_history import TUNE, Law, drawn
 from retropole.fleet.engine import connected, mapped
-from retropole.fleet.history.merging import merge
-from retropole.fleet.history.reading import contents
 from retropole.fleet.history.run import FLUSH, replay
-from retropole.fleet.history.store import CheckRow, columns_of, flat, schema
+from retropole.fleet.history.store import CheckRow, columns_of, contents, flat, schema
 from retropole.fleet.tables import parquet_of
 
 SAMPLE = 0.2
@@ -71,10 +66,10 @@ def rows_of(site: int, law: Law, checks: int) -> list[CheckRow]:
     ]
 
 
-def write(first: int, folder: str, law: Law, sites: int, checks: int, days: range) -> None:
-    """Write some days of the history of some sites that are checked together."""
+def write(first: int, folder: str, law: Law, sites: int, checks: int) -> None:
+    """Write the history of some sites that are checked together."""
     together = [rows_of(site, law, checks) for site in range(first, min(first + FLUSH, sites))]
-    for day in days:
+    for day in range(checks):
         months: dict[str, dict[str, CheckRow]] = {}
         for row in (rows[day] for rows in together if day < len(rows)):
             months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
@@ -85,8 +80,8 @@ def write(first: int, folder: str, law: Law, sites: int, checks: int, days: rang
             path.write_bytes(parquet_of(ordered, schema()))
 
 
-def write_all(folder: str, law: Law, sites: int, checks: int, days: range) -> None:
-    job = partial(write, folder=folder, law=law, sites=sites, checks=checks, days=days)
+def write_all(folder: str, law: Law, sites: int, checks: int) -> None:
+    job = partial(write, folder=folder, law=law, sites=sites, checks=checks)
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         list(pool.map(job, range(0, sites, FLUSH)))
 
@@ -123,18 +118,18 @@ def cpu() -> dict[str, float]:
     return {name: each.ru_utime + each.ru_stime for name, each in used.items()}
 
 
-def replay_all(folder: str, ids: list[str], workers: int, what: str) -> None:
+def replay_all(folder: str, ids: list[str], workers: int) -> None:
     before, start = cpu(), time.perf_counter()
     with memory_sampled() as most, connected(workers=workers) as client:
         ready = time.perf_counter()
-        held = contents(folder, ids)
-        found, damaged = replay(folder, ids, partial(mapped, client), known=held)
+        files, _ = contents(folder)
+        found, damaged = replay(folder, ids, partial(mapped, client), known=files)
         seconds = time.perf_counter() - ready
     used = {name: seconds - before[name] for name, seconds in cpu().items()}
     checks = sum(len(site.times) for site in found)
     changed = sum(bool(site.changes) for site in found)
     total = sum(used.values())
-    print(f"{what}, {len(held.files)} files:")
+    print(f"{len(files)} files:")
     print(
         f"  {len(found)} sites, {checks} checks, {changed} sites changed, {len(damaged)} damaged: "
         f"{seconds:.1f} s with {workers} workers, {time.perf_counter() - start:.1f} s with their "
@@ -150,7 +145,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sites", type=int, default=400)
     parser.add_argument("--checks", type=int, default=365, help="of each, one a day")
-    parser.add_argument("--new", type=int, default=1, help="of these, since the last run")
     parser.add_argument("--law", choices=TUNE, default="tails")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="of the history; a temporary one without")
@@ -158,21 +152,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = str(arguments.folder or temporary)
         ids = [f"site-{site:05d}" for site in range(arguments.sites)]
-        replayed = partial(replay_all, folder, ids, arguments.workers)
-        if any(Path(folder).glob("month=*")):
-            replayed("as it is")
-            return
-        law, newest = TUNE[arguments.law], arguments.checks - arguments.new
-        written = partial(write_all, folder, law, arguments.sites, arguments.checks)
-        written(range(newest))
-        replayed("from the first check")
-        start, month = time.perf_counter(), BEGIN + timedelta(days=newest)
-        replaced = merge(folder, contents(folder), f"month={month:%Y-%m}")
-        print(f"{replaced} files merged in {time.perf_counter() - start:.1f} s")
-        shutil.rmtree(Path(folder, "state"))
-        replayed("from the first check, merged")
-        written(range(newest, arguments.checks))
-        replayed(f"{arguments.new} new of each site, merged")
+        if not any(Path(folder).glob("month=*")):
+            write_all(folder, TUNE[arguments.law], arguments.sites, arguments.checks)
+        replay_all(folder, ids, arguments.workers)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 
 from retropole.cli.fleet_check import in_words, json_line
 from retropole.fleet.batch import calibrate_fleet
-from retropole.fleet.history.reading import read
 from retropole.fleet.history.run import FleetCheck, changes_of
-from retropole.fleet.history.store import CheckRow, append
+from retropole.fleet.history.store import CheckRow, append, read
 from retropole.fleet.sites import find_sites
 from tests.cli.commands import retropole_here
 from tests.fleet.fleets import here, write_fleet

@@ -9,7 +9,7 @@ import pytest
 
 from retropole.api.site_file import read_site_file
 from retropole.fleet.dataset import known_in, partitions_in, read_rows, read_runs
-from retropole.fleet.history import reading
+from retropole.fleet.history import store
 from retropole.result.decoding import decode, decode_site
 from tests.cli.test_kills import kill, start
 from tests.fleet.fleets import ENDS, write_fleet
@@ -60,7 +60,7 @@ def assert_whole(folder: Path) -> None:
             assert read_rows(out, part).keys() == read_runs(out, part).keys() <= IDS
     assert known_in(str(folder / "known")).keys() == IDS
     assert (folder / "network.parquet").read_bytes()[-4:] == b"PAR1"
-    for name, rows in reading.read(str(folder / "history")):
+    for name, rows in store.read(str(folder / "history")):
         # A check that found no answer is tried again, and has another row.
         assert len([row for row in rows if row.status != "error"]) <= 1
         assert name in IDS
@@ -73,7 +73,7 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
         assert known_in(str(folder / "new")).keys() == IDS
         assert len(list((folder / "reports").rglob("*report.html"))) == 5
     if name == "check":
-        assert {each for each, _ in reading.read(str(folder / "history"))} == IDS
+        assert {each for each, _ in store.read(str(folder / "history"))} == IDS
 
 
 FEW = {name: COMMANDS[name] for name in ("init", "network")}

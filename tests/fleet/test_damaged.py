@@ -34,7 +34,7 @@ from retropole.fleet.dataset import (
     read_rows,
     read_runs,
 )
-from retropole.fleet.history import reading, store
+from retropole.fleet.history import store
 from retropole.fleet.history.run import changes_of
 from retropole.fleet.network.dataset import find_network, read_nodes
 from retropole.fleet.overview import overview_of
@@ -288,8 +288,8 @@ def hold_history(folder: Path, dice: random.Random, whole: Whole) -> None:
     store.append(place, [check_row(k) for k in range(4)])
     (path,) = Path(place).rglob("*.parquet")
     path.write_bytes(damaged_table(path.read_bytes(), dice))
-    reading.contents(place, ["lamp-1"])
-    for _, rows in reading.read(place):
+    store.contents(place)
+    for _, rows in store.read(place):
         assert all(row.step is None or np.isfinite(row.step).all() for row in rows)
         changes_of(rows)
 

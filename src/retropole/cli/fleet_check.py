@@ -15,9 +15,9 @@ from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, s
 from .options import Command, Number, Whole
 
 if TYPE_CHECKING:
-    from ..fleet.history.events import Event
     from ..fleet.history.run import FleetCheck, SiteChange
     from ..fleet.history.store import CheckRow
+    from ..fleet.history.watch import Event
 
 SCHEMA = "retropole/fleet-check/1"
 

@@ -6,8 +6,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from retropole.base.datatypes import Array
-from retropole.fleet.history.model import Observed
 from retropole.fleet.history.store import CheckRow, flat
+from retropole.fleet.history.watch import Observed
 
 SIGMA = np.repeat([np.radians(0.01), 0.002], 3)
 RANDOM = np.diag(SIGMA**2)

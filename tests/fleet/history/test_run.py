@@ -13,9 +13,8 @@ import pytest
 from retropole.base.errors import UsageError
 from retropole.fleet.engine import connected, mapped, outcomes
 from retropole.fleet.history import run
-from retropole.fleet.history.reading import read
-from retropole.fleet.history.run import changes_of, check_fleet
-from retropole.fleet.history.store import CheckRow, append
+from retropole.fleet.history.run import changes_of, check_fleet, replay
+from retropole.fleet.history.store import CheckRow, append, read
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, lost
 from tests.fleet.fleets import here, in_disorder
@@ -130,16 +129,6 @@ def test_a_damaged_history_is_named_and_ends_nothing(
     assert [f"{bad}" in found.damaged[0] for _ in found.damaged] == [True]
 
 
-def test_months_before_this_one_are_merged(city: Path, answers: str, tmp_path: Path) -> None:
-    for k in range(6):
-        append(str(tmp_path), [row(k, "good"), row(k, "small/1")])
-    sites = [site for site in find_sites([str(city)]) if site.id in ("good", "small/1")]
-    check_fleet(sites, str(tmp_path), here, answers=answers, now=NOW)
-    months = sorted(tmp_path.glob("month=*"))
-    assert [len([*month.iterdir()]) for month in months] == [1, 1, 1]
-    assert [len(rows) for _, rows in read(str(tmp_path))] == [7, 7]
-
-
 def test_everything_may_be_in_an_object_store(city: Path, answers: str, checked: Path) -> None:
     memory = fsspec.filesystem("memory")
     memory.put(str(city.parent), "/town", recursive=True)
@@ -237,3 +226,24 @@ def test_a_failure_of_this_run_is_told(tmp_path: Path) -> None:
     assert changes_of(rows).is_told
     assert not changes_of(rows, failed).is_told
     assert rows[1].time - rows[0].time == timedelta(days=7)
+
+
+def test_a_replay_says_what_each_site_does_alone(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    for k in range(14):
+        moved = MOVED * (k >= 9)
+        append(str(tmp_path), [row(k, "b", step=SIGMA * rng.normal(size=6) + moved)])
+        append(str(tmp_path), [row(k, "a"), row(k, "c", stored_sha256="xy"[k > 8])])
+    found, damaged = replay(str(tmp_path))
+    assert not damaged
+    assert [site.id for site in found] == ["a", "b", "c"]
+    for site, (_, rows) in zip(found, read(str(tmp_path)), strict=True):
+        alone = changes_of(rows)
+        assert site.times == alone.times
+        assert [(one.kind, one.onset, one.found) for one in site.watched.events] == [
+            (one.kind, one.onset, one.found) for one in alone.watched.events
+        ]
+    assert found[1].changes
+    assert len(found[2].times) == 5
+    some, _ = replay(str(tmp_path), ["b"])
+    assert [site.id for site in some] == ["b"]

@@ -4,11 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc, chdtri
 
+from retropole.api import floor
 from retropole.base.datatypes import Array
-from retropole.fleet.history.model import SLOPE, YEAR, together
-from retropole.fleet.history.watch import MOST_WAITING, watch, watch_all
-from tests.fleet.history.checks import MOVED, SIGMA, checks
+from retropole.fleet.history import watch as watching
+from retropole.fleet.history.watch import (
+    CLEAR,
+    LEVEL_FACTOR,
+    MOST_WAITING,
+    SEASON,
+    SHARES,
+    TIMES,
+    YEAR,
+    Event,
+    EventKind,
+    Watched,
+    watch,
+)
+from tests.fleet.history.checks import COMMON, MOVED, RANDOM, SIGMA, checks
 
 pytestmark = pytest.mark.full
 
@@ -17,14 +31,14 @@ ROTATED = np.array([0.0, np.radians(0.3), 0, 0, 0, 0])
 
 def test_no_check_says_nothing() -> None:
     seen = watch([])
-    assert (seen.events, seen.waiting, seen.state) == ((), (), None)
+    assert (seen.events, seen.waiting) == ((), ())
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
 def test_a_quiet_site_stays_quiet(factor: float) -> None:
     seen = checks(52, seed=3)
     level = np.mean([one.step for one in seen], axis=0)
-    seen = [replace(one, step=level + factor * (one.step - level)) for one in seen]
+    seen = [one._replace(step=level + factor * (one.step - level)) for one in seen]
     assert not watch(seen).alarms
 
 
@@ -33,7 +47,7 @@ def test_a_step_is_told_by_the_second_check_and_its_size_is_right(moved: np.ndar
     seen = watch(checks(22, lambda k: moved * (k >= 20)))
     (event,) = seen.alarms
     assert (event.kind, event.onset, event.found) == ("step", 20, 21)
-    assert event.is_clear
+    assert event.lead > 0.0
     assert event.size is not None
     assert event.covariance is not None
     off = event.size - moved
@@ -79,8 +93,6 @@ def test_a_drift_is_told_as_a_trend() -> None:
     assert event.covariance is not None
     off = event.size - drift
     assert off @ np.linalg.solve(event.covariance, off) < 30.0
-    assert seen.state is not None
-    assert seen.state.covariance[SLOPE, SLOPE].any()
 
 
 def test_the_past_is_not_told_otherwise_later() -> None:
@@ -100,7 +112,7 @@ def test_weeks_without_a_check_do_no_harm() -> None:
 def test_what_the_scene_alone_finds_may_lie_elsewhere() -> None:
     beside = 2.0 * SIGMA
     seen = [
-        replace(one, step=one.step + beside * (k % 3 == 0), other=k % 3 == 0 and k > 0)
+        one._replace(step=one.step + beside * (k % 3 == 0), other=k % 3 == 0 and k > 0)
         for k, one in enumerate(checks(30))
     ]
     assert not watch(seen).alarms
@@ -113,8 +125,7 @@ def test_a_drift_of_5_mm_a_day_is_told_by_the_second_check_that_says_moved() -> 
         quiet = checks(16, seed=5)
         level = np.mean([one.step for one in quiet], axis=0)
         seen = [
-            replace(
-                one,
+            one._replace(
                 step=level + sigma * (one.step - level) + drift * max(7 * k - 66.5, 0),
                 random=sigma**2 * one.random,
                 moved=k >= 11,
@@ -130,7 +141,7 @@ def test_two_that_say_moved_on_the_same_side_are_an_alarm_and_lorries_are_none()
     def told(*sides: float) -> list[str]:
         off = {20 + k: side for k, side in enumerate(sides)}
         made = checks(21 + len(sides), lambda k: 3 * MOVED * off.get(k, 0.0))
-        seen = watch([replace(one, moved=k in off) for k, one in enumerate(made)])
+        seen = watch([one._replace(moved=k in off) for k, one in enumerate(made)])
         return [event.kind for event in seen.alarms]
 
     # That grows by as much again fits neither a step nor a single one that is off.
@@ -150,34 +161,89 @@ def test_a_lorry_after_a_check_that_chance_put_aside_is_no_trend() -> None:
     assert not seen.alarms
 
 
-def stepped(k: int) -> Array:
-    return MOVED * (k >= 30)
+@pytest.mark.parametrize(
+    ("kind", "alarm"), [("step", True), ("trend", True), ("unsettled", True), ("outlier", False)]
+)
+def test_all_but_a_single_check_is_an_alarm(kind: EventKind, alarm: bool) -> None:
+    event = Event(kind, 3, 4)
+    assert Watched((event,)).alarms == ((event,) if alarm else ())
 
 
-def drifted(k: int) -> Array:
-    return MOVED * max(k - 20, 0) / 20
+def test_step_and_trend_are_told_apart_from_a_lead_on() -> None:
+    assert Event("step", 3, 4, lead=CLEAR).is_clear
+    assert not Event("step", 3, 4, lead=CLEAR - 0.1).is_clear
 
 
-def test_sites_beside_each_other_are_watched_as_each_alone() -> None:
-    rng = np.random.default_rng(3)
-    sites = []
-    for seed in range(7):
-        count = (90, 3, 60, 90, 1, 75, 40)[seed]
-        seen = checks(count, stepped if seed % 2 else drifted, seed=seed)
-        for k in np.flatnonzero(rng.random(len(seen)) < 0.04):
-            seen[k] = replace(seen[k], step=seen[k].step + 20 * SIGMA * rng.normal(size=6))
-        sites.append([replace(one, other=seed > 4 and k % 3 == 2) for k, one in enumerate(seen)])
-    beside = watch_all([together(seen) for seen in sites])
-    kinds = {event.kind for one in beside for event in one.events}
-    assert {"step", "trend", "outlier"} <= kinds
-    for seen, ours in zip(sites, beside, strict=True):
-        alone = watch(seen)
-        assert ours.waiting == alone.waiting
-        assert [(one.kind, one.onset, one.found) for one in ours.events] == [
-            (one.kind, one.onset, one.found) for one in alone.events
-        ]
-        assert ours.state is not None
-        assert alone.state is not None
-        np.testing.assert_allclose(ours.scale, alone.scale, rtol=1e-9)
-        sigma = np.sqrt(np.maximum(np.diag(alone.state.covariance), 1e-30))
-        np.testing.assert_allclose(ours.state.mean / sigma, alone.state.mean / sigma, atol=1e-6)
+def test_turning_the_axes_turns_what_is_found() -> None:
+    turn = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+    T = np.kron(np.eye(2), turn)
+    seen = checks(40, lambda k: MOVED * (0.5 * (k >= 12) + 0.02 * max(k - 25, 0)))
+    turned = [
+        one._replace(step=T @ one.step, random=T @ one.random @ T.T, common=T @ one.common @ T.T)
+        for one in seen
+    ]
+    ours, theirs = watch(seen).events, watch(turned).events
+    assert [(e.kind, e.onset, e.found) for e in ours] == [
+        (e.kind, e.onset, e.found) for e in theirs
+    ]
+    assert ours
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.size is not None
+        assert other.size is not None
+        np.testing.assert_allclose(T @ one.size, other.size, rtol=1e-6, atol=1e-9)
+
+
+def joint_covariance(days: Array, law: int) -> Array:
+    """(6n, 6n) of all steps, as the model says it, written out."""
+    apart = np.abs(days[:, None] - days)
+    season = np.cos(2 * np.pi * apart / YEAR)
+    slow = np.exp(-apart / TIMES[law])
+    n = len(days)
+    return np.asarray(
+        np.kron(np.ones((n, n)), LEVEL_FACTOR**2 * COMMON)
+        + np.kron(season, np.diag(SEASON**2))
+        + np.kron(slow, floor() + SHARES[law] * RANDOM)
+        + np.kron(np.eye(n), RANDOM)
+    )
+
+
+@pytest.mark.parametrize("law", range(len(SHARES)))
+def test_a_change_is_that_of_least_squares_of_all_checks_at_once(
+    law: int,
+) -> None:
+    # The scatter is as stated, and one law tells.
+    seen, onset = checks(9), 4
+    now = watching._begin(seen[0])
+    now = replace(
+        now,
+        total=np.full(len(SHARES), now.weight),
+        likelihood=1.0 * (np.arange(len(SHARES)) == law),
+    )
+    surprises = 0.0
+    for n, one in enumerate(seen):
+        now, chi2 = watching._taken(now, one, n)
+        now = replace(now, total=np.full(len(SHARES), now.weight))
+        now = replace(now, likelihood=1.0 * (np.arange(len(SHARES)) == law))
+        surprises += chi2
+    days = np.array([one.days for one in seen])
+    y = np.concatenate([one.step for one in seen])
+    V = joint_covariance(days, law)
+    np.testing.assert_allclose(surprises, y @ np.linalg.solve(V, y), rtol=0.01)
+    for is_trend, shape in (
+        (False, (np.arange(9) >= onset).astype(float)),
+        (True, np.maximum(days - days[onset], 0.0) / YEAR),
+    ):
+        X = np.kron(shape[:, None], np.eye(6))
+        information = X.T @ np.linalg.solve(V, X)
+        b = X.T @ np.linalg.solve(V, y)
+        expected = np.linalg.solve(information, b)
+        (m,) = np.flatnonzero((now.onset == onset) & (now.is_trend == is_trend))
+        back = np.linalg.inv(now.axes)
+        size = back @ (now.vector[law, :, m] / now.information[law, :, m])
+        np.testing.assert_allclose(size, expected, rtol=1e-3, atol=1e-9)
+        statistic = float(expected @ information @ expected)
+        # Or one of translation alone, which is told by fewer degrees of freedom.
+        part = np.linalg.inv(information[3:, 3:])
+        alone = float(chdtri(6, chdtrc(3, b[3:] @ part @ b[3:])))
+        statistic = max(statistic, alone)
+        np.testing.assert_allclose(watching._statistics(now)[m], statistic, rtol=1e-3)

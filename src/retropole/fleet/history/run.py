@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, groupby
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from ...api import Array, quantities
-from ...base.errors import ReadError, UsageError, said
+from ...base.errors import ReadError, UsageError
 from .. import TIME_LIMIT
 from ..batch import Doing, outcomes_of, whole_groups
 from ..dataset import partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
-from . import kept, reading, store
+from . import store
 from .check import WatchedPair, lost_check, watched_pairs
-from .columns import History, histories
-from .events import Event, Watched
-from .merging import merge
-from .model import Observed
-from .store import CheckRow, observed
-from .watch import watch
+from .store import CheckRow
+from .watch import Event, Watched, watch
 
 FLUSH = 100
 """Sites whose rows are appended together: an interrupt loses no more than these."""
-
-TOGETHER = 20
-"""Sites that are replayed beside each other: of 10 what the calls of NumPy cost shows, of 40 that a
-processor's cache does not hold them."""
-
-MOST_TOGETHER = 12_000
-"""Checks of these: 8 MB that are sent to a worker, and 50 MB while it replays them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +99,10 @@ class FleetCheck:
     damaged: tuple[str, ...] = ()
 
 
-Seen = list[tuple[Observed, kept.Kept]]
-"""The checks of some sites, of each in one, and what is kept of it."""
+Replayed = tuple[list[SiteChange], list[str]]
+"""What changed at some sites, and what of their history is damaged."""
 
-Said = list[tuple[Watched, kept.Kept]]
-"""What they say, and what is to be kept, if anything."""
-
-Replaying = Callable[[Callable[[Seen], Said], Iterator[Seen]], Iterable[Said]]
+Replaying = Callable[[Callable[[Any], Replayed], Iterator[Any]], Iterable[Replayed]]
 
 
 def check_fleet(
@@ -181,7 +167,11 @@ def check_fleet(
     if len(by_id) < len(pairs):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     damaged: list[ReadError] = []
-    held = reading.contents(history, by_id, damaged.append)
+    files, keys = store.contents(history, damaged.append)
+
+    def keys_of(name: str) -> set[str]:
+        return {*keys.get(name, b"").decode().split()}
+
     blank = Check(tolerance=tolerance, tried=tried)
 
     def tasks() -> Iterator[Task]:
@@ -194,7 +184,7 @@ def check_fleet(
                     blank,
                     document=stored[pair.origin].document if stored else None,
                     lidars=pair.lidars,
-                    known=sorted(held.keys_of(pair.site.id)),
+                    known=sorted(keys_of(pair.site.id)),
                 )
                 yield task_of(pair.site, time_limit, check=check)
 
@@ -209,7 +199,7 @@ def check_fleet(
             elif one.row is not None:
                 new.append(lost_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
-        return store.append(history, new, set().union(*(held.keys_of(row.id) for row in new)))
+        return store.append(history, new, set().union(*(keys_of(row.id) for row in new)))
 
     # Rows come in any order: those of the same sites are appended together, so that the files of
     # the history are the same whatever the workers.
@@ -224,14 +214,8 @@ def check_fleet(
         # Also what was checked before an interrupt.
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
-    changes, damaged_too = replay(history, by_id, replaying, newest, held)
-    try:
-        merge(history, held, f"month={tried:%Y-%m}")
-    # What can be read needs not be merged.
-    except (OSError, ReadError) as error:
-        damaged.append(ReadError(f"files of the history could not be merged: {said(error)}"))
-    faults = dict.fromkeys(map(str, damaged + damaged_too))
-    return FleetCheck(appended, tuple(changes), tuple(faults))
+    changes, faults = replay(history, by_id, replaying, newest, files)
+    return FleetCheck(appended, tuple(changes), (*dict.fromkeys([*map(str, damaged), *faults]),))
 
 
 def replay(
@@ -239,67 +223,35 @@ def replay(
     ids: Collection[str] | None = None,
     replaying: Replaying = map,
     newest: Mapping[str, CheckRow] | None = None,
-    known: reading.Contents | None = None,
-) -> tuple[list[SiteChange], list[ReadError]]:
+    known: store.Sites | None = None,
+) -> Replayed:
     """Tell what changed at sites, in the order of their ids, and what of the history is damaged.
 
     Without ids, at all that the history has.
-    `newest` is of a run what came of each site, by its id, and `known` what the history had before.
+    `newest` is of a run what came of each site, by its id, and `known` the files that there were.
     """
     damaged: list[ReadError] = []
-    own = newest or {}
-    under_way: deque[list[History]] = deque()
-
-    def seen() -> Iterator[Seen]:
-        read = reading.tables(history, ids, damaged.append, known)
-        for found in _together(
-            chain.from_iterable(histories(each, damaged.append) for each in read)
-        ):
-            under_way.append(found)
-            states = kept.read(history, [one.id for one in found])
-            yield [
-                (one.checks, state)
-                for one, state in zip(found, states, strict=True)
-                if one.checks is not None
-            ]
-
     changes: list[SiteChange] = []
-    may_keep = True
-    for told in map(iter, replaying(kept.replayed, seen())):
-        states = []
-        for one in under_way.popleft():
-            watched, state = (Watched(), None) if one.checks is None else next(told)
-            changes.append(SiteChange(one.id, one.times, watched, own.get(one.id, one.newest)))
-            if state is not None:
-                states.append((one.id, state))
-        try:
-            if may_keep:
-                kept.write(history, states)
-        # What is said does not need it.
-        except OSError as error:
-            may_keep = False
-            damaged.append(ReadError(f"the state of the history could not be kept: {said(error)}"))
-    return sorted(changes, key=lambda site: site.id), damaged
+    faults: list[str] = []
+    for found, damaged_too in replaying(
+        _replayed, store.tables(history, ids, damaged.append, known)
+    ):
+        changes += found
+        faults += damaged_too
+    own = newest or {}
+    changes = [replace(site, newest=own.get(site.id, site.newest)) for site in changes]
+    return sorted(changes, key=lambda site: site.id), [*map(str, damaged), *faults]
 
 
-def _together(found: Iterable[History]) -> Iterator[list[History]]:
-    """Put sites together that are replayed beside each other."""
-    some: list[History] = []
-    for one in found:
-        if some and sum(len(each.times) for each in (*some, one)) > MOST_TOGETHER:
-            yield some
-            some = []
-        some.append(one)
-        if len(some) == TOGETHER:
-            yield some
-            some = []
-    if some:
-        yield some
+def _replayed(table: Any) -> Replayed:
+    faults: list[ReadError] = []
+    changes = [changes_of(rows) for _, rows in store.rows_of(table, faults.append)]
+    return changes, [*map(str, faults)]
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
     """Tell what changed at one site, from all of its checks; `newest` is that of this run."""
-    usable = observed(list(rows))
+    usable = store.observed(rows)
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
     times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])
     return SiteChange(rows[0].id, times, watched, newest)

@@ -2,24 +2,30 @@
 
 ``HISTORY/month=2026-11/<hash>.parquet``: each append writes one file for each month in which it has
 new rows, named by the keys of its rows and written whole or not at all. Nothing is ever rewritten.
+It is read a few sites at a time; what is damaged is told and left out.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Container, Iterable
+import re
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ...base.errors import ReadError, said
+from ...base.errors import NewerError, ReadError, said
 from ...result.decoding import check_covariance
-from ..storage import below, replace_bytes
-from ..tables import arrow, parquet_of
-from .model import Observed
+from ..storage import below, names_in, replace_bytes
+from ..tables import arrow, opened, parquet_of
+from .watch import Observed
 
 SCHEMA = "retropole/history/1"
 
@@ -30,12 +36,34 @@ STATUSES = ("same", "moved", "cannot_tell", "error")
 UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "swapped")
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
-
 MOST_STEP = 1e6
 """Steps of a pose are below this, rad and m: squares of larger ones leave what a number holds."""
 
+PLACE = "place"
+"""Column of the file that a row was read of; no file has it."""
+
+LARGEST_FILE = 2**31
+"""Bytes of a file: 10,000 sites make 10 MB in an append."""
+
+READERS = 8
+"""Files that are read at once: of an object store most of the time is waiting. Not tuned."""
+
+TOGETHER = 20
+"""Sites that are read, and replayed, together: 7 MB in a year of daily checks."""
+
 Step = Annotated[list[float], Meta(min_length=6, max_length=6)]
 Covariance = Annotated[list[float], Meta(min_length=36, max_length=36)]
+
+
+def _raise(error: ReadError) -> None:
+    raise error
+
+
+Tell = Callable[[ReadError], None]
+"""Is told what is damaged, which is then left out; or raises it."""
+
+Sites = dict[str, tuple[str, ...]]
+"""Files of a history, and the sites that each has."""
 
 
 class CheckRow(msgspec.Struct, frozen=True):
@@ -127,8 +155,8 @@ def columns_of(row: CheckRow) -> dict[str, Any]:
     return {"key": row.key, **msgspec.structs.asdict(row)}
 
 
-def row_of(columns: dict[str, Any]) -> CheckRow:
-    """Read a row back; what is written by others need not be sound.
+def row_of(columns: Mapping[str, Any]) -> CheckRow:
+    """Read a row, whose time may be in µs since 1970: what is written by others need not be sound.
 
     Raises
     ------
@@ -137,7 +165,11 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     """
     site = f"history, site {columns['id']!r}"
     try:
-        row = msgspec.convert({**columns, "codes": columns["codes"] or ()}, CheckRow)
+        time = columns["time"]
+        if isinstance(time, int):
+            time = EPOCH + timedelta(microseconds=time)
+        codes = columns["codes"] or ()
+        row = msgspec.convert({**columns, "codes": codes, "time": time}, CheckRow)
         if row.status not in STATUSES:
             raise ReadError(f"{site}: {row.status!r} is no status")
         if row.step is not None and not np.abs(row.step).max() < MOST_STEP:
@@ -148,39 +180,45 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
             if given is not None:
                 C = np.reshape(given, (6, 6))
                 check_covariance(f"{site}, {name}", C, is_part=name == "random")
-    except msgspec.ValidationError as error:
+    # A time beyond the calendar, for one.
+    except (msgspec.ValidationError, OverflowError) as error:
         raise ReadError(f"{site}: {said(error)}") from None
     if row.key != columns["key"]:
         raise ReadError(f"{site}, {row.time}: the row is not that of its key")
     return row
 
 
-def observed(rows: list[CheckRow]) -> list[tuple[CheckRow, Observed]]:
+def observed(rows: Iterable[CheckRow]) -> list[tuple[CheckRow, Observed]]:
     """Give what the checks of one site say of its newest stored pose, in the order of time.
 
     A site that was calibrated anew begins anew: steps from an older pose are left out.
     """
     ordered = sorted(rows, key=lambda row: (row.time, row.key))
-    usable = [row for row in ordered if row.is_usable]
+    newest = [row.stored_sha256 for row in ordered if row.stored_sha256][-1:]
+    usable = [r for r in ordered if r.is_usable and (not newest or r.stored_sha256 == newest[0])]
     if not usable:
         return []
-    newest = [row.stored_sha256 for row in ordered if row.stored_sha256][-1:]
-    usable = [row for row in usable if not newest or row.stored_sha256 == newest[0]]
-    return [(row, _observed(row, usable[0].used)) for row in usable]
-
-
-def _observed(row: CheckRow, first: str | None) -> Observed:
-    assert row.step is not None
-    assert row.covariance is not None
-    assert row.random is not None
-    days = (row.time - EPOCH) / timedelta(days=1)
-    covariance, random = np.reshape([row.covariance, row.random], (2, 6, 6))
+    covariance, random = np.reshape(
+        [[row.covariance, row.random] for row in usable], (-1, 2, 6, 6)
+    ).swapaxes(0, 1)
     # What rounding leaves of a common part must stay a covariance.
     common = covariance - random
-    values, vectors = np.linalg.eigh((common + common.T) / 2.0)
-    common = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    step, moved = np.array(row.step), row.status == "moved"
-    return Observed(days, step, random, common, row.used != first, moved)
+    values, vectors = np.linalg.eigh((common + common.swapaxes(1, 2)) / 2.0)
+    common = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+    return [
+        (
+            row,
+            Observed(
+                (row.time - EPOCH) / timedelta(days=1),
+                np.array(row.step),
+                random[k],
+                common[k],
+                row.used != usable[0].used,
+                row.status == "moved",
+            ),
+        )
+        for k, row in enumerate(usable)
+    ]
 
 
 def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) -> int:
@@ -231,3 +269,140 @@ def schema() -> Any:
     others |= dict.fromkeys((*hashes, "version"), text)
     columns = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
     return pa.schema([*columns, *others.items()], metadata={"schema": SCHEMA})
+
+
+def contents(
+    folder: str, tell: Tell = _raise, known: Collection[str] = ()
+) -> tuple[Sites, dict[str, bytearray]]:
+    """Look what a history has, but in files that are `known`: the files, and the keys of each site.
+
+    Of millions of checks the keys are kept as lines of text: sets would need four times the memory.
+    """
+    sites: Sites = {}
+    alike: dict[tuple[str, ...], tuple[str, ...]] = {}
+    keys: dict[str, bytearray] = {}
+    months = filter(re.compile(r"month=\d{4}-\d{2}").fullmatch, names_in(folder))
+    files = (
+        below(folder, month, name) for month in months for name in names_in(below(folder, month))
+    )
+    places = [place for place in files if place.endswith(".parquet") and place not in known]
+    for place, table in _tables(places, tell, ["id", "key"]):
+        names = table["id"].to_pylist()
+        # Files that were appended one after the other have the same sites.
+        own = (*sorted(set(names)),)
+        sites[place] = alike.setdefault(own, own)
+        for name, key in zip(names, table["key"].to_pylist(), strict=True):
+            keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
+    return sites, keys
+
+
+def tables(
+    folder: str, ids: Collection[str] | None, tell: Tell, known: Sites | None = None
+) -> Iterator[Any]:
+    """Read a history as tables of a few sites each, with all rows of these and the `PLACE` of each.
+
+    Parameters
+    ----------
+    folder
+        Path or URL of the history; where there is none, it is empty.
+    ids
+        Sites to read; None reads all.
+    tell
+        Is told of each file that is damaged or not of this schema.
+    known
+        What `contents` gave; what was appended since is found.
+    """
+    pa = arrow()
+    from pyarrow import compute
+
+    known = known or {}
+    files: dict[str, list[str]] = {}
+    for place, names in (known | contents(folder, tell, known)[0]).items():
+        for name in names:
+            files.setdefault(name, []).append(place)
+    wanted = files.keys() if ids is None else files.keys() & {*ids}
+    order = sorted(wanted, key=lambda name: (files[name][-1], name))
+
+    def of(table: Any, names: list[str]) -> Any:
+        return table.filter(compute.is_in(table["id"], value_set=pa.array(names)))
+
+    # Sites that were appended together are in the same files, of which the last is one.
+    for _, alike in groupby(order, lambda name: files[name][-1]):
+        for some in _parts([*alike], 5 * TOGETHER):
+            places = sorted({place for name in some for place in files[name]})
+            found = [
+                own.append_column(PLACE, pa.array([place] * len(own), pa.string()))
+                for place, table in _tables(places, tell)
+                if len(own := of(table, some))
+            ]
+            if found:
+                table = pa.concat_tables(found)
+                yield from (of(table, few) for few in _parts(some, TOGETHER))
+
+
+def _parts(names: list[str], most: int) -> Iterator[list[str]]:
+    return (names[k : k + most] for k in range(0, len(names), most))
+
+
+def rows_of(table: Any, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
+    """Give the checks of each site of a table in the order of time; what is no row is told."""
+    micros = table.set_column(
+        table.schema.get_field_index("time"), "time", table["time"].cast("int64")
+    )
+    order = [(name, "ascending") for name in ("id", "time", "key")]
+    for name, own in groupby(micros.sort_by(order).to_pylist(), itemgetter("id")):
+        sound = {}
+        for columns in own:
+            place = columns.pop(PLACE)
+            try:
+                # The same check may be there twice.
+                sound[columns["key"]] = row_of(columns)
+            except ReadError as error:
+                tell(ReadError(f"{place}: {error}"))
+        if sound:
+            yield name, [*sound.values()]
+
+
+def read(
+    folder: str, ids: Collection[str] | None = None, tell: Tell = _raise
+) -> Iterator[tuple[str, list[CheckRow]]]:
+    """Read a history: the checks of each site in the order of time, a site at a time.
+
+    Raises
+    ------
+    MissingExtraError
+        Without the extra ``fleet``.
+    ReadError
+        Of what is damaged, without `tell`.
+    """
+    for table in tables(folder, ids, tell):
+        yield from rows_of(table, tell)
+
+
+def _tables(
+    places: Iterable[str], tell: Tell, columns: list[str] | None = None
+) -> Iterator[tuple[str, Any]]:
+    """Read files, but those that are damaged; a few at once."""
+    with ThreadPoolExecutor(READERS) as readers:
+        for place, found in zip(places, readers.map(partial(_table, columns), places), strict=True):
+            if isinstance(found, NewerError):
+                # Its checks are not lost, and what would be written has its name.
+                raise found
+            if isinstance(found, ReadError):
+                tell(found)
+            else:
+                yield place, found
+
+
+def _table(columns: list[str] | None, place: str) -> Any:
+    try:
+        with opened(place, "no history: {}", LARGEST_FILE, SCHEMA) as file:
+            if not file.schema_arrow.equals(schema()):
+                raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
+            # Others are read meanwhile.
+            found = file.read(columns, use_threads=False)
+            # Text that is no UTF-8, for one.
+            found.validate(full=True)
+    except ReadError as error:
+        return error
+    return found

@@ -1,292 +1,432 @@
-"""What changed at one site: its checks in the order of time, replayed through the model.
+"""What changed at one site: its checks in the order of time, replayed through a filter.
 
-Each check is predicted from those before. One that the prediction excludes waits until another
-tells what it was: an *outlier*, where the next fits the prediction again (a lorry stood in view),
-or the first of a *step*, where the next agrees with it. Smaller changes show in several checks
-together: for every onset within the last year, a step and a trend from there on are held against
-no change by their likelihood (window-limited GLR, Willsky and Jones 1976; Lai 1998). A change that
-was found becomes part of what is expected, and the watch goes on.
+A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
+
+    y = level + season + slow + other + e,
+
+- *level*: what the stored pose errs by, the same in every check; it grows by a *slope* once a trend
+  was found.
+- *season*: a cosine and a sine of a year, zero mean and `SEASON` wide.
+- *slow*: an Ornstein-Uhlenbeck process: weather, leaves.
+- *other*: what a pose found the other way (by the scene alone, where poles gave the first) differs.
+- *e*: drawn anew in each check, with the random part of its covariance times a scale.
+
+In the axes that make the first check's random and common parts diagonal, all six are filtered each
+by itself; what later checks correlate there is left out. Under each of the laws `SLOW` of what
+varies slowly the site has a Kalman filter; the likeliest one tells.
+
+Changes show in several checks together: for onsets within the last year, a step and a trend from
+there on are held against no change by their likelihood (window-limited GLR, Willsky and Jones 1976;
+Lai 1998). A check that the filter excludes counts as one that is just about excluded: as if its own
+scatter were so much wider. So none alone makes a change, but two that agree do. Such a one waits
+until another tells what it was: an *outlier*, where the next fits again (a lorry stood in view), or
+the first of a *step*. A change that was found becomes part of what is expected, and the watch goes
+on.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc, chdtri
 
-from .changes import Changes, passed
-from .events import GATE, Event, Expected, Watched, from_stored, stays_moved
-from .model import Observed, together
-from .runs import Past, Runs, adopted, as_told_by, begin, beside, first_onset, lost
-from .search import THRESHOLDS, Branch, With, confirmed, found, may_be_found, needed
+from ...api import Array, BoolArray, floor
+
+YEAR = 365.25
+"""Days."""
+
+LEVEL, COSINE, SINE, SLOWLY, SLOPE, OTHER = range(6)
+"""What the state of an axis is made of."""
+
+SEASON = np.r_[np.full(3, np.radians(0.015)), np.full(3, 0.002)]
+"""1 σ of the cosine and of the sine, rad and m: a steel mast of 6 m that is 30 K warmer on one side
+than a year's mean differs in length by 2 mm."""
+
+LEVEL_FACTOR = 1.5
+"""How much wider than stated the stored pose's error may be, in σ."""
+
+SCALE, SCALE_CHECKS = 1.25, 8.0
+"""What a site's random scatter is taken for beside what is stated, in σ, before it has told: and
+how many checks that counts as. The site's own surprises then correct it."""
+
+SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
+"""Of what varies slowly the variance beside the random part, and the days in which it forgets; with
+the logarithm of how likely each is before a site has told: the site's own checks choose."""
+
+SHARES, TIMES = np.array(list(SLOW)).T
+
+CHANCE = 0.001
+"""How often chance alone makes a check wait for another."""
+
+GATE = float(chdtri(6, CHANCE))
+"""χ²(6) beyond which a check waits."""
 
 MOST_WAITING = 6
-"""Checks that may wait. If no two of as many agree, the place has become another."""
+"""Checks that may wait. If no two of as many agree, that is an alarm too."""
+
+WINDOW = 400.0
+"""Days back to which a change may have begun: a year and the weeks to see it."""
+
+MOST_STEPS = 40
+"""Checks back to which a step may have happened, however many there are in the window."""
+
+SPACING, FRESH = 20.0, 4
+"""Days between onsets of trends that are tried: those of neighbours are hardly told apart; but each
+of the newest checks is tried: at 5 mm a day and a check a week nothing else says what happens."""
+
+STEP, TREND = 42.0, 18.0
+"""Twice the log likelihood ratio from which a step, or a trend of few days, was found, and one of
+many: trends of neighbouring onsets are almost one, so that chance makes less of them."""
+
+SHORTEST_TREND = 120.0
+"""Days a trend must have lasted: over fewer it is no other than a step, unless it is plain."""
+
+BEHIND = 20.0
+"""By how much less a step may be beyond its threshold than a short trend, and still be told: over
+few checks chance makes one of the other."""
+
+LEAST = np.radians(0.05), 0.005
+"""A smaller change, or trend in a year, of rotation and translation, rad and m, is none: a sixth of
+the tolerance of a check, which any mast moves by from season to season."""
+
+CLEAR = 4.0
+"""Difference of twice the log likelihoods from which a step and a trend are told apart: of two
+checks that are both excluded it is 5 at most."""
+
+UNKNOWN = 1e-6
+"""Information on a change that has no data yet, in units of the first check's σ: tiny."""
+
+EventKind = Literal["step", "trend", "outlier", "unsettled", "moved"]
+
+
+class Observed(NamedTuple):
+    """A check that gave a step.
+
+    Attributes
+    ----------
+    days
+        Its time, in days since any fixed date.
+    step
+        (6,) ``[φ, δ]``, rad and m.
+    random
+        (6, 6) of it what each check draws anew.
+    common
+        (6, 6) of it what all checks found the same way share, more or less.
+    other
+        Whether it was found another way than the first of the site.
+    moved
+        Whether it says by itself that the site moved: by more than its tolerance.
+    """
+
+    days: float
+    step: Array
+    random: Array
+    common: Array
+    other: bool = False
+    moved: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
-    """Where the replay of a site stands after so many checks.
+class Event:
+    """What was found in the checks of a site.
 
     Attributes
     ----------
-    runs
-        Of this one site.
-    waiting
-        χ² of the checks that wait, by their numbers.
+    kind
+        ``step``: the level changed; ``trend``: it changes steadily; ``outlier``: one check is off,
+        and the next is not; ``unsettled``: checks are off, and no two agree; ``moved``: two
+        checks in a row, or three, say by themselves that the site is not where it was.
+    onset
+        Number of the first check that shows it.
+    found
+        Number of the check that told.
+    size
+        (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
+        the stored pose; None of others.
+    covariance
+        (6, 6) of it.
+    statistic
+        Twice the log likelihood ratio against no change; of an outlier, or *moved*, its χ².
+    lead
+        By how much that is more than of the other kind of change.
     """
 
-    count: int
-    runs: Runs
-    events: tuple[Event, ...]
-    waiting: Mapping[int, float]
-
-
-@dataclass(eq=False)
-class _Told:
-    """What is told of a site so far.
-
-    Attributes
-    ----------
-    waiting
-        χ² of the checks that wait, by their numbers.
-    known
-        Of filters that told, the changes as they saw them up to a check, with its number.
-    is_torn
-        Whether what its filters made of checks is needed that are not replayed.
-    """
-
-    checks: Observed
-    events: list[Event] = field(default_factory=list)
-    waiting: dict[int, float] = field(default_factory=dict)
-    known: dict[int, tuple[float, Changes]] = field(default_factory=dict)
-    is_torn: bool = False
+    kind: EventKind
+    onset: int
+    found: int
+    size: Array | None = None
+    covariance: Array | None = None
+    statistic: float = 0.0
+    lead: float = np.inf
 
     @property
-    def singles(self) -> int:
-        return sum(event.kind == "outlier" for event in self.events)
+    def is_clear(self) -> bool:
+        """Whether a step and a trend are told apart."""
+        return self.lead >= CLEAR
 
-    def tell(self, branch: Branch, n: int) -> None:
-        """Tell the change that explains the check n, and those that wait with it."""
-        # The others that waited agree with nothing.
-        self.are_outliers([k for k in self.waiting if k not in branch.numbers], n)
-        first, newest = self.checks[0], self.checks[n]
-        begun = branch.event.onset == 1 and from_stored(newest) < from_stored(first)
-        # The first check alone stands against the stored pose and all others.
-        self.events.append(Event("outlier", 0, n) if begun else branch.event)
 
-    def are_outliers(self, numbers: Iterable[int], n: int) -> None:
-        """Tell of checks that waited, by the check n, that they are off alone; none waits."""
-        self.events += [Event("outlier", k, n) for k in numbers]
-        self.waiting = {}
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What the checks of a site say so far.
 
-    def waits(self, n: int, off: float) -> bool:
-        """Let the check n wait; gives whether it can, or too many do already."""
-        self.waiting[n] = off
-        if len(self.waiting) <= MOST_WAITING:
-            return True
-        self.events.append(Event("unsettled", min(self.waiting), n))
-        self.waiting = {}
+    Attributes
+    ----------
+    events
+        In the order in which they were found.
+    waiting
+        Numbers of the checks that are off and wait for another: not confirmed.
+    scale
+        Scatter of the site beside what is stated, in σ.
+    """
+
+    events: tuple[Event, ...] = ()
+    waiting: tuple[int, ...] = ()
+    scale: float = 1.0
+
+    @property
+    def alarms(self) -> tuple[Event, ...]:
+        """The events that somebody should look at: any but a single check that is off."""
+        return tuple(event for event in self.events if event.kind != "outlier")
+
+
+@dataclass(frozen=True, eq=False)
+class _Filter:
+    """The filters of a site under R laws after some checks, and M changes that may have begun.
+
+    Attributes
+    ----------
+    axes
+        (6, 6) of a step the six that are filtered.
+    likelihood
+        (R,) logarithm of how likely the checks so far are.
+    total, weight
+        (R,) of the squared scale, and the checks that it is of.
+    mean, covariance
+        (R, 6, 6) and (R, 6, 6, 6) of the state of each axis.
+    onset, began, is_trend
+        (M,) number of the check with which a change began, its days, and whether it is a trend.
+    deviation
+        (R, 6, 6, M) by how much the state is off from the filter's, for a change of size one.
+    information, vector
+        (R, 6, M) normal equations of the size.
+    """
+
+    axes: Array
+    days: float
+    knows_other: bool
+    likelihood: Array
+    total: Array
+    weight: float
+    mean: Array
+    covariance: Array
+    onset: Array
+    began: Array
+    is_trend: BoolArray
+    deviation: Array
+    information: Array
+    vector: Array
+
+    @property
+    def best(self) -> int:
+        """The likeliest filter."""
+        return int(self.likelihood.argmax())
+
+    def along(self, covariance: Array) -> Array:
+        """(6,) variances along the axes."""
+        return np.asarray(((self.axes @ covariance) * self.axes).sum(axis=1))
+
+    def without_changes(self) -> _Filter:
+        """Give the same with no change that may have begun."""
+        return replace(self, **_no_changes(len(self.likelihood)))
+
+
+def _no_changes(filters: int) -> dict[str, Array]:
+    none = np.zeros((filters, 6, 0))
+    empty = {"onset": np.zeros(0, int), "began": np.zeros(0), "is_trend": np.zeros(0, dtype=bool)}
+    sums = {"information": none, "vector": none, "deviation": np.zeros((filters, 6, 6, 0))}
+    return empty | sums
+
+
+def _begin(first: Observed) -> _Filter:
+    """Begin before the first check: the stored pose may err by what is stated."""
+    white = np.linalg.inv(np.linalg.cholesky(first.random + first.common))
+    axes = np.linalg.eigh(white @ first.random @ white.T)[1].T @ white
+    filters = len(SHARES)
+    blank = _Filter(
+        axes,
+        first.days,
+        False,
+        np.array([*SLOW.values()]),
+        np.full(filters, SCALE_CHECKS * SCALE**2),
+        SCALE_CHECKS,
+        np.zeros((filters, 6, 6)),
+        np.zeros((filters, 6, 6, 6)),
+        **_no_changes(filters),
+    )
+    P = blank.covariance
+    P[..., LEVEL, LEVEL] = LEVEL_FACTOR**2 * blank.along(first.common)
+    P[..., COSINE, COSINE] = P[..., SINE, SINE] = blank.along(np.diag(SEASON**2))
+    unnamed, random = blank.along(floor()), blank.along(first.random)
+    P[..., SLOWLY, SLOWLY] = unnamed + SHARES[:, None] * random
+    return blank
+
+
+def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
+    """Take the check n in, and give its χ²; what is too old is left out, and changes begin."""
+    days, scale = check.days - now.days, np.sqrt(now.total / now.weight)[:, None]
+    F = np.zeros((len(TIMES), 1, 6, 6)) + np.eye(6)
+    kept = np.exp(-days / TIMES)[:, None]
+    F[..., LEVEL, SLOPE], F[..., SLOWLY, SLOWLY] = days / YEAR, kept
+    P = F @ now.covariance @ F.swapaxes(-1, -2)
+    random = scale**2 * now.along(check.random)
+    P[..., SLOWLY, SLOWLY] += (1 - kept**2) * (now.along(floor()) + SHARES[:, None] * random)
+    if check.other and not now.knows_other:
+        P[..., OTHER, OTHER] += LEVEL_FACTOR**2 * now.along(check.common)
+    angle = 2.0 * np.pi * check.days / YEAR
+    shown = np.array([1.0, np.cos(angle), np.sin(angle), 1.0, 0.0, check.other])
+    mean, across = (F @ now.mean[..., None])[..., 0], P @ shown
+    size, off = across @ shown + random, now.axes @ check.step - mean @ shown
+    chi2 = (off**2 / size).sum(axis=1)
+    clipped = np.minimum(chi2, GATE)
+    likelihood = now.likelihood - 0.5 * (clipped + np.log(size).sum(axis=1))
+    # One that is excluded counts as if it were just about excluded.
+    size *= np.maximum(chi2 / GATE, 1.0)[:, None]
+    gain = across / size[..., None]
+
+    keep = _kept(now, n, check.days)
+    count = np.count_nonzero(keep)
+    # Behind those that are kept a step begins that the check shows, and a trend that it does not.
+    D = np.zeros((*mean.shape, count + 2))
+    D[..., :count] = now.deviation[..., keep]
+    D[:, :, LEVEL] += F[..., LEVEL, SLOPE, None] * D[:, :, SLOPE]
+    D[:, :, SLOWLY] *= F[..., SLOWLY, SLOWLY, None]
+    D[:, :, LEVEL, count] = 1.0
+    G = shown @ D
+    D -= gain[..., None] * G[:, :, None]
+    D[:, :, SLOPE, count + 1] = 1.0
+    information, vector = (weight[..., None] * G for weight in (1.0 / size, off / size))
+    information = information * G + UNKNOWN
+    information[..., :count] += now.information[..., keep] - UNKNOWN
+    vector[..., :count] += now.vector[..., keep]
+    after = replace(
+        now,
+        days=check.days,
+        knows_other=now.knows_other or check.other,
+        likelihood=likelihood,
+        total=now.total + scale[:, 0] ** 2 * clipped / 6.0,
+        weight=now.weight + 1.0,
+        mean=mean + gain * off[..., None],
+        covariance=P - gain[..., None] * across[..., None, :],
+        onset=np.append(now.onset[keep], [n, n]),
+        began=np.append(now.began[keep], [check.days, check.days]),
+        is_trend=np.append(now.is_trend[keep], [False, True]),
+        deviation=D,
+        information=information,
+        vector=vector,
+    )
+    return after, float(chi2[now.best])
+
+
+def _kept(now: _Filter, n: int, days: float) -> BoolArray:
+    """(M,) changes that are still tried: of older trends the first of each so many days."""
+    span = np.where(now.is_trend, now.began // SPACING, -now.onset - 1.0)
+    first = np.zeros(len(span), dtype=bool)
+    first[np.unique(span, return_index=True)[1]] = True
+    tried = np.where(now.is_trend, first | (now.onset >= n - FRESH), now.onset > n - MOST_STEPS)
+    return np.asarray(tried & (days - now.began <= WINDOW))
+
+
+def _statistics(now: _Filter) -> Array:
+    """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
+
+    A change may be one of translation alone, as of a foundation that settles, which three degrees
+    of freedom tell; it counts as the χ²(6) that chance exceeds as often.
+    """
+    A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
+    pushed = (V.T @ b).T[..., None]
+    normal = np.einsum("ij,im,ik->mjk", V, A, V)
+    alone = (pushed * np.linalg.solve(normal, pushed)).sum(axis=(1, 2))
+    as_six = chdtri(6, np.maximum(chdtrc(3, alone), 1e-280))
+    return np.maximum((b**2 / A).sum(axis=0), as_six)
+
+
+def _adopted(now: _Filter, m: int) -> _Filter:
+    """Make a change part of what is expected."""
+    D, A = now.deviation[..., m], now.information[..., m, None]
+    mean = now.mean + D * now.vector[..., m, None] / A
+    P = now.covariance + D[..., None] * D[..., None, :] / A[..., None]
+    return replace(now, mean=mean, covariance=P).without_changes()
+
+
+def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
+    """Find the likeliest change that matters, and was not first seen in the newest check n."""
+    short = now.is_trend & (now.days - now.began < SHORTEST_TREND)
+    statistics = np.where(now.onset < n, _statistics(now), 0.0)
+    beyond = statistics - np.where(now.is_trend & ~short, TREND, STEP)
+    likeliest = np.argsort(BEHIND * short - beyond, kind="stable")
+    for m in likeliest[beyond[likeliest] > 0.0].tolist():
+        back = np.linalg.inv(now.axes)
+        A, b = now.information[now.best, :, m], now.vector[now.best, :, m]
+        size, covariance = back @ (b / A), (back / A) @ back.T
+        # What a short trend has moved by so far, and what a long one moves by in a year.
+        so_far = size * (now.days - now.began[m]) / YEAR if short[m] else size
+        if np.linalg.norm(so_far[:3]) >= LEAST[0] or np.linalg.norm(so_far[3:]) >= LEAST[1]:
+            others = statistics[now.is_trend != now.is_trend[m]].max(initial=0.0)
+            told = float(statistics[m]), float(statistics[m] - others)
+            kind: EventKind = "trend" if now.is_trend[m] else "step"
+            return m, Event(kind, int(now.onset[m]), n, size, covariance, *told)
+    return None
+
+
+def _from_stored(check: Observed) -> float:
+    """χ²(6) of a check against the stored pose, whose error may be wider than stated."""
+    size = check.random + LEVEL_FACTOR**2 * check.common
+    return float(check.step @ np.linalg.solve(size, check.step))
+
+
+def _stays_moved(newest: Sequence[Observed]) -> bool:
+    """Whether the newest two checks say that the site moved, on the same side; or all three."""
+    moved = [one.moved and _from_stored(one) > GATE for one in newest]
+    if len(newest) < 2 or not all(moved[-2:]):
         return False
-
-    def may_have_moved(self, n: int) -> None:
-        """Tell whether checks up to n say by themselves that the site moved, where nothing does."""
-        newest = [self.checks[k] for k in range(max(n - 2, 0), n + 1)]
-        if stays_moved(newest) and not Watched((*self.events,)).alarms:
-            check = newest[-1]
-            size = check.random + check.common
-            self.events.append(Event("moved", n - 1, n, check.step, size, from_stored(check)))
+    before, last = newest[-2:]
+    apart = last._replace(step=last.step - before.step)
+    return _from_stored(apart) <= _from_stored(last) or (len(moved) > 2 and all(moved))
 
 
-def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRESHOLDS) -> Watched:
+def watch(checks: Sequence[Observed]) -> Watched:
     """Replay the checks of a site and tell what changed.
 
     Parameters
     ----------
     checks
         Those that gave a step from one stored pose, in the order of time.
-    thresholds
-        From which a step, and a trend, counts as found.
     """
     if not checks:
         return Watched()
-    return watch_all([together(checks)], thresholds=thresholds)[0]
-
-
-def watch_all(
-    sites: Sequence[Observed], *, thresholds: tuple[float, float] = THRESHOLDS
-) -> list[Watched]:
-    """Replay the checks of several sites, each as `watch` does.
-
-    The n-th checks of all are taken in beside each other: most tell nothing, and cost little.
-
-    Parameters
-    ----------
-    sites
-        Of each all checks in one, their number in front: one check at least.
-    """
-    ends = watch_from(sites, [None] * len(sites), thresholds=thresholds)
-    return [watched for watched, _ in ends]
-
-
-def watch_from(
-    sites: Sequence[Observed],
-    stands: Sequence[Stand | None],
-    *,
-    thresholds: tuple[float, float] = THRESHOLDS,
-) -> list[tuple[Watched, Stand]]:
-    """Replay the checks of several sites from where each stood, or from the first.
-
-    What is said is the same as from the first, and so is where they stand then. Where the checks
-    before are needed again, as another filter comes to tell or a change began there, it is replayed
-    from the first.
-    """
-    ends: dict[int, tuple[Watched, Stand]] = {}
-    first = [0 if stand is None else stand.count for stand in stands]
-    # From the first check last: what is torn is replayed with these.
-    for count in sorted({0, *first}, reverse=True):
-        some = [s for s in range(len(sites)) if s not in ends and first[s] == count]
-        known = [stand for s in some if count and (stand := stands[s]) is not None]
-        said = _replayed([sites[s] for s in some], known, thresholds)
-        ends.update((s, end) for s, end in zip(some, said, strict=True) if end is not None)
-        first = [0 if s in some else first[s] for s in range(len(sites))]
-    return [ends[s] for s in range(len(sites))]
-
-
-def _replayed(
-    sites: Sequence[Observed], stands: Sequence[Stand], thresholds: tuple[float, float]
-) -> list[tuple[Watched, Stand] | None]:
-    """Replay sites from the same number of checks on; None of those that are torn."""
-    if not sites:
-        return []
-    counts = np.array([len(checks.step) for checks in sites])
-    order = np.argsort(-counts, kind="stable").tolist()
-    told = [_Told(sites[s]) for s in order]
-    checks = _beside([sites[s] for s in order])
-    said: list[tuple[Watched, Stand] | None] = []
-    past: deque[Past] = deque()
-    first = 0
-    if stands:
-        runs, first = beside([stands[s].runs for s in order]), stands[0].count
-        for one, s in zip(told, order, strict=True):
-            one.events, one.waiting = [*stands[s].events], {**stands[s].waiting}
-    else:
-        runs = begin(checks[0])
-    for n in range(first, counts.max()):
-        under_way = int((counts > n).sum())
-        if under_way < len(told):
-            said = [*_said(runs, told, under_way), *said]
-            runs, told = runs.of(slice(under_way)), told[:under_way]
-        runs = _advanced(runs, told, checks[n][:under_way], past, (first, n), thresholds)
-    said = [*_said(runs, told, 0), *said]
-    return [said[order.index(s)] for s in range(len(sites))]
-
-
-def _beside(sites: Sequence[Observed]) -> Observed:
-    """Put the checks of sites beside each other: number, site; the first site has the most."""
-    arrays = {}
-    for name, first in vars(sites[0]).items():
-        arrays[name] = np.zeros((len(first), len(sites), *first.shape[1:]), first.dtype)
-        for s, checks in enumerate(sites):
-            arrays[name][: len(checks.step), s] = vars(checks)[name]
-    return Observed(**arrays)
-
-
-def _said(runs: Runs, told: Sequence[_Told], first: int) -> list[tuple[Watched, Stand] | None]:
-    """Give what is said of the sites from the first on, and where they stand."""
-    said: list[tuple[Watched, Stand] | None] = []
-    state, scale = runs.state.whole(), runs.scale
-    for s in range(first, len(told)):
-        if told[s].is_torn:
-            said.append(None)
-            continue
-        one = s, int(runs.best[s])
-        expected = Expected(
-            state.mean[one], state.covariance[one], float(state.days[s]), bool(state.knows_other[s])
-        )
-        events, waiting = tuple(told[s].events), tuple(told[s].waiting)
-        count, own = len(told[s].checks.step), runs.of(slice(s, s + 1))
-        stand = Stand(count, own, events, told[s].waiting)
-        said.append((Watched(events, waiting, float(scale[one]), expected), stand))
-    return said
-
-
-def _advanced(
-    runs: Runs,
-    told: Sequence[_Told],
-    check: Observed,
-    past: deque[Past],
-    numbers: tuple[int, int],
-    thresholds: tuple[float, float],
-) -> Runs:
-    """Take the checks n of sites in, and tell what they say; `numbers` are the first, and n."""
-    first, n = numbers
-    if np.any(check.other):
-        runs = runs.whole()
-    ahead = runs.ahead(check)
-    off = ahead.chi2[np.arange(len(told)), runs.best]
-    aside = (off > GATE) | np.array([bool(one.waiting) for one in told])
-    after = runs.told(ahead)
-    telling = np.where(aside, runs.best, after.best)
-    for s in np.flatnonzero(telling != runs.telling).tolist():
-        if first:
-            told[s].is_torn = True
-            continue
-        changes, known = runs.changes.of(slice(s, s + 1)).copy(), told[s].known
-        # Filters that are about as likely take turns.
-        known[int(runs.telling[s])] = n - 1, changes
-        to = int(telling[s])
-        runs.changes.put(s, as_told_by(to, changes, past, s, known.get(to)))
-    runs = replace(runs, telling=telling)
-    after = replace(after, changes=runs.changes, telling=telling.copy()).taken(ahead, check, n)
-    singles = np.array([one.singles for one in told])
-    at_least = needed(thresholds, singles, n)
-    newest = Past(n, np.ones(len(told), dtype=bool), passed(ahead))
-    may_tell = may_be_found(after.changes, after.state.days, n, at_least)
-    for s in np.flatnonzero(aside | may_tell).tolist():
-        if told[s].is_torn:
-            continue
-        one = slice(s, s + 1)
-        needs = *at_least[:2], at_least[2][one], at_least[3][one]
-        own, result = runs.of(one), after.of(one)
-        took = Past(n, newest.took[one], newest.passed.part(one))
-        if aside[s]:
-            # What is off shall not yet tell how the site scatters.
-            untold = replace(own, state=result.state, changes=result.changes)
-            all_in = With(own.changes, untold, (took,), float(off[s]))
-            waiting = {**told[s].waiting, n: float(off[s])}
-            alone = all_in if may_tell[s] else None
-            branch = confirmed(own, alone, told[s].checks, waiting, needs)
-        else:
-            all_in = With(own.changes, result, (took,), float(off[s]))
-            branch = found(all_in, n - 1, needs)
-        if branch is not None and branch.event.onset < first:
-            told[s].is_torn = True
-            continue
-        if branch is not None:
-            told[s].tell(branch, n)
-            own = adopted(branch.runs, branch.change, past, s, branch.taken)
-        elif off[s] <= GATE:
-            # The filter has not taken in those that wait: they are left out for good.
-            told[s].are_outliers(told[s].waiting, n)
-            continue
-        elif told[s].waits(n, float(off[s])):
-            own = replace(result, state=own.state, changes=own.changes)
-        else:
-            own = lost(own, check[one])
-        newest.took[s] = False
-        if branch is not None or not told[s].waiting:
-            told[s].known = {}
-        if own.state.mean.shape[-1] > after.state.mean.shape[-1]:
-            after = after.whole()
-        elif own.state.mean.shape[-1] < after.state.mean.shape[-1]:
-            own = own.whole()
-        after.put(s, own)
-    for s in np.flatnonzero(check.moved).tolist():
-        told[s].may_have_moved(n)
-    past.append(newest)
-    while past and past[0].n < first_onset(after.changes):
-        past.popleft()
-    return after
+    now, events, waiting = _begin(checks[0]), list[Event](), list[int]()
+    for n, check in enumerate(checks):
+        now, chi2 = _taken(now, check, n)
+        waiting += [n] * (chi2 > GATE)
+        found = _found(now, n)
+        if found is not None or chi2 <= GATE:
+            onset = n + 1 if found is None else found[1].onset
+            events += [Event("outlier", k, n) for k in waiting if k < onset]
+            waiting = []
+        if found is not None:
+            m, event = found
+            # The first check alone may stand against the stored pose and all others.
+            first = event.onset == 1 and _from_stored(check) < _from_stored(checks[0])
+            events.append(Event("outlier", 0, n) if first else event)
+            now = _adopted(now, m)
+        elif len(waiting) > MOST_WAITING:
+            events.append(Event("unsettled", waiting[0], n))
+            waiting = []
+        newest = checks[max(n - 2, 0) : n + 1]
+        if check.moved and not Watched((*events,)).alarms and _stays_moved(newest):
+            size = check.random + check.common
+            events.append(Event("moved", n - 1, n, check.step, size, _from_stored(check)))
+    return Watched((*events,), (*waiting,), float(np.sqrt(now.total[now.best] / now.weight)))
