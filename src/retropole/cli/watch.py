@@ -155,8 +155,8 @@ def watch(
       SOURCES
 
     The page for a phone is for this computer alone (127.0.0.1), or with --listen for the local
-    network: with a secret address that is shown as a QR code, and a certificate of its own, which
-    the phone asks to trust. Needs the extra 'live'; for packets 'velodyne' or 'ouster' too.
+    network, at a secret address that is shown as a QR code. It is not encrypted. Needs the extra
+    'live' for topics, bags and the QR code; for packets 'velodyne' or 'ouster'.
 
     \b
     Examples:
@@ -288,19 +288,12 @@ def _until_signal() -> Iterator[Stopped]:
 
 def _served(state: Callable[[], bytes], port: int, *, listen: bool) -> WatchServer:
     """Serve the page, and say where it is."""
-    from ..report.watch_certificate import local_address, own_certificate, qr_code
-    from ..report.watch_server import serve_watch
+    from ..report.watch_server import WatchServer, local_address, qr_code
 
-    if not listen:
-        server = serve_watch(state, port=port)
-        show(server.url)
-        return server
-    host = local_address()
-    certificate = own_certificate(host, None)
-    server = serve_watch(state, host=host, port=port, certificate=certificate)
-    show(qr_code(server.url))
+    server = WatchServer(state, host=local_address() if listen else "127.0.0.1", port=port)
+    if listen:
+        show(qr_code(server.url))
     show(server.url)
-    say(f"The certificate that the phone asks to trust has SHA-256 {certificate.fingerprint}")
     return server
 
 

@@ -1,14 +1,17 @@
-"""Sweeps as they come: the poles in each, which of them is which, and whether it stands still."""
+"""Sweeps as they come: the poles in each, which of them is which, whether it stands still, and the
+sweeps that are kept while all do."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..base.datatypes import Detection, PointCloud, Pole
-from ..base.errors import Refusal
+from ..base.errors import ReadError, Refusal, quoting
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
 from ..extraction.candidates import with_candidates
@@ -16,6 +19,10 @@ from ..extraction.dimmer import with_dimmer_candidates
 from ..extraction.poles import extract_poles
 from ..hypotheses.correspondence import widest_angle
 from ..hypotheses.line_pairs import line_pair
+from ..io import Frame
+from ..io.live import Source
+from ..result.watching import LidarNow, PoleNow
+from ..verdict import FEW_POINTS, FEW_RINGS
 
 STILL = 1.0
 """A pole that stood where it does for so long stands still, s."""
@@ -48,6 +55,30 @@ HIDING = 3
 SWALLOWED = 0.1
 """Where there are so few returns at any distance, as a part of those on the pole, something stands
 nearer than the LiDAR measures."""
+
+SWEEPS = 15
+"""Of each LiDAR that are kept of a placement."""
+
+LEAST_SECONDS = 3.0
+"""They take no less, s: of sweeps that come faster more are kept, and a sway shows."""
+
+MOST_SWEEPS = 150
+"""More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
+
+ELSEWHERE = 0.3
+"""A pole that stands so far from where it was, metres, or one more, is another placement."""
+
+POLL = 0.05
+"""A LiDAR is waited for so long where it has nothing new, s."""
+
+WORKING = 0.8
+"""While the answer is worked out, sweeps are searched so rarely, s: both share the time."""
+
+RATE_OVER = 3.0
+"""Seconds over which sweeps are counted."""
+
+SHORTEST = 0.05
+"""They are not counted over less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,3 +275,220 @@ def _relation(a: Pole, b: Pole) -> tuple[float, float]:
 def angle_between(poles: Sequence[Pole]) -> float | None:
     """Largest angle between any two poles, rad; None of fewer than two."""
     return widest_angle([each.direction for each in poles]) if len(poles) > 1 else None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A LiDAR and what it sees now.
+
+    Attributes
+    ----------
+    name
+        What words call it.
+    tracks
+        The poles that it saw lately.
+    looked
+        Its newest sweep that was searched; None before the first.
+    silent
+        Why nothing comes; empty while sweeps come.
+    fault
+        What is wrong with what comes; empty where nothing is.
+    """
+
+    name: str
+    tracks: tuple[Tracked, ...] = ()
+    looked: Looked | None = None
+    silent: str = ""
+    fault: str = ""
+
+
+def word_on(track: Tracked, now: float) -> str:
+    """What is wrong with a pole, in two or three words; empty where nothing is."""
+    if now - track.seen > LATELY:
+        return "lost"
+    if not track.is_still(now):
+        return "moving" if track.has_moved else "new"
+    if len(track.pole.xyz) < FEW_POINTS:
+        return "few returns"
+    return "few rings" if track.pole.rings <= FEW_RINGS else ""
+
+
+class Origin(NamedTuple):
+    """Where sweeps come from: the name of their frame, and who sends their packets."""
+
+    frame_id: str
+    sender: str
+
+    @property
+    def words(self) -> str:
+        """Both as text."""
+        frame = f"frame {self.frame_id!r}" if self.frame_id else ""
+        return " ".join(filter(None, (self.sender, frame))) or "a frame without a name"
+
+
+@dataclass
+class Watched:
+    """What is known of a LiDAR while it is watched: its sweeps are searched as of this sensor, from
+    this intensity up. Once a placement is kept, sweeps of another origin are not of this LiDAR."""
+
+    source: Source
+    view: View
+    sensor: Sensor | None
+    threshold: float | None
+    origin: Origin | None = None
+    kept: Origin | None = None
+    came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+
+    @property
+    def frame_id(self) -> str | None:
+        """Of the newest sweep, empty where it names none; None before the first sweep."""
+        return self.origin.frame_id if self.origin else None
+
+
+class Taken(NamedTuple):
+    """What came of a LiDAR: a sweep that was searched, or None; what is to be said of it; whether
+    it is of another frame than those before."""
+
+    searched: Frame | None = None
+    said: tuple[str, ...] = ()
+    is_of_another_frame: bool = False
+
+
+def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
+    """Take the newest sweep of a LiDAR, and search it.
+
+    Parameters
+    ----------
+    lidar
+        Its view is brought up to date.
+    radius
+        Of the poles, metres.
+    clock
+        Gives the time, s.
+    busy
+        Search but rarely.
+    """
+    view = lidar.view
+    try:
+        frame = lidar.source.newest(POLL)
+    except ReadError as error:
+        lidar.view = replace(view, fault=str(error))
+        return Taken(said=() if view.fault == str(error) else (str(error),))
+    if frame is None:
+        lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
+        return Taken()
+    now = clock()
+    said, is_other = list[str](), False
+    origin = Origin(frame.frame_id, frame.sender)
+    if lidar.origin != origin:
+        said += frame.cloud.notes
+        is_other = lidar.origin is not None
+        if is_other:
+            said.append(f"its sweeps come from {origin.words} now")
+        lidar.origin = origin
+    if lidar.kept not in (None, origin):
+        fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
+        lidar.view = replace(view, fault=fault)
+        return Taken(None, tuple(said), is_other)
+    lidar.came.append((now, frame.number))
+    if busy and view.looked is not None and now - view.looked.at < WORKING:
+        return Taken(None, tuple(said), is_other)
+    if not len(frame.cloud):
+        lidar.view = replace(view, fault="its sweep has no returns")
+        return Taken(None, tuple(said), is_other)
+    looked = look(frame.cloud, now, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
+    tracks = follow(view.tracks, looked)
+    lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
+    return Taken(frame, tuple(said), is_other)
+
+
+def seen_now(lidar: Watched, now: float) -> LidarNow:
+    """Say what a LiDAR sees now."""
+    view, looked = lidar.view, lidar.view.looked
+    recent = [(at, number) for at, number in lidar.came if now - at <= RATE_OVER]
+    rate = 0.0
+    if len(recent) > 1:
+        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], SHORTEST)
+    poles = [
+        PoleNow(
+            name=str(track.number),
+            distance_m=track.distance,
+            returns=len(track.pole.xyz),
+            rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
+            is_still=track.is_still(now),
+            is_good=not word,
+            word=word,
+        )
+        for track in present(view.tracks, now)
+        for word in [word_on(track, now)]
+    ]
+    return LidarNow(
+        name=view.name,
+        source=lidar.source.name,
+        sweeps_per_s=max(rate, 0.0),
+        age_s=None if looked is None else max(now - looked.at, 0.0),
+        points=0 if looked is None else len(looked.cloud),
+        poles=poles,
+        word=view.fault or view.silent,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What is kept of one placement.
+
+    Attributes
+    ----------
+    frames
+        Of each LiDAR.
+    start
+        When it began, s.
+    seconds
+        How long it has to take.
+    poles
+        That each LiDAR saw at its start.
+    """
+
+    frames: tuple[tuple[Frame, ...], ...]
+    start: float
+    poles: tuple[tuple[Tracked, ...], ...]
+    seconds: float = LEAST_SECONDS
+
+    @property
+    def count(self) -> int:
+        """How many sweeps are kept of the LiDAR that has the fewest."""
+        return min(len(own) for own in self.frames)
+
+    def with_frame(self, lidar: int, frame: Frame) -> Capture:
+        """Keep one sweep more; none beyond `MOST_SWEEPS`."""
+        own = self.frames[lidar]
+        if len(own) >= MOST_SWEEPS:
+            return self
+        frames = (*self.frames[:lidar], (*own, frame), *self.frames[lidar + 1 :])
+        return replace(self, frames=frames)
+
+    def is_full(self, wanted: int, now: float) -> bool:
+        """Whether there are enough sweeps, over time enough."""
+        enough = self.count >= wanted and now - self.start >= self.seconds
+        return enough or self.count >= MOST_SWEEPS
+
+
+def begun(tracks: Sequence[Sequence[Tracked]], now: float) -> Capture:
+    """Begin to keep sweeps of poles that stand so."""
+    return Capture(tuple(() for _ in tracks), now, tuple(present(own, now) for own in tracks))
+
+
+def is_elsewhere(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
+    """Whether the poles stand otherwise than when a placement was kept."""
+    for was, own in zip(capture.poles, tracks, strict=True):
+        for each in present(own, now):
+            gaps = [max(away_from(each.pole, old.pole), _along(each, old)) for old in was]
+            if min(gaps, default=np.inf) > ELSEWHERE:
+                return True
+    return False
+
+
+def _along(new: Tracked, old: Tracked) -> float:
+    """How far the middle lies beyond the returns of before, metres."""
+    gap = abs(float((new.pole.point - old.pole.point) @ old.pole.direction))
+    return max(gap - old.pole.length / 2, 0.0)

@@ -12,12 +12,15 @@ from typing import Protocol
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
+QUIET = 2.0
+"""Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
+sensors turn, ten sweeps."""
+
 MOST_DIGITS = 20
 """Of a port: more are none, and Python reads no more than some thousand."""
 
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
-    "rclpy:/TOPIC": "a topic of ROS 2, by the ROS installation of this computer",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
     "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
     "folder:PATH": "a folder that gets a file for each sweep",
@@ -105,10 +108,6 @@ def source_of(
         from .dds import DdsSource
 
         return DdsSource(where, domain=domain, interface=interface)
-    if kind == "rclpy":
-        from .by_rclpy import RclpySource
-
-        return RclpySource(where)
     if kind == "velodyne":
         from .udp import ALL_INTERFACES, VelodyneSource
 

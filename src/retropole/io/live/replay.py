@@ -18,7 +18,7 @@ from ..bag_files import opened
 from ..packets import PACKETS
 from ..recordings import Frame, Recording
 from ..ros import NANOSECONDS, frame_of
-from .mailbox import QUIET
+from . import QUIET
 
 FREQUENCY = 10.0
 """Frames a second where the recording has no times: what most sensors do by default."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
-from threading import Event, Lock, Thread
+from threading import Condition, Event, Lock, Thread
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from ..failures import naming, reported
 from ..fields import frame_from_columns
 from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
 from ..recordings import Frame, is_unix
-from .mailbox import QUIET, Mailbox
+from . import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
@@ -91,6 +91,39 @@ class _Came(NamedTuple):
     notes: tuple[str, ...]
 
 
+class _Mailbox:
+    """Hands the newest sweep from the thread that receives to the one that calibrates.
+
+    What was not taken before the next came is left out.
+    """
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._held: tuple[int, _Came] | None = None
+        self._count = 0
+        self._is_closed = False
+
+    def put(self, item: _Came) -> None:
+        """Put a sweep in the place of the one before."""
+        with self._changed:
+            self._held = self._count, item
+            self._count += 1
+            self._changed.notify_all()
+
+    def take(self, wait: float) -> tuple[int, _Came] | None:
+        """Take the newest sweep and its number, counted from 0; None where none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
+            held, self._held = self._held, None
+            return held
+
+    def close(self) -> None:
+        """Wake whoever waits, and forget what is held."""
+        with self._changed:
+            self._held, self._is_closed = None, True
+            self._changed.notify_all()
+
+
 class PacketSource:
     """A sensor that sends packets to a port; `VelodyneSource` and `OusterSource` are to be used.
 
@@ -121,7 +154,7 @@ class PacketSource:
         self._port, self._kind = port, kind
         self._senders = {_address(each) for each in senders}
         self._socket = _opened(port, host)
-        self._mailbox: Mailbox[_Came] = Mailbox()
+        self._mailbox = _Mailbox()
         self._closed = Event()
         self._lock = Lock()
         self._sender: tuple[str, int] | None = None
