@@ -9,7 +9,7 @@ import click
 
 from ..result import RunConfig
 from .common import listening, say, show
-from .options import CLOUD, run_option, run_options
+from .options import CLOUD, FILE, run_option, run_options
 from .out import out_folder
 
 PICTURE = "detect.png"
@@ -25,6 +25,7 @@ PICTURE = "detect.png"
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit")
+@click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
 @click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
@@ -32,6 +33,7 @@ PICTURE = "detect.png"
 def detect(
     file: Path,
     out: Path,
+    page: Path | None,
     plan: Path | None,
     lidar: str | None,
     as_json: bool,
@@ -40,12 +42,14 @@ def detect(
 ) -> int:
     """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
-    Writes a picture, detect.png (needs the extra 'figures').
+    Writes a picture, detect.png (needs the extra 'figures'), and with --page a page that shows the
+    cloud in any browser, as view does.
 
     \b
     Examples:
       retropole detect front.pcd
       retropole detect front.pcd --threshold 120 --out look
+      retropole detect front.pcd --page front.html
       retropole detect front.pcd --json | jq .poles
       retropole detect drive.bag --topic /front --frames 0:20
       retropole detect front.pcd --plan retropole-plan
@@ -60,7 +64,10 @@ def detect(
 
     from ..api.detection import detect_in
     from ..api.inputs import input_documents, read_input
+    from ..base.datatypes import Scan
     from ..base.errors import MissingExtraError, printable
+    from ..base.files import write_atomically
+    from ..report import render_recordings
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import encode
@@ -87,6 +94,10 @@ def detect(
             written.append(str(out / PICTURE))
         except MissingExtraError as error:
             say(f"retropole: no picture: {error}")
+        if page is not None:
+            scan = Scan(given.cloud, given.sensor, found)
+            write_atomically(page, render_recordings([file.name], [scan]).encode())
+            written.append(str(page))
     used = replace(given, threshold=found.threshold)
     result = detection_document(found, input_documents([used])[0])
     if as_json:

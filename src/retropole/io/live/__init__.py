@@ -12,10 +12,6 @@ from typing import Protocol
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
-QUIET = 2.0
-"""Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
-sensors turn, ten sweeps."""
-
 MOST_DIGITS = 20
 """Of a port: more are none, and Python reads no more than some thousand."""
 

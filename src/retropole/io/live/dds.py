@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ...base.errors import MissingExtraError, UsageError, said
 from ..recordings import CLOUDS, Frame
 from ..ros import NANOSECONDS, frame_of
-from . import QUIET
+from .replay import QUIET
 
 if TYPE_CHECKING:
     from cyclonedds.domain import DomainParticipant

@@ -29,7 +29,7 @@ from ..failures import naming, readable, reported
 from ..recordings import CLOUDS, Frame, holds_clouds, time_of_recording
 from ..ros import MAX_LISTED, frame_of
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
-from . import QUIET
+from .replay import QUIET
 
 if TYPE_CHECKING:
     from mcap.summary import Summary

@@ -18,7 +18,10 @@ from ..bag_files import opened
 from ..packets import PACKETS
 from ..recordings import Frame, Recording
 from ..ros import NANOSECONDS, frame_of
-from . import QUIET
+
+QUIET = 2.0
+"""Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
+sensors turn, ten sweeps."""
 
 FREQUENCY = 10.0
 """Frames a second where the recording has no times: what most sensors do by default."""

@@ -25,7 +25,7 @@ from ..failures import naming, reported
 from ..fields import frame_from_columns
 from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
 from ..recordings import Frame, is_unix
-from . import QUIET
+from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
