@@ -23,7 +23,7 @@ LAYERS = (
     # The method and its answer.
     *("pipeline", "pipeline_of_sites", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report", "evaluation", "monitoring", "watching"),
+    *("simulation", "planning", "export", "report", "evaluation", "monitoring"),
     "api",
     *("fleet", "cli", "__main__"),
 )

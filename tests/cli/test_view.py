@@ -17,7 +17,12 @@ from tests.report.pages import cloud_of
 def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What a browser was asked to open."""
     asked = list[str]()
-    monkeypatch.setattr("webbrowser.open", lambda url: asked.append(url) or True)
+
+    def browse(url: str) -> bool:
+        asked.append(url)
+        return True
+
+    monkeypatch.setattr("webbrowser.open", browse)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return asked
 

@@ -32,13 +32,8 @@ from ..io.live import Source as Source
 from ..io.live import names_of as names_of
 from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
-from ..report.field_test import render_field_test
-from ..result import RunConfig, encode, pole_documents
-from ..result.folder import CERTIFICATE
-from ..result.pole_plan import PolePlanDoc
-from ..result.watching import Phase, WatchDoc
-from ..watching.advice import Advice, Outcome, advice_after, advise, keep_still, outcome_of
-from ..watching.seeing import (
+from ..planning.live_advice import Advice, Outcome, advice_after, advise, keep_still, outcome_of
+from ..planning.live_poles import (
     SWEEPS,
     Capture,
     Tracked,
@@ -51,6 +46,11 @@ from ..watching.seeing import (
     seen_now,
     take,
 )
+from ..report.field_test import render_field_test
+from ..result import RunConfig, encode, pole_documents
+from ..result.folder import CERTIFICATE
+from ..result.pole_plan import PolePlanDoc
+from ..result.watching import Phase, WatchDoc
 from . import certification
 from .background import in_background
 from .calibration import calibrate_with

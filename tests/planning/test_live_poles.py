@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.io import Frame
-from retropole.simulation import simulate_pair
-from retropole.watching.seeing import (
+from retropole.planning.live_poles import (
     LATELY,
     LEAST_SECONDS,
     MOST_SWEEPS,
@@ -27,6 +26,7 @@ from retropole.watching.seeing import (
     look,
     present,
 )
+from retropole.simulation import simulate_pair
 from tests.conftest import PoleMaker
 
 UP, LEANING = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 1.0])

@@ -12,10 +12,10 @@ from retropole.base.errors import Refusal
 from retropole.base.sway import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
+from retropole.planning.live_advice import Advice, advice_after, advise, keep_still, outcome_of
+from retropole.planning.live_poles import Looked, Tracked, View, word_on
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.sway import SwayDoc
-from retropole.watching.advice import Advice, advice_after, advise, keep_still, outcome_of
-from retropole.watching.seeing import Looked, Tracked, View, word_on
 from tests.conftest import PoleMaker
 from tests.report.made_up import made_up
 

@@ -18,7 +18,7 @@ from ..base.uncertainty import floor
 from ..base.uncertainty.purpose import USABLE, Need, displacement_bound, fitness
 from ..result import ResultDoc
 from ..verdict import FEW_POINTS, FEW_RINGS, WEAK_ANGLE
-from .seeing import Looked, View, angle_between, hidden_by, is_same_pair, present
+from .live_poles import Looked, View, angle_between, hidden_by, is_same_pair, present
 
 OLD = 3.0
 """A LiDAR whose newest sweep is older is silent, s."""
