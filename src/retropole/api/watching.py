@@ -62,12 +62,6 @@ RECORDING = "placement{}.mcap"
 
 WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
 
-LOGGED = 40
-"""Lines that are kept of what happened."""
-
-AGAIN = 5.0
-"""What could not be written is tried again after so long, s."""
-
 T = TypeVar("T")
 
 
@@ -155,7 +149,7 @@ class Watch:
             Watched(source, View(name), sensor_or_auto(how.sensor), how.threshold)
             for source, name, how in zip(sources, wish.names, read, strict=True)
         ]
-        self._words: deque[str] = deque(maxlen=LOGGED)
+        self._words: deque[str] = deque(maxlen=40)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
         # What is full, and could not be written yet.
@@ -382,7 +376,8 @@ class Watch:
         words = f"{why}. Make room: {what} kept in memory, and written as soon as that can be."
         if self._no_room is None:
             self._note(words)
-        self._no_room = Advice("not_written", words), now + AGAIN
+        # It is tried again 5 s later.
+        self._no_room = Advice("not_written", words), now + 5.0
         return self._no_room[0]
 
     def _record(self, capture: Capture) -> tuple[Path, str]:

@@ -36,15 +36,6 @@ if TYPE_CHECKING:
 
 CHECKED = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
-TERMINATED = 128 + 15
-
-SHORTEST = 0.02
-"""A step takes no less, s, where nothing comes."""
-
-PAGE_SECONDS = 3.0
-"""The page is served for so much longer, s, so that it shows the end."""
-
-
 GRACE = 2.0
 """What is under way when a signal comes may take so long, s: then it waits for a file that never
 ends, or for a program that does not answer, and is broken off."""
@@ -233,9 +224,11 @@ def watch(
                     else:
                         made.withdraw()
                 if not made.is_over:
-                    stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
+                    # A step takes no less, where nothing comes.
+                    stopped.wait(max(0.02 - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
-            stopped.wait(PAGE_SECONDS)
+            # So that the page shows the end.
+            stopped.wait(3.0)
         if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
@@ -265,7 +258,7 @@ def _until_signal() -> Iterator[Stopped]:
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def stop(number: int, frame: object) -> None:
-        stopped.code = EXIT_INTERRUPTED if number == signal.SIGINT else TERMINATED
+        stopped.code = EXIT_INTERRUPTED if number == signal.SIGINT else 128 + 15
         stopped.set()
         for each, handler in before.items():
             signal.signal(each, handler)

@@ -20,9 +20,6 @@ from ..result import ResultDoc
 from ..verdict import FEW_POINTS, FEW_RINGS, WEAK_ANGLE
 from .live_poles import Looked, View, angle_between, hidden_by, is_same_pair, present
 
-OLD = 3.0
-"""A LiDAR whose newest sweep is older is silent, s."""
-
 BEST_REACH = 6.0
 """How far from a LiDAR to stand a pole that is too far, metres, where its rings do not tell: docs,
 Placing the poles, have 3 to 7 m."""
@@ -90,7 +87,7 @@ def _unseen(view: View, now: float) -> Iterator[Advice]:
     looked = view.looked
     if view.fault:
         yield Advice("unreadable", f"{view.name}: {view.fault}")
-    elif looked is None or now - looked.at > OLD:
+    elif looked is None or now - looked.at > 3.0:
         why = view.silent or "its newest sweep is old"
         yield Advice("silent", f"{view.name} gives no sweeps: {why}")
     elif looked.refusal is not None:

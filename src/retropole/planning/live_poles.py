@@ -43,19 +43,6 @@ SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3
 """Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
 differ by less; nearer to parallel than the last, rad, the distance is that of parallel lines."""
 
-BESIDE = float(np.radians(1.5))
-"""Returns within this angle of a pole, as the LiDAR sees it, may be what hides it, rad."""
-
-NEARER = 0.4
-"""By so much nearer than the pole they are, metres."""
-
-HIDING = 3
-"""Fewest of them."""
-
-SWALLOWED = 0.1
-"""Where there are so few returns at any distance, as a part of those on the pole, something stands
-nearer than the LiDAR measures."""
-
 SWEEPS = 15
 """Of each LiDAR that are kept of a placement."""
 
@@ -67,18 +54,6 @@ MOST_SWEEPS = 150
 
 ELSEWHERE = 0.3
 """A pole that stands so far from where it was, metres, or one more, is another placement."""
-
-POLL = 0.05
-"""A LiDAR is waited for so long where it has nothing new, s."""
-
-WORKING = 0.8
-"""While the answer is worked out, sweeps are searched so rarely, s: both share the time."""
-
-RATE_OVER = 3.0
-"""Seconds over which sweeps are counted."""
-
-SHORTEST = 0.05
-"""They are not counted over less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,13 +222,16 @@ def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
     if sine < 1e-3:
         return None
     # The pole is a strip: along it as far as its returns, across it as far as what may hide it.
+    # That is 0.4 m nearer, three returns at least.
     beams = seen / ranges[:, None]
     across = np.abs(beams @ (level / sine))
     ahead = beams @ middle
-    strip = (across < np.sin(BESIDE)) & (ahead > np.cos(half + BESIDE))
-    before = strip & (ranges < away - NEARER)
-    if np.count_nonzero(before) < HIDING:
-        return 0.0 if np.count_nonzero(strip) < SWALLOWED * len(pole.xyz) else None
+    beside = np.radians(1.5)
+    strip = (across < np.sin(beside)) & (ahead > np.cos(half + beside))
+    before = strip & (ranges < away - 0.4)
+    if np.count_nonzero(before) < 3:
+        # With so few returns at any distance, something is nearer than the LiDAR measures.
+        return 0.0 if np.count_nonzero(strip) < 0.1 * len(pole.xyz) else None
     return float(np.median(ranges[before]))
 
 
@@ -370,7 +348,7 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     """
     view = lidar.view
     try:
-        frame = lidar.source.newest(POLL)
+        frame = lidar.source.newest(0.05)
     except ReadError as error:
         lidar.view = replace(view, fault=str(error))
         return Taken(said=() if view.fault == str(error) else (str(error),))
@@ -391,7 +369,8 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
         lidar.view = replace(view, fault=fault)
         return Taken(None, tuple(said), is_other)
     lidar.came.append((now, frame.number))
-    if busy and view.looked is not None and now - view.looked.at < WORKING:
+    # While the answer is worked out, both share the time.
+    if busy and view.looked is not None and now - view.looked.at < 0.8:
         return Taken(None, tuple(said), is_other)
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
@@ -405,10 +384,10 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
 def seen_now(lidar: Watched, now: float) -> LidarNow:
     """Say what a LiDAR sees now."""
     view, looked = lidar.view, lidar.view.looked
-    recent = [(at, number) for at, number in lidar.came if now - at <= RATE_OVER]
+    recent = [(at, number) for at, number in lidar.came if now - at <= 3.0]
     rate = 0.0
     if len(recent) > 1:
-        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], SHORTEST)
+        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], 0.05)
     poles = [
         PoleNow(
             name=str(track.number),

@@ -28,26 +28,11 @@ from .page import asset, source_of
 MOST_CONNECTIONS, MOST_OF_ONE = 64, 16
 """Connections at once, in all and of one address other than this machine's own."""
 
-WAITING = 256
-"""Connections that wait to be accepted; for those beyond, the other side tries again later."""
-
 LONGEST_SECONDS = 5.0
 """From when a connection is accepted to when it is closed."""
 
-LOOK_SECONDS = 0.1
-"""How often connections that last for too long are looked for."""
-
 REFUSED = b"Open the address as printed.\n"
 """The answer to those who do not know it."""
-
-NOWHERE = "192.0.2.1"
-"""An address for documentation (RFC 5737): the way to it is the way to any other machine."""
-
-QUIET_ZONE = 4
-"""Modules of light around a QR code, as its standard asks for."""
-
-DARK_ON_LIGHT, AS_BEFORE = "\x1b[30;107m", "\x1b[0m"
-"""What makes a terminal write black on white, whatever its own colours are."""
 
 
 @cache
@@ -88,7 +73,8 @@ class WatchServer(ThreadingMixIn, TCPServer):
     """
 
     allow_reuse_address = True
-    request_queue_size = WAITING
+    # For those beyond, the other side tries again later.
+    request_queue_size = 256
 
     def __init__(
         self, state: Callable[[], bytes], *, host: str = "127.0.0.1", port: int = 0
@@ -114,7 +100,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
         self.host = where if own == 80 else f"{where}:{own}"
         self.path = f"/{secrets.token_urlsafe(16)}/"
         self.url = f"http://{self.host}{self.path}"
-        self._thread = Thread(target=self.serve_forever, args=[LOOK_SECONDS], daemon=True)
+        self._thread = Thread(target=self.serve_forever, args=[0.1], daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -227,8 +213,9 @@ def local_address() -> str:
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         try:
-            # A datagram socket sends nothing to connect: it only chooses the way.
-            asked.connect((NOWHERE, 9))
+            # A datagram socket sends nothing to connect: it only chooses the way, here to an
+            # address for documentation (RFC 5737), which is that to any other machine.
+            asked.connect(("192.0.2.1", 9))
             address = str(asked.getsockname()[0])
         except OSError:
             address = "127.0.0.1"
@@ -251,10 +238,12 @@ def qr_code(url: str) -> str:
         raise MissingExtraError("live", "a QR code") from None
 
     code = segno.make(url, error="l", micro=False)
-    rows = [[bool(module) for module in row] for row in code.matrix_iter(border=QUIET_ZONE)]
+    # Its standard asks for four modules of light around it.
+    rows = [[bool(module) for module in row] for row in code.matrix_iter(border=4)]
     light = [False] * len(rows[0])
     lines = (
         "".join(" ▄▀█"[2 * upper + lower] for upper, lower in zip(*pair, strict=True))
         for pair in zip_longest(rows[::2], rows[1::2], fillvalue=light)
     )
-    return "\n".join(f"{DARK_ON_LIGHT}{line}{AS_BEFORE}" for line in lines)
+    # Black on white, whatever the terminal's own colours are.
+    return "\n".join(f"\x1b[30;107m{line}\x1b[0m" for line in lines)

@@ -12,9 +12,6 @@ from typing import Protocol
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
-MOST_DIGITS = 20
-"""Of a port: more are none, and Python reads no more than some thousand."""
-
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
@@ -183,6 +180,7 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
 
 
 def _port(text: str, port: str) -> int:
-    if not (port.isascii() and port.isdigit() and len(port) < MOST_DIGITS):
+    # Python reads no more than some thousand digits.
+    if not (port.isascii() and port.isdigit() and len(port) < 20):
         raise UsageError(f"{text!r}: {port!r} is no port, a number from 1 to 65535")
     return int(port)

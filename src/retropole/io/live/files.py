@@ -10,6 +10,7 @@ import sqlite3
 import struct
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from stat import S_ISREG
@@ -57,9 +58,6 @@ READ = 3, 4, 5, 6
 LARGEST_SKIPPED = 2**32
 """Bytes of others, as of attachments; what says that it is larger is damage."""
 
-HAS_LOG = b"\x02\x02"
-"""Bytes 18 and 19 of a database of SQLite with a log ahead of it (WAL)."""
-
 
 class _Looking:
     """What both sources share: they look again and again until there is news."""
@@ -104,6 +102,16 @@ class _Version(NamedTuple):
     size: int
 
 
+@dataclass
+class _File:
+    """A file in one version: since when it is so, and whether it was given or cannot be read."""
+
+    version: _Version
+    since: float
+    is_done: bool = False
+    has_failed: bool = False
+
+
 class FolderSource(_Looking):
     """A folder to which somebody adds a file for each sweep, or writes the same one again.
 
@@ -125,10 +133,7 @@ class FolderSource(_Looking):
             raise ReadError(f"{folder}: there is no such folder")
         super().__init__(f"folder:{folder}")
         self._folder = folder
-        self._done: dict[Path, _Version] = {}
-        # Since when a file that was not given yet has been as it is, and which cannot be read so.
-        self._since: dict[Path, tuple[_Version, float]] = {}
-        self._failed: set[Path] = set()
+        self._files: dict[Path, _File] = {}
         self._count = 0
         self._see()
 
@@ -137,15 +142,12 @@ class FolderSource(_Looking):
         now = monotonic()
         with readable(self._folder):
             there = {path: _version_of(path) for path in self._folder.iterdir() if _may_be(path)}
-        found = {path: own for path, own in there.items() if own is not None}
-        news = {path: own for path, own in found.items() if self._done.get(path) != own}
-        for path, own in news.items():
-            if path not in self._since or self._since[path][0] != own:
-                self._since[path] = own, now
-                self._failed.discard(path)
-        self._since = {path: self._since[path] for path in news}
-        self._failed &= news.keys()
-        self._done = {path: own for path, own in self._done.items() if path in found}
+        known, found = self._files, {path: own for path, own in there.items() if own is not None}
+        self._files = {
+            path: known[path] if path in known and known[path].version == own else _File(own, now)
+            for path, own in found.items()
+        }
+        news = {path: each.version for path, each in self._files.items() if not each.is_done}
         self._lacks = (
             f"{self._folder}: no new file comes"
             if found
@@ -160,21 +162,21 @@ class FolderSource(_Looking):
     def _look(self, until: float) -> Frame | None:
         news = self._see()
         for k, path in enumerate(news):
-            version, since = self._since[path]
-            unchanged = monotonic() - since
-            if unchanged < SETTLED or (path in self._failed and unchanged < GIVE_UP):
+            file = self._files[path]
+            unchanged = monotonic() - file.since
+            if unchanged < SETTLED or (file.has_failed and unchanged < GIVE_UP):
                 continue
             try:
                 frame = next(open_recording(path).read(range(1)))
             except ReadError:
-                if _version_of(path) != version:
+                if _version_of(path) != file.version:
                     continue
-                self._failed.add(path)
+                file.has_failed = True
                 if unchanged < GIVE_UP:
                     continue
                 self._finish([path])
                 raise
-            if _version_of(path) != version:
+            if _version_of(path) != file.version:
                 continue
             self._finish(news[k:])
             recorded = time_of_recording(frame.cloud)
@@ -184,8 +186,7 @@ class FolderSource(_Looking):
     def _finish(self, paths: list[Path]) -> None:
         """Give or leave out files for good, in the version that they have now."""
         for path in paths:
-            self._done[path], _ = self._since.pop(path)
-            self._failed.discard(path)
+            self._files[path].is_done = True
         self._count += len(paths)
 
 
@@ -380,7 +381,7 @@ class GrowingDatabase:
         if size == 0:
             return True
         with self._path.open("rb") as file:
-            has_log = file.read(20)[18:] == HAS_LOG
+            has_log = file.read(20)[18:] == b"\x02\x02"
         # One that is closed has put its log away; to look for it would make an empty one.
         mode = "ro&immutable=1" if has_log and not log.exists() else "ro"
         try:
