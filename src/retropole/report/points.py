@@ -133,8 +133,8 @@ def pack_cloud(
     max_points
         At most this many points are packed.
     threshold
-        Intensity from which points are kept before those that are dimmer, and from which the reader
-        of the page may move it; None where he may not.
+        Intensity from which points are kept before those that are dimmer, up to half of all, and
+        from which the reader of the page may move it; None where he may not.
     """
     offset = cloud.xyz - cloud.origin
     ranges = np.sqrt(np.einsum("ij,ij->i", offset, offset))
@@ -146,7 +146,7 @@ def pack_cloud(
     rest[kept] = False
     if threshold is not None and cloud.intensity is not None:
         bright = np.flatnonzero(rest & (cloud.intensity >= threshold))
-        kept = np.concatenate([kept, bright[: max_points - len(kept)]])
+        kept = np.concatenate([kept, _draw(ranges, bright, (max_points - len(kept)) // 2)])
         rest[kept] = False
     drawn = _draw(ranges, np.flatnonzero(rest), max_points - len(kept))
     shown = np.concatenate([kept, drawn])
