@@ -23,7 +23,7 @@ LAYERS = (
     # The method and its answer.
     *("pipeline", "pipeline_of_sites", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report", "evaluation", "monitoring", "watching"),
+    *("simulation", "planning", "export", "report", "evaluation", "monitoring"),
     "api",
     *("fleet", "cli", "__main__"),
 )
@@ -141,7 +141,7 @@ def test_the_top_holds_the_method_alone() -> None:
 
 
 def test_import_leaves_heavy_parts_alone() -> None:
-    heavy = ["matplotlib", "laspy", "pypcd4", "rich", "pandas", "scipy.stats", "viser"]
+    heavy = ["matplotlib", "laspy", "pypcd4", "rich", "pandas", "scipy.stats"]
     heavy += ["scipy.optimize", "rosbags", "mcap", "yaml", "pyproj"]
     ours = "import sys, retropole.pipeline, retropole.cli, retropole.report"
     code = f"{ours}; print([m for m in {heavy} if m in sys.modules])"

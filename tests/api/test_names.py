@@ -59,7 +59,7 @@ def test_reading_does_not_load_the_method(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_the_interface_leaves_heavy_parts_alone() -> None:
-    heavy = ["matplotlib", "laspy", "rich", "pandas", "scipy.stats", "viser", "rosbags", "yaml"]
+    heavy = ["matplotlib", "laspy", "rich", "pandas", "scipy.stats", "rosbags", "yaml"]
     code = (
         "import sys, retropole as rp; rp.calibrate, rp.evaluate; "
         f"print([m for m in {heavy} if m in sys.modules])"

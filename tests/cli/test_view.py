@@ -1,12 +1,7 @@
-"""`retropole view` as a user runs it."""
+"""`retropole view`, and the pages of ``detect`` and ``info``, as a user gets them."""
 
 from __future__ import annotations
 
-import importlib.util
-import signal
-import subprocess
-import sys
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -15,58 +10,72 @@ import pytest
 from retropole.base.datatypes import PointCloud
 from retropole.io import write_pcd
 from tests.cli.commands import retropole_here
-from tests.report.test_viewer import two_poles
-
-VIEW = [sys.executable, "-m", "retropole", "view"]
-HAS_VISER = importlib.util.find_spec("viser") is not None
+from tests.report.pages import cloud_of
 
 
-@pytest.mark.skipif(not HAS_VISER, reason="viser is not installed (extra 'view')")
+@pytest.fixture(autouse=True)
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What a browser was asked to open."""
+    asked = list[str]()
+
+    def browse(url: str) -> bool:
+        asked.append(url)
+        return True
+
+    monkeypatch.setattr("webbrowser.open", browse)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return asked
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    write_pcd(tmp_path / "a.pcd", cloud_of(300))
+    return tmp_path / "a.pcd"
+
+
+def test_a_page_is_written_and_opened(recording: Path, opened: list[str]) -> None:
+    done = retropole_here("view", recording)
+    assert done.returncode == 0, done.stderr
+    page = Path(done.stdout.removeprefix("written: ").strip())
+    assert opened == [page.as_uri()]
+    assert "<h1>a.pcd</h1>" in page.read_text()
+    assert page.stat().st_mode & 0o077 == 0
+
+
+def test_files_of_one_name_are_named_by_their_folders(tmp_path: Path, recording: Path) -> None:
+    flat = PointCloud(np.eye(3) + 2, np.full(3, 3.0))
+    write_pcd(tmp_path / "b" / "a.pcd", flat)
+    page = tmp_path / "p.html"
+    done = retropole_here("view", recording, tmp_path / "b" / "a.pcd", "--out", page, "-q")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert f"{tmp_path / 'b' / 'a.pcd'}</h2>" in page.read_text()
+    assert "no_intensity" in page.read_text()
+
+
 @pytest.mark.full
-def test_prints_its_address_answers_and_ends_by_interrupt(tmp_path: Path) -> None:
-    write_pcd(tmp_path / "a.pcd", two_poles())
-    process = subprocess.Popen(
-        [*VIEW, str(tmp_path / "a.pcd"), "--port", "8970"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # What runs the tests in the background may have told its children to ignore it.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    assert process.stdout is not None
-    try:
-        url = process.stdout.readline().strip()
-        assert url.startswith("http://127.0.0.1:")
-        with urllib.request.urlopen(url, timeout=20) as answer:
-            assert answer.status == 200
-        process.send_signal(signal.SIGINT)
-        said, errors = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert process.returncode == 130
-    assert said == ""
-    assert "interrupted" in errors
-    assert "Traceback" not in errors
+def test_of_a_result_it_is_the_report(scene: Path, tmp_path: Path) -> None:
+    clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    assert retropole_here("calibrate", *clouds, "--out", tmp_path / "r", "-q").returncode == 0
+    page = tmp_path / "p.html"
+    done = retropole_here("view", tmp_path / "r", "--out", page)
+    assert done.returncode == 0, done.stderr
+    assert page.read_text() == (tmp_path / "r" / "report.html").read_text()
 
 
-@pytest.mark.skipif(not HAS_VISER, reason="viser is not installed (extra 'view')")
-def test_no_intensity_is_refused(tmp_path: Path) -> None:
-    cloud = PointCloud(np.random.default_rng(0).uniform(-5, 5, (50, 3)), np.full(50, 3.0))
-    write_pcd(tmp_path / "flat.pcd", cloud)
-    done = retropole_here("view", tmp_path / "flat.pcd")
-    assert done.returncode == 3
-    assert "no_intensity" in done.stderr
-
-
-@pytest.mark.skipif(HAS_VISER, reason="viser is installed")
-def test_missing_part_is_named(tmp_path: Path) -> None:
-    write_pcd(tmp_path / "a.pcd", two_poles())
-    done = retropole_here("view", tmp_path / "a.pcd")
+@pytest.mark.parametrize("name", ["a.pcd", "a.json"])
+def test_missing_file_is_named(tmp_path: Path, name: str) -> None:
+    done = retropole_here("view", tmp_path / name)
     assert done.returncode == 2
-    assert "retropole[view]" in done.stderr
+    assert name in done.stderr
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    done = retropole_here("view", tmp_path / "a.pcd")
-    assert done.returncode == 2
-    assert "a.pcd" in done.stderr
+def test_detect_and_info_write_the_page(recording: Path, tmp_path: Path, opened: list[str]) -> None:
+    page = tmp_path / "p.html"
+    done = retropole_here("info", recording, "--page", page)
+    assert done.returncode == 0, done.stderr
+    assert "written: " in done.stdout
+    assert "points     300" in page.read_text()
+    done = retropole_here("detect", recording, "--page", page, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "0 poles in" in page.read_text()
+    assert opened == []

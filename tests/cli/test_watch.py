@@ -24,7 +24,6 @@ from retropole.simulation.pairs import record_again
 from tests.cli.commands import retropole, retropole_here, transform_of
 
 pytest.importorskip("mcap")
-pytest.importorskip("websockets")
 
 watch = import_module("retropole.cli.watch")
 

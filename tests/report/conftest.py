@@ -1,4 +1,4 @@
-"""What the tests of the report and the viewer share: a browser."""
+"""What the tests of pages share: a browser."""
 
 from __future__ import annotations
 

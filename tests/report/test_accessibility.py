@@ -42,7 +42,7 @@ AUDIT = """
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 @pytest.mark.parametrize(
     ("kind", "status"),
-    [*product(("pair", "site"), STATUSES), ("pair", "missing")],
+    [*product(("pair", "site"), STATUSES), ("pair", "missing"), ("recordings", "ok")],
 )
 def test_nothing_serious_is_found(
     browser: Browser, tmp_path: Path, kind: str, status: str, size: tuple[int, int], scheme: str
@@ -68,6 +68,7 @@ def test_nothing_serious_is_found(
         browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     assert serious(found["violations"]) == []
+    assert kind != "recordings" or found["violations"] == []
 
 
 def serious(violations: list[dict[str, Any]]) -> list[str]:

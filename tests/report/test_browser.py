@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,12 +15,12 @@ import pytest
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
-from retropole.report import render_report, render_site
+from retropole.report import render_recordings, render_report, render_site
 from retropole.result import ReasonDoc
 from retropole.simulation import simulate_pair
 from tests.report.browser import Browser, Picture, needs_browser
 from tests.report.made_up import HOSTILE, made_up
-from tests.report.pages import of_each_kind, page_of
+from tests.report.pages import cloud_of, of_each_kind, page_of
 from tests.report.site.made_up import document_of, made_up_site
 from tests.tiers import first_of
 
@@ -337,3 +338,51 @@ def test_paper_shows_every_pose_in_light_colours(browser: Browser, tmp_path: Pat
     browser.run("dispatchEvent(new Event('afterprint'))")
     assert browser.root("theme") == "dark"
     assert browser.run("return document.querySelectorAll('details.lidar[open]').length") == 0
+
+
+def move_slider(browser: Browser, value: float) -> None:
+    browser.run(
+        "const s = document.querySelector('#threshold'); s.value = arguments[0];"
+        "for (const what of ['input', 'change']) s.dispatchEvent(new Event(what));",
+        value,
+    )
+
+
+@pytest.mark.parametrize("kind", ["webgl", "top"])
+def test_a_threshold_is_moved(browser: Browser, tmp_path: Path, kind: str) -> None:
+    html = render_recordings(["a.pcd", "b.pcd"], [Scan(cloud_of(6000)), Scan(cloud_of(500))])
+    if kind == "top":
+        # A browser without WebGL; the page's policy lets only its own code in.
+        html = html.replace('getContext("webgl2"', 'getContext("none"')
+        html = re.sub(r"script-src [^;]*;", "script-src 'unsafe-inline';", html)
+    browser.open(tmp_path, html)
+    assert browser.root("view") == kind
+
+    def told() -> str:
+        return str(browser.find("#level").text)
+
+    def orange() -> float:
+        picture = browser.picture()
+        return float(np.mean(picture[..., 0] - picture[..., 2] > 120))
+
+    assert told().endswith(": 600 points")
+    bright = orange()
+    assert bright > 0.001
+    move_slider(browser, 0.9)
+    assert told() == "0.9: 600 points"
+    move_slider(browser, 0.3)
+    assert 600 < int(told().split()[1].replace(",", "")) < 6000
+    assert "0.3 or brighter" in browser.find("#state").text
+    assert orange() > 1.5 * bright
+    assert browser.find("#threshold").get_attribute("aria-valuetext") == told()
+    browser.find('[data-lidar="1"]').click()
+    assert told().endswith(": 50 points")
+    browser.find('[data-lidar="0"]').click()
+    assert told().startswith("0.3: ")
+
+
+@pytest.mark.full
+def test_a_recording_without_tape_has_no_threshold(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_recordings(["a.pcd"], [Scan(PointCloud(cloud_of(90).xyz))]))
+    assert not browser.find("#threshold").is_displayed()
+    assert "tell no tape" in browser.find("#state").text

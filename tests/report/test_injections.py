@@ -1,18 +1,17 @@
-"""No text of a document, a file, a topic or a frame becomes code in the report or the viewer."""
+"""No text of a document, a file, a topic or a frame becomes code in a page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from retropole.base.datatypes import Detection, PointCloud, RejectedCluster
-from retropole.report import render_report, render_site
-from retropole.report.viewer import Shown, Viewer, serve
+from retropole.base.datatypes import Detection, PointCloud, RejectedCluster, Scan
+from retropole.base.errors import visible
+from retropole.report import render_recordings, render_report, render_site
 from tests.report.browser import Browser, WebDriverWait, needs_browser
 from tests.report.hostile import hostile_pair, hostile_site
 from tests.report.injections import INJECTIONS, ONLY_TEXT, injection
@@ -141,41 +140,20 @@ def test_no_text_runs_in_any_place_of_the_report(
 NAMES = [injection(k) for k in range(len(INJECTIONS))]
 
 
-@pytest.fixture(scope="module")
-def hostile_viewer() -> Iterator[Viewer]:
-    """A viewer of clouds by every name, in each of which clusters are rejected for every reason."""
-    pytest.importorskip("viser", reason="viser is not installed (extra 'view')")
-    count = 0
-
-    def found(_: float | None) -> Detection:
-        nonlocal count
-        count += 3
+def test_no_text_runs_in_the_page_of_recordings(browser: Browser, tmp_path: Path) -> None:
+    """Of clouds by every name, in each of which clusters are rejected for every reason."""
+    cloud, scans = PointCloud(np.eye(3), np.arange(3.0)), []
+    for k in range(0, 3 * len(NAMES), 3):
         rejected = tuple(
             RejectedCluster(np.arange(3), np.zeros(3), cast("Any", injection(j)), injection(j + 5))
-            for j in range(count, count + 3)
+            for j in range(k, k + 3)
         )
-        return Detection((), rejected, 200.0, injection(count), 9)
-
-    cloud = PointCloud(np.eye(3), np.arange(3.0))
-    served = serve([Shown(name, cloud, found) for name in NAMES], port=9010)
-    yield served
-    served.stop()
-
-
-# The browser ends first: viser waits for the connections that it holds ready.
-def test_no_text_runs_in_the_viewer(hostile_viewer: Viewer, browser: Browser) -> None:
-    browser.driver.get(hostile_viewer.url)
-    text = "return document.body.textContent"
-    WebDriverWait(browser.driver, 60).until(
-        lambda _: browser.run(text).count("rejected:") == len(NAMES)
-    )
-    # An address in words becomes a link; where it leads is what is read.
-    links = "return [...document.querySelectorAll('a[href]')].map((a) => a.href)"
-    assert {link.partition("/")[0] for link in browser.run(links)} <= {"https:"}
+        scans.append(Scan(cloud, detection=Detection((), rejected, 1.5, injection(k), 9)))
+    browser.open(tmp_path, render_recordings(NAMES, scans, NAMES))
     press_all(browser)
-    seen = browser.run(text)
-    assert [name for name in NAMES if name.replace("\x00", "\ufffd") not in seen] == []
+    browser.run("for (const e of document.querySelectorAll('.toolbar button')) e.click();")
+    seen = browser.run("return document.body.textContent")
+    assert [name for name in NAMES if visible(name) not in seen] == []
     assert ran(browser) == set()
     assert browser.run("return document.querySelectorAll('iframe, object, base').length") == 0
-    own = hostile_viewer.url.split("/")[2]
-    assert [url for url in browser.logs()[1] if own not in url] == []
+    assert browser.logs() == ([], [])

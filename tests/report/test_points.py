@@ -16,6 +16,7 @@ from retropole.report.points import (
     pack_cloud,
 )
 from tests.report.made_up import made_up
+from tests.report.pages import cloud_of
 
 
 def target_scan(count: int) -> Scan:
@@ -80,3 +81,20 @@ def test_intensity_that_says_nothing_is_left_out() -> None:
     varied = pack_cloud(PointCloud(xyz, np.arange(50.0)), max_points=100).intensity
     assert varied is not None
     assert len(base64.b64decode(varied)) == 50
+
+
+def test_intensities_are_kept_in_full_and_bright_points_before_others() -> None:
+    cloud = cloud_of(2000)
+    assert cloud.intensity is not None
+    packed = pack_cloud(cloud, max_points=600, threshold=0.5)
+    assert packed.levels is not None
+    values = np.frombuffer(base64.b64decode(packed.levels.values), "<u2")
+    levels = packed.levels.low + (packed.levels.high - packed.levels.low) * values / 65535
+    assert np.all(levels[:200] > 0.5)
+    assert np.all(levels[200:] < 0.5)
+    assert (packed.levels.low, packed.levels.high) == (cloud.intensity.min(), 0.9)
+    nearest = np.abs(unpacked(packed)[:, None] - cloud.xyz).sum(axis=2).argmin(axis=1)
+    assert np.allclose(levels, cloud.intensity[nearest], atol=1e-5)
+    assert pack_cloud(cloud, max_points=600).levels is None
+    bare = PointCloud(cloud.xyz)
+    assert pack_cloud(bare, max_points=600, threshold=0.5).levels is None

@@ -14,12 +14,12 @@ from msgspec.structs import replace
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.errors import visible
-from retropole.report import render_report, render_site
+from retropole.report import render_recordings, render_report, render_site
 from retropole.report.view import MAX_PAIR_POINTS
 from retropole.result import PlacementDoc, PolesDoc, ResultDoc, RunConfig, StagesDoc, encode
 from tests.report.hostile import hostile_pair, hostile_site
 from tests.report.made_up import HOSTILE, Page, made_up, placement_of
-from tests.report.pages import of_each_kind, page_of, subject_of, with_each_verdict
+from tests.report.pages import cloud_of, of_each_kind, page_of, subject_of, with_each_verdict
 from tests.report.site.made_up import document_of, made_up_site
 
 MOST_BYTES = 20e6
@@ -227,3 +227,16 @@ def test_notes_stand_before_the_verdict(kind: str) -> None:
     page = Page(page_of(kind, notes=(HOSTILE,)))
     sentence = {"pair": "Points up to 30 m away", "site": "Calibrated: "}[kind]
     assert page.text.index("window.injected") < page.text.index(sentence)
+
+
+def test_the_page_of_recordings_says_what_was_found() -> None:
+    page = Page(page_of("recordings"))
+    assert page.open == []
+    assert "2 poles in" in page.text
+    assert "no_intensity: it has none." in page.text
+    assert "frames  1\nrings  64" in page_of("recordings")
+    links = {str(attributes["href"])[1:] for tag, attributes in page.tags if tag == "a"}
+    assert links == {"main", "view-title", "recording-0", "recording-1", "recording-2"}
+    alone = render_recordings(["front.pcd"], [Scan(cloud_of(300))])
+    assert "<h1>front.pcd</h1>" in alone
+    assert "data-lidar" not in alone.split("<script")[0]

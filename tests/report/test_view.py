@@ -9,15 +9,22 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.base import se3
-from retropole.base.datatypes import Placement, Scan
+from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import view
 from retropole.report.plan import Plan, plan_of
 from retropole.report.subject import Subject, of_pair, of_site
-from retropole.report.view import MAX_CONTRADICTING, PageView, embed_json, page_view
+from retropole.report.view import (
+    MAX_CONTRADICTING,
+    PageView,
+    embed_json,
+    page_view,
+    recordings_view,
+)
 from retropole.result import ResultDoc
 from retropole.simulation import simulate_pair
 from retropole.surfaces.consistency import contradicting_points, standing_in
 from tests.report.made_up import AS_SHOWN, HOSTILE, T_TRUE, made_up
+from tests.report.pages import cloud_of
 from tests.report.site.made_up import document_of, made_up_site
 from tests.report.test_points import unpacked
 
@@ -135,3 +142,19 @@ def test_a_refused_site_has_clouds_without_poses() -> None:
     assert [each.T for each in made.lidars] == [None] * 3
     assert len(made.clouds[0].poles) == 2
     assert page_view(of_site(document), plan_of(document)) is None
+
+
+def test_recordings_begin_with_the_threshold_of_the_search_or_of_the_cloud() -> None:
+    searched = made_up().placements[0].target
+    assert searched.detection is not None
+    alike = PointCloud(np.eye(3), np.ones(3))
+    scans = [searched, Scan(cloud_of(500)), Scan(alike), Scan(PointCloud(np.eye(3)))]
+    view = recordings_view(["a", "b", "c", "d"], scans)
+    first, second, *others = [cloud.points.levels for cloud in view.clouds]
+    assert first is not None
+    assert second is not None
+    assert first.threshold == searched.detection.threshold
+    assert 0.4 < second.threshold <= 0.9
+    assert others == [None, None]
+    assert [pole.label for pole in view.clouds[0].poles] == ["pole 0", "pole 1"]
+    assert view.clouds[0].rejected

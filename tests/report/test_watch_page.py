@@ -13,14 +13,11 @@ import pytest
 
 from retropole.base.uncertainty import ErrorAtRange
 from retropole.base.uncertainty.purpose import Need
-from retropole.report.watch_page import watch_page
-from retropole.report.watch_server import WatchServer, serve_watch
+from retropole.report.watch_server import WatchServer, watch_page
 from retropole.result.watching import LidarNow, PoleNow, WatchDoc
 from tests.report.browser import Browser, WebDriverWait, needs_browser
 from tests.report.hostile import everywhere
 from tests.report.made_up import HOSTILE, Page
-
-pytest.importorskip("websockets")
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
 
@@ -138,7 +135,7 @@ class Watch:
         self.doc: WatchDoc = PLACING
         self.is_stuck = False
         self.asked = 0
-        self.server: WatchServer = serve_watch(self.state)
+        self.server: WatchServer = WatchServer(self.state)
 
     def state(self) -> bytes:
         self.asked += 1
@@ -209,17 +206,17 @@ def text(browser: Browser) -> str:
 
 
 def test_the_page_is_one_file_that_runs_its_own_code_alone() -> None:
-    page = watch_page()
-    tags = [(tag, a) for tag, a in Page(page.html).tags]
+    html, policy = watch_page()
+    tags = [(tag, a) for tag, a in Page(html).tags]
     assert [tag for tag, a in tags if a.get("src") or tag in ("iframe", "img", "base")] == []
     links = [link for _, a in tags if (link := a.get("href"))]
     assert all(link.startswith(("#", "data:")) for link in links)
     assert not any("style" in a or any(name.startswith("on") for name in a) for _, a in tags)
-    assert "unsafe" not in page.policy
-    assert len(re.findall(r"'sha256-[\w+/]{43}='", page.policy)) == 2
-    assert "innerHTML" not in page.html
-    assert not re.search(r"\$(style|script)", page.html), "no place of the template is left"
-    assert len(page.html) < 40_000
+    assert "unsafe" not in policy
+    assert len(re.findall(r"'sha256-[\w+/]{43}='", policy)) == 2
+    assert "innerHTML" not in html
+    assert not re.search(r"\$(style|script)", html), "no place of the template is left"
+    assert len(html) < 40_000
 
 
 # --- in a browser --------------------------------------------------------------------------------
@@ -322,7 +319,7 @@ def test_before_anything_comes(page: Browser, watch: Watch) -> None:
 @pytest.mark.full
 def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) -> None:
     open_page(page, watch, CAPTURING)
-    port, token = int(re.findall(r":(\d+)/", watch.server.url)[0]), watch.server._token
+    port, token = int(re.findall(r":(\d+)/", watch.server.url)[0]), watch.server.path.strip("/")
     watch.server.stop()
     lost = wait_for(page, "Connection lost, trying again", 8)
     assert lost[:2] == ("lost", "No connection")
@@ -334,7 +331,7 @@ def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) 
         assert page.run(LUMINANCE)[0][0] >= 7.0
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("secrets.token_urlsafe", lambda _: token)
-        watch.server = serve_watch(watch.state, port=port)
+        watch.server = WatchServer(watch.state, port=port)
     assert wait_for(page, CAPTURING.next)[0] == "good"
     assert "seen last" not in text(page)
     watch.is_stuck = True

@@ -45,17 +45,26 @@ def describe(
     ReadError, UsageError, MissingExtraError
         As `io.read_cloud`.
     """
+    return look_into(path, topic=topic, frames=frames, unit=unit)[0]
+
+
+def look_into(
+    path: str | Path, *, topic: str | None = None, frames: slice | None = None, unit: Unit = "m"
+) -> tuple[InfoDoc, list[PointCloud]]:
+    """Describe a recording as `describe`, and give the clouds that were read."""
     path = Path(path)
     topics = topics_of(path)
     names: list[str | None] = [topic]
     if topic is None:
         names = [own.name for own in topics if own.of_clouds and own.count] or [None]
     read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS, unit=unit)
-    return InfoDoc(
+    found = [read(topic=name) for name in names]
+    document = InfoDoc(
         path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
-        clouds=[_cloud(read(topic=name)) for name in names],
+        clouds=[_cloud(each) for each in found],
     )
+    return document, [each.cloud for each in found]
 
 
 def _cloud(read: ReadRecording) -> CloudDoc:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ..base.datatypes import Detection
 from ..base.errors import Refusal
 from ..extraction.poles import extract_poles
@@ -78,10 +76,3 @@ def detect_in(given: Input, radius: float) -> Detection:
     except Refusal as refusal:
         hint = intensity_hint(refusal.code, [given])
         raise Refusal(refusal.code, refusal.message + hint, refusal.values) from None
-
-
-def finder(given: Input, radius: float) -> Callable[[float | None], Detection]:
-    """Give what finds the poles of a radius, metres, in a cloud, from a threshold up or its own."""
-    return lambda threshold: extract_poles(
-        given.cloud, sensor=given.sensor, threshold=threshold, radius=radius
-    )

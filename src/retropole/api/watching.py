@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
@@ -32,34 +32,77 @@ from ..io.live import Source as Source
 from ..io.live import names_of as names_of
 from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
+from ..planning.live_advice import Advice, Outcome, advice_after, advise, keep_still, outcome_of
+from ..planning.live_poles import (
+    SWEEPS,
+    Capture,
+    Tracked,
+    View,
+    Watched,
+    angle_between,
+    begun,
+    is_elsewhere,
+    present,
+    seen_now,
+    take,
+)
 from ..report.field_test import render_field_test
 from ..result import RunConfig, encode, pole_documents
 from ..result.folder import CERTIFICATE
+from ..result.pole_plan import PolePlanDoc
 from ..result.watching import Phase, WatchDoc
-from ..watching.advice import Advice, View, advise
-from ..watching.capture import Capture, begun, is_elsewhere
-from ..watching.outcome import Outcome, advice_after, keep_still, outcome_of
-from ..watching.seeing import Tracked, angle_between, present
 from . import certification
 from .background import in_background
 from .calibration import calibrate_with
-from .checking import CheckResult, check_recordings
+from .checking import CheckResult, Stored, check_recordings
 from .result import CalibrationResult
-from .watch_state import Watched, checked_words, seen_now, take
-from .watch_state import Wish as Wish
 
 RECORDING = "placement{}.mcap"
 """What the recording of a placement is called, from 1."""
 
 WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
 
-LOGGED = 40
-"""Lines that are kept of what happened."""
-
-AGAIN = 5.0
-"""What could not be written is tried again after so long, s."""
-
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for of a watch.
+
+    Attributes
+    ----------
+    config
+        As of a calibration: radius, sensors, thresholds, the need.
+    names
+        What words call target and source.
+    sweeps
+        Of each LiDAR that are kept of a placement.
+    plan
+        Where the poles should stand; with its names of the LiDARs as `names`.
+    stored
+        A result to test the rig against, instead of a calibration.
+    """
+
+    config: RunConfig
+    names: tuple[str, str] = ("target", "source")
+    sweeps: int = SWEEPS
+    plan: PolePlanDoc | None = None
+    stored: Stored | None = None
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises
+        ------
+        UsageError
+            Where the plan has no LiDARs of these names.
+        """
+        planned = None if self.plan is None else {each.name for each in self.plan.lidars}
+        if planned is not None and not planned >= set(self.names):
+            raise UsageError(
+                f"the plan is for {', '.join(sorted(planned))}: name both LiDARs so, not "
+                f"{' and '.join(self.names)}"
+            )
 
 
 class Watch:
@@ -106,7 +149,7 @@ class Watch:
             Watched(source, View(name), sensor_or_auto(how.sensor), how.threshold)
             for source, name, how in zip(sources, wish.names, read, strict=True)
         ]
-        self._words: deque[str] = deque(maxlen=LOGGED)
+        self._words: deque[str] = deque(maxlen=40)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
         # What is full, and could not be written yet.
@@ -333,7 +376,8 @@ class Watch:
         words = f"{why}. Make room: {what} kept in memory, and written as soon as that can be."
         if self._no_room is None:
             self._note(words)
-        self._no_room = Advice("not_written", words), now + AGAIN
+        # It is tried again 5 s later.
+        self._no_room = Advice("not_written", words), now + 5.0
         return self._no_room[0]
 
     def _record(self, capture: Capture) -> tuple[Path, str]:
@@ -472,3 +516,10 @@ def _is_still(path: Path, own: str) -> bool:
         return sha256_of(path) == own
     except ReadError:
         return False
+
+
+def checked_words(checked: CheckResult) -> str:
+    """Say what a check found."""
+    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
+    said = " ".join(reason.message for reason in checked.reasons[:1])
+    return words.get(checked.status, f"Cannot tell: {said}")

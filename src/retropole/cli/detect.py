@@ -9,7 +9,7 @@ import click
 
 from ..result import RunConfig
 from .common import listening, say, show
-from .options import CLOUD, run_option, run_options
+from .options import CLOUD, FILE, run_option, run_options
 from .out import out_folder
 
 PICTURE = "detect.svg"
@@ -25,6 +25,7 @@ PICTURE = "detect.svg"
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit")
+@click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
 @click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
@@ -32,6 +33,7 @@ PICTURE = "detect.svg"
 def detect(
     file: Path,
     out: Path,
+    page: Path | None,
     plan: Path | None,
     lidar: str | None,
     as_json: bool,
@@ -40,12 +42,14 @@ def detect(
 ) -> int:
     """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
-    Writes a picture, detect.svg.
+    Writes a picture, detect.svg, and with --page a page that shows the cloud in any browser, as
+    view does.
 
     \b
     Examples:
       retropole detect front.pcd
       retropole detect front.pcd --threshold 120 --out look
+      retropole detect front.pcd --page front.html
       retropole detect front.pcd --json | jq .poles
       retropole detect drive.bag --topic /front --frames 0:20
       retropole detect front.pcd --plan retropole-plan
@@ -60,7 +64,10 @@ def detect(
 
     from ..api.detection import detect_in
     from ..api.inputs import input_documents, read_input
+    from ..base.datatypes import Scan
     from ..base.errors import printable
+    from ..base.files import write_atomically
+    from ..report import render_recordings
     from ..report.detection import draw_detection
     from ..report.text import describe_detection
     from ..result import encode
@@ -82,12 +89,17 @@ def detect(
         found = detect_in(given, config.radius_m)
         listener.progress("draw")
         draw_detection(given.cloud, found, out / PICTURE, title=printable(file.name))
+        written = [str(out / PICTURE)]
+        if page is not None:
+            scan = Scan(given.cloud, given.sensor, found)
+            write_atomically(page, render_recordings([file.name], [scan]).encode())
+            written.append(str(page))
     used = replace(given, threshold=found.threshold)
     result = detection_document(found, input_documents([used])[0])
     if as_json:
         show(encode(result))
     elif not quiet:
-        show(describe_detection(result, [str(out / PICTURE)]))
+        show(describe_detection(result, written))
     if wanted is not None and not quiet:
         from ..api.plan_checking import against
 

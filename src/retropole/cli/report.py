@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -68,36 +69,14 @@ def report(
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.stored import decode_any, loaded, placements_of
-    from ..api.stored_site import scans_of
     from ..base.files import write_atomically
-    from ..report import render_report, render_site
-    from ..result import ResultDoc
-    from ..result.folder import REPORT_FILE, SITE_REPORT_FILE, result_file
+    from ..result.folder import result_file
 
     file = result_file(result)
     beside = nullcontext() if out else alone_beside(file)
     with beside, progress_on_terminal(quiet) as progress:
-        document = loaded(file, decode_any)
-        if isinstance(document, ResultDoc):
-            if serials:
-                raise click.UsageError(
-                    "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
-                )
-            placements = placements_of(document, file.parent, clouds, progress)
-            name, notes = REPORT_FILE, placements.notes
-            of_pair = serial_target or "", serial_source or ""
-            page = render_report(
-                document, placements.placements, notes=notes, site=site or "", serials=of_pair
-            )
-        else:
-            if serial_target or serial_source:
-                raise click.UsageError("of a site, --serial LIDAR NUMBER gives a serial number")
-            scans = scans_of(document, file.parent, clouds, progress)
-            name, notes = SITE_REPORT_FILE, scans.notes
-            page = render_site(
-                document, scans.scans, notes=notes, site=site or "", serials=dict(serials)
-            )
+        of_pair = serial_target or "", serial_source or ""
+        page, name, notes = page_of(file, clouds, progress, site or "", of_pair, dict(serials))
         progress("write")
         out = out or file.with_name(name)
         write_atomically(out, page.encode())
@@ -106,3 +85,36 @@ def report(
     if not quiet:
         show_written(out)
     return 0
+
+
+def page_of(
+    file: Path,
+    clouds: Sequence[Path],
+    progress: Callable[[str], None],
+    site: str = "",
+    of_pair: tuple[str, str] = ("", ""),
+    of_site: Mapping[str, str] | None = None,
+) -> tuple[str, str, Sequence[str]]:
+    """Make the report of a result document: the page, what its file is called, and notes on it."""
+    from ..api.stored import decode_any, loaded, placements_of
+    from ..api.stored_site import scans_of
+    from ..report import render_report, render_site
+    from ..result import ResultDoc
+    from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
+
+    document = loaded(file, decode_any)
+    if isinstance(document, ResultDoc):
+        if of_site:
+            raise click.UsageError(
+                "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
+            )
+        read = placements_of(document, file.parent, clouds, progress)
+        page = render_report(
+            document, read.placements, notes=read.notes, site=site, serials=of_pair
+        )
+        return page, REPORT_FILE, read.notes
+    if any(of_pair):
+        raise click.UsageError("of a site, --serial LIDAR NUMBER gives a serial number")
+    found = scans_of(document, file.parent, clouds, progress)
+    page = render_site(document, found.scans, notes=found.notes, site=site, serials=of_site)
+    return page, SITE_REPORT_FILE, found.notes

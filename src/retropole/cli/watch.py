@@ -36,15 +36,6 @@ if TYPE_CHECKING:
 
 CHECKED = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
-TERMINATED = 128 + 15
-
-SHORTEST = 0.02
-"""A step takes no less, s, where nothing comes."""
-
-PAGE_SECONDS = 3.0
-"""The page is served for so much longer, s, so that it shows the end."""
-
-
 GRACE = 2.0
 """What is under way when a signal comes may take so long, s: then it waits for a file that never
 ends, or for a program that does not answer, and is broken off."""
@@ -155,8 +146,8 @@ def watch(
       SOURCES
 
     The page for a phone is for this computer alone (127.0.0.1), or with --listen for the local
-    network: with a secret address that is shown as a QR code, and a certificate of its own, which
-    the phone asks to trust. Needs the extra 'live'; for packets 'velodyne' or 'ouster' too.
+    network, at a secret address that is shown as a QR code. It is not encrypted. Needs the extra
+    'live' for topics, bags and the QR code; for packets 'velodyne' or 'ouster'.
 
     \b
     Examples:
@@ -233,9 +224,11 @@ def watch(
                     else:
                         made.withdraw()
                 if not made.is_over:
-                    stopped.wait(max(SHORTEST - (time.monotonic() - begun), 0.0))
+                    # A step takes no less, where nothing comes.
+                    stopped.wait(max(0.02 - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
-            stopped.wait(PAGE_SECONDS)
+            # So that the page shows the end.
+            stopped.wait(3.0)
         if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
@@ -265,7 +258,7 @@ def _until_signal() -> Iterator[Stopped]:
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def stop(number: int, frame: object) -> None:
-        stopped.code = EXIT_INTERRUPTED if number == signal.SIGINT else TERMINATED
+        stopped.code = EXIT_INTERRUPTED if number == signal.SIGINT else 128 + 15
         stopped.set()
         for each, handler in before.items():
             signal.signal(each, handler)
@@ -288,19 +281,12 @@ def _until_signal() -> Iterator[Stopped]:
 
 def _served(state: Callable[[], bytes], port: int, *, listen: bool) -> WatchServer:
     """Serve the page, and say where it is."""
-    from ..report.watch_certificate import local_address, own_certificate, qr_code
-    from ..report.watch_server import serve_watch
+    from ..report.watch_server import WatchServer, local_address, qr_code
 
-    if not listen:
-        server = serve_watch(state, port=port)
-        show(server.url)
-        return server
-    host = local_address()
-    certificate = own_certificate(host, None)
-    server = serve_watch(state, host=host, port=port, certificate=certificate)
-    show(qr_code(server.url))
+    server = WatchServer(state, host=local_address() if listen else "127.0.0.1", port=port)
+    if listen:
+        show(qr_code(server.url))
     show(server.url)
-    say(f"The certificate that the phone asks to trust has SHA-256 {certificate.fingerprint}")
     return server
 
 

@@ -152,13 +152,6 @@ def frame_of(
     with naming(where), reported(CLOUDS):
         # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
-    return frame_of_message(source, topic, number, stamp, message)
-
-
-def frame_of_message(source: str, topic: str, number: int, stamp: int, message: Any) -> Frame:
-    """Take the points of a message that is decoded; see `frame_of`."""
-    where = f"message {number} of {topic}"
-    with naming(where), reported(CLOUDS):
         columns = columns_of(message)
     cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
     frame_id = shortened(message.header.frame_id, LONGEST_NAME)

@@ -24,6 +24,11 @@ def describe_info(document: InfoDoc) -> str:
     return "\n".join(parts)
 
 
+def describe_cloud(cloud: CloudDoc) -> str:
+    """Write what is in the frames of a file, or of one topic of a bag."""
+    return "\n".join(_cloud_lines(legible(cloud)))
+
+
 def _cloud_lines(cloud: CloudDoc) -> list[str]:
     read = "" if cloud.frames_read == cloud.frames else f" ({cloud.frames_read} read"
     if read:

@@ -14,10 +14,13 @@ from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc
+from ..result.contents import RejectedDoc
 from ..result.site import FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc, TestDoc
 from .subject import Subject, hypothesis_name, pair_name
 
 POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
+
+REJECTED_COLUMNS = "mark; code; reason; points; x, m; y, m; z, m"
 
 DEGREES = 180 / np.pi
 
@@ -56,6 +59,12 @@ def pole_row(name: str, pole: PoleDoc) -> list[str]:
     return [name, *numbers(pole.point_m, 3), *size, number(pole.rms_m, 1, 1000)]
 
 
+def rejected_row(mark: str, cluster: RejectedDoc) -> list[str]:
+    """Write why a cluster was rejected, in the order of `REJECTED_COLUMNS`."""
+    said = (cluster.code, cluster.reason, str(cluster.points))
+    return [mark, *said, *numbers(cluster.centre_m, 2)]
+
+
 def numbers(values: Array, digits: int) -> list[str]:
     """Write several numbers with the same digits."""
     return [number(value, digits) for value in values]
@@ -74,15 +83,11 @@ def poles(subject: Subject, k: int) -> Listing:
 def rejected(subject: Subject, k: int) -> Listing:
     """List the rejected clusters of a LiDAR, each with its mark in the view and its reason."""
     rows = [
-        [
-            *(*place, rejected_mark(k, i), cluster.code, cluster.reason, cluster.points),
-            *numbers(cluster.centre_m, 2),
-        ]
+        [*place, *rejected_row(rejected_mark(k, i), cluster)]
         for place, each in _recorded(subject, k)
         for i, cluster in enumerate(each.rejected)
     ]
-    names = "mark; code; reason; points; x, m; y, m; z, m"
-    return _of_placements(f"Rejected clusters of {subject.called(k)}", names, rows, 3)
+    return _of_placements(f"Rejected clusters of {subject.called(k)}", REJECTED_COLUMNS, rows, 3)
 
 
 def _recorded(subject: Subject, k: int) -> Iterator[tuple[list[str], FoundDoc]]:

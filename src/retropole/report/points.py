@@ -43,11 +43,33 @@ class PackedPoints(msgspec.Struct, frozen=True):
     size: list[float]
 
 
+class Levels(msgspec.Struct, frozen=True):
+    """Intensities of packed points, for a threshold that the reader of the page moves.
+
+    Attributes
+    ----------
+    values
+        Base64 of little-endian uint16 (n,); an intensity is ``low + (high - low) value / 65535``.
+    low, high, median
+        Of the whole cloud.
+    threshold
+        The one to begin with.
+    """
+
+    values: str
+    low: float
+    high: float
+    median: float
+    threshold: float
+
+
 class PackedCloud(PackedPoints, frozen=True):
     """A cloud for the page's own code.
 
     Attributes
     ----------
+    levels
+        Intensities in full; None where the page has no threshold to move.
     intensity
         Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None where that says nothing.
     on_poles
@@ -58,6 +80,7 @@ class PackedCloud(PackedPoints, frozen=True):
         (3,) where the beams start, and what to look at: (3,) its centre and its radius, metres.
     """
 
+    levels: Levels | None
     intensity: str | None
     on_poles: int
     shown: int
@@ -92,7 +115,11 @@ def _draw(ranges: Array, others: IntpArray, room: int) -> IntpArray:
 
 
 def pack_cloud(
-    cloud: PointCloud, detection: Detection | None = None, *, max_points: int
+    cloud: PointCloud,
+    detection: Detection | None = None,
+    *,
+    max_points: int,
+    threshold: float | None = None,
 ) -> PackedCloud:
     """Pack a cloud for the page.
 
@@ -105,6 +132,9 @@ def pack_cloud(
         before all others.
     max_points
         At most this many points are packed.
+    threshold
+        Intensity from which points are kept before those that are dimmer, up to half of all, and
+        from which the reader of the page may move it; None where he may not.
     """
     offset = cloud.xyz - cloud.origin
     ranges = np.sqrt(np.einsum("ij,ij->i", offset, offset))
@@ -114,6 +144,10 @@ def pack_cloud(
     kept = np.concatenate([poles, rejected])
     rest = near.copy()
     rest[kept] = False
+    if threshold is not None and cloud.intensity is not None:
+        bright = np.flatnonzero(rest & (cloud.intensity >= threshold))
+        kept = np.concatenate([kept, _draw(ranges, bright, (max_points - len(kept)) // 2)])
+        rest[kept] = False
     drawn = _draw(ranges, np.flatnonzero(rest), max_points - len(kept))
     shown = np.concatenate([kept, drawn])
 
@@ -124,6 +158,7 @@ def pack_cloud(
     farthest = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
     return PackedCloud(
         xyz=packed.xyz,
+        levels=_levels(cloud.intensity, shown, threshold),
         intensity=_intensity(cloud.intensity, shown),
         low=packed.low,
         size=packed.size,
@@ -143,6 +178,15 @@ def pack_points(xyz: Array) -> PackedPoints:
     size = np.maximum(xyz.max(axis=0) - low, 1e-3) if len(xyz) else np.ones(3)
     quantised = np.rint((xyz - low) * (COORDINATE_STEPS / size)).astype("<u2")
     return PackedPoints(base64.b64encode(quantised.tobytes()).decode(), low.tolist(), size.tolist())
+
+
+def _levels(intensity: Array | None, shown: IntpArray, threshold: float | None) -> Levels | None:
+    if intensity is None or threshold is None:
+        return None
+    values = np.nan_to_num(intensity)
+    low, median, high = map(float, np.quantile(values, [0.0, 0.5, 1.0]))
+    steps = np.rint((values[shown] - low) * (COORDINATE_STEPS / (high - low))).astype("<u2")
+    return Levels(base64.b64encode(steps.tobytes()).decode(), low, high, median, threshold)
 
 
 def _intensity(intensity: Array | None, shown: IntpArray) -> str | None:

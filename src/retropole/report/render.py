@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from ..base.datatypes import Placement
+from ..base.datatypes import Placement, Scan
+from ..base.quantities import counted
 from ..result import ResultDoc
-from ..result.site import SiteDoc
+from ..result.site import SiteDoc, found_document
 from . import listings
 from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
-from .listings import Listing
+from .listings import (
+    POLE_COLUMNS,
+    REJECTED_COLUMNS,
+    Listing,
+    columns,
+    pole_row,
+    rejected_mark,
+    rejected_row,
+)
 from .map import pairs, site_map
 from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
 from .plan import plan_of
@@ -19,7 +28,7 @@ from .poses import certainty, certificate, poses, transform
 from .recorded import missing_poles, poles, run
 from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
 from .verdict import next_steps, verdict
-from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
+from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view, recordings_view
 
 HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
 """Of a part of the page: its id, and its title."""
@@ -109,6 +118,57 @@ def render_site(
     return _render(of_site(document, scans, serials), notes, place=site)
 
 
+def render_recordings(
+    names: Sequence[str], scans: Sequence[Scan], texts: Sequence[str] = ()
+) -> str:
+    """Render recordings as one HTML page: each cloud, and the points from a threshold up.
+
+    Parameters
+    ----------
+    names
+        What each recording is called.
+    scans
+        What was recorded, and what was found or why nothing could be; without either it was not
+        searched for poles.
+    texts
+        Of each what is said about it, line by line.
+
+    Returns
+    -------
+    str
+        The page, as of `render_report`.
+    """
+    view = recordings_view(names, scans)
+    sections = [
+        fill("recording", k=k, name=name, body=join(_recorded(k, name, scan, text)))
+        for k, (name, scan, text) in enumerate(
+            zip(names, scans, texts or [""] * len(names), strict=True)
+        )
+    ]
+    heading = names[0] if len(names) == 1 else f"{len(names)} recordings"
+    parts = [viewer(view), *sections]
+    return render_page("recordings", heading, "", "", EMPTY, parts, view=view)
+
+
+def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
+    """Say of a recording what was found in it."""
+    detection, found = scan.detection, found_document(scan)
+    if scan.refusal is not None:
+        yield fill("alert", value=f"{scan.refusal.code}: {scan.refusal.message}.")
+    if detection is not None and found is not None:
+        bright = counted(detection.retro_points, "retro-reflective point")
+        where = f"{detection.threshold:g} up ({detection.threshold_source})"
+        yield fill("p", text=f"{counted(len(found.poles), 'pole')} in {bright} from {where}.")
+        rows = [pole_row(f"pole {i}", pole) for i, pole in enumerate(found.poles)]
+        yield listed(Listing(f"Poles in {name}", columns(POLE_COLUMNS), rows))
+        rows = [rejected_row(rejected_mark(k, i), each) for i, each in enumerate(found.rejected)]
+        yield listed(
+            Listing(f"Rejected clusters in {name}", columns(REJECTED_COLUMNS), rows, (1, 2))
+        )
+    if text:
+        yield fill("text-block", name=name, text=text)
+
+
 def _render(
     subject: Subject,
     notes: Sequence[str],
@@ -128,7 +188,7 @@ def _render(
         transform(subject, curve),
         poses(subject, curve),
         site_map(subject, plan),
-        viewer(subject, view),
+        viewer(view),
         next_steps(subject),
         hypotheses(subject.pair),
         certainty(subject),
@@ -203,16 +263,18 @@ def render_page(
     return fill_page("report.html", ("style.css",), code, escaped, share_styles())
 
 
-def viewer(subject: Subject, view: PageView | None) -> Html:
+def viewer(view: PageView | None) -> Html:
     """Write the view of the clouds, with a button for each LiDAR and each of several placements."""
     if view is None:
         return EMPTY
-    pair = subject.pair is not None
+    pair, recordings = view.kind == "pair", view.kind == "recordings"
+    title = "Recordings" if recordings else "LiDARs"
+    keys_of = view.kind if pair or recordings else "site"
     lidars, keys = EMPTY, list("ts" if pair else "123456789") + [""] * len(view.lidars)
     for k, lidar in enumerate(view.lidars):
         key = fill("key", key=keys[k]) if keys[k] else EMPTY
         name = lidar.name.capitalize() if pair else lidar.name
-        button = fill("lidar-button", k=k, key=key, colour=colour_class(k), name=name)
+        button = fill("lidar-button", k=k, key=key, colour=colour_class(lidar.colour), name=name)
         lidars = join((lidars, button))
     places = [
         fill("placement-button", j=j, key=fill("key", key=f"Shift+{j + 1}"), name=name)
@@ -221,8 +283,11 @@ def viewer(subject: Subject, view: PageView | None) -> Html:
     return fill(
         "viewer",
         modes=fill("modes") if pair else EMPTY,
-        lidars=lidars,
+        threshold=fill("threshold") if recordings else EMPTY,
+        lidars=EMPTY
+        if recordings and len(view.lidars) == 1
+        else fill("lidar-buttons", title=title, buttons=lidars),
         placements=fill("placement-buttons", buttons=join(places)) if places[1:] else EMPTY,
-        keys=fill("keys-of-pair" if pair else "keys-of-site"),
+        keys=fill(f"keys-of-{keys_of}"),
         shown=view.shown,
     )

@@ -12,6 +12,7 @@ from ..base import se3
 from ..base.datatypes import Array, Scan
 from ..base.errors import visible
 from ..base.quantities import counted
+from ..base.sensors import auto_threshold
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..surfaces.consistency import contradicting_points, standing_in
 from .page import Html
@@ -24,6 +25,9 @@ MAX_CLOUD_POINTS = 100_000
 
 MAX_PAIR_POINTS, MAX_SITE_POINTS = 600_000, 1_500_000
 """Points of all clouds together: the page of a pair stays under 8 MB, of a site under 20 MB."""
+
+MAX_RECORDING_POINTS = 300_000
+"""Points of each cloud in the page of recordings, about 3.6 MB."""
 
 SEEN_SIGMA = 0.7
 """The ellipsoid is enlarged by a power of ten until its longest half axis is about so long, metres.
@@ -105,8 +109,8 @@ class PageView(msgspec.Struct, frozen=True):
     Attributes
     ----------
     kind
-        ``pair``, ``site``, or ``alone`` where a site has no poses and each LiDAR is shown by
-        itself.
+        ``pair``, ``site``; ``alone`` where a site has no poses and each LiDAR is shown by itself;
+        or ``recordings``, which are shown so, too.
     poles
         Of the whole site, in the plan.
     poses, ellipsoid, places
@@ -195,6 +199,41 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
         radius,
         _shown(clouds),
     )
+
+
+def recordings_view(names: Sequence[str], scans: Sequence[Scan]) -> PageView:
+    """Pack recordings, each in its own frame and with a threshold to move where it has tape."""
+    budget = min(MAX_RECORDING_POINTS, MAX_SITE_POINTS // len(scans))
+    clouds = []
+    for k, scan in enumerate(scans):
+        packed = pack_cloud(
+            scan.cloud, scan.detection, max_points=budget, threshold=_threshold(scan)
+        )
+        ends = [(pole.point, pole.direction, pole.length) for pole in scan.poles]
+        lines = [_line(0, *each, f"pole {i}") for i, each in enumerate(ends)]
+        clouds.append(CloudView(k, 0, packed, lines, _marks(scan), {}))
+    return PageView(
+        kind="recordings",
+        status="",
+        lidars=[LidarView(name, 0, None) for name in names],
+        placements=[""],
+        clouds=clouds,
+        poles=[],
+        poses=[],
+        ellipsoid=None,
+        places=[],
+        centre=np.zeros(3),
+        radius=SHOWN_RADIUS[0],
+        shown=_shown(clouds),
+    )
+
+
+def _threshold(scan: Scan) -> float | None:
+    """Intensity from which poles were searched for, or would be; None where there is none."""
+    level = scan.cloud.intensity
+    if level is None or not np.ptp(level) > 0:
+        return None
+    return auto_threshold(level).value if scan.detection is None else scan.detection.threshold
 
 
 ESCAPES = re.compile(r"\\(?:([uUx][0-9a-f]{2,8})|.)")

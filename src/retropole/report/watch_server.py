@@ -1,240 +1,249 @@
-"""Serve the page of a watch and its state to those who know its address, on one address alone.
+"""The page of `retropole watch`, served to those who know its address, and how a phone finds it.
 
-One request a connection, few connections, and none for long: whoever else is in the network can
-neither read it nor keep others from it for more than moments.
+The page holds nothing of a watch itself: it fetches ``state`` beside it, a `WatchDoc`, again and
+again. One request a connection, few connections, and none for long: whoever else is in the network
+can neither ask for it without its address nor keep others from it for more than moments. It is
+plain HTTP: who can read the traffic of the network reads it, too.
 """
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import secrets
 import socket
-import threading
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
+from itertools import zip_longest
+from socketserver import TCPServer, ThreadingMixIn
+from string import Template
+from threading import Thread
+from time import monotonic
 
 from ..base.errors import MissingExtraError, UsageError
-from .viewer_access import REFUSED, address_of, ip_of, knows, seal
-from .watch_page import watch_page
-
-if TYPE_CHECKING:
-    import ssl
-
-    from websockets.http11 import Request
-
-    from .watch_certificate import Certificate
+from .page import asset, source_of
 
 MOST_CONNECTIONS, MOST_OF_ONE = 64, 16
 """Connections at once, in all and of one address other than this machine's own."""
 
-WAITING = 256
-"""Connections that wait to be accepted; for those beyond, the other side tries again later."""
-
 LONGEST_SECONDS = 5.0
 """From when a connection is accepted to when it is closed."""
 
-LARGEST_REQUEST = 16_384
-"""Bytes of a request line with its headers."""
-
-HTML, JSON, TEXT = "text/html; charset=utf-8", "application/json", "text/plain; charset=utf-8"
-
-# What others send is no line on a terminal.
-_LOG = logging.getLogger(__name__)
-_LOG.addHandler(logging.NullHandler())
+REFUSED = b"Open the address as printed.\n"
+"""The answer to those who do not know it."""
 
 
-class WatchServer:
-    """A page of a watch that is served by a thread of its own, until it is stopped.
+@cache
+def watch_page() -> tuple[str, str]:
+    """Put the page together; and its policy, which allows its own style and code, by their hashes,
+    and the state."""
+    template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
+    policy = (
+        f"default-src 'none'; script-src {source_of(script)}; style-src {source_of(style)}; "
+        "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )
+    return Template(template).substitute(style=style, script=script), policy
+
+
+class WatchServer(ThreadingMixIn, TCPServer):
+    """A page of a watch that is served by threads of its own, until it is stopped.
+
+    Parameters
+    ----------
+    state
+        Gives the `WatchDoc` of now, as JSON; it is called by a thread that serves, for each
+        request, and has to be quick.
+    host
+        The IP address of this machine to listen on, and no other.
+    port
+        0 for any that is free.
 
     Attributes
     ----------
     url
         Where the page is. Whoever knows it sees the watch.
+
+    Raises
+    ------
+    UsageError
+        Where the address cannot be listened on.
     """
 
+    allow_reuse_address = True
+    # For those beyond, the other side tries again later.
+    request_queue_size = 256
+
     def __init__(
-        self,
-        state: Callable[[], bytes],
-        listener: socket.socket,
-        address: str,
-        context: ssl.SSLContext | None,
+        self, state: Callable[[], bytes], *, host: str = "127.0.0.1", port: int = 0
     ) -> None:
-        self._token = secrets.token_urlsafe(16)
-        self._origin = f"{'https' if context else 'http'}://{address}"
-        self.url = f"{self._origin}/{self._token}/"
-        self._state, self._address, self._context = state, address, context
-        self._listener = listener
-        self._open: Counter[str] = Counter()
-        self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(lambda _, what: _LOG.debug("%s", what["message"]))
-        self._accepting = self._loop.create_task(self._accept())
-        self._thread = threading.Thread(target=self._run, name="watch server", daemon=True)
+        try:
+            address = ip_address(host)
+        except ValueError:
+            raise UsageError(f"{host!r} is no IP address") from None
+        if address.is_unspecified:
+            raise UsageError(
+                f"{host} stands for all addresses of this machine: name the one to use"
+            )
+        self.state = state
+        self._open: dict[socket.socket, tuple[str, float]] = {}
+        self.address_family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
+        try:
+            super().__init__((host, port), _Answering)
+        except OSError as error:
+            raise UsageError(f"port {port} of {host}: {error.strerror}") from None
+        where = f"[{host}]" if address.version == 6 else host
+        own = self.server_address[1]
+        # As browsers write it: without the port that the protocol has by default.
+        self.host = where if own == 80 else f"{where}:{own}"
+        self.path = f"/{secrets.token_urlsafe(16)}/"
+        self.url = f"http://{self.host}{self.path}"
+        self._thread = Thread(target=self.serve_forever, args=[0.1], daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Stop serving: all connections are closed, and the port is free."""
-        if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._accepting.cancel)
-            self._thread.join()
+        self.shutdown()
+        self._thread.join()
+        self._close_older(0.0)
+        self.server_close()
 
-    def _run(self) -> None:
-        with self._listener, suppress(asyncio.CancelledError):
-            self._loop.run_until_complete(self._accepting)
-        self._loop.close()
+    def verify_request(self, request: object, client_address: object) -> bool:
+        """Accept a connection where there are not too many."""
+        assert isinstance(request, socket.socket)
+        assert isinstance(client_address, tuple)
+        host = client_address[0]
+        hosts = [each for each, _ in list(self._open.values())]
+        most = MOST_CONNECTIONS if ip_address(host).is_loopback else MOST_OF_ONE
+        if len(hosts) >= MOST_CONNECTIONS or hosts.count(host) >= most:
+            return False
+        self._open[request] = host, monotonic()
+        return True
 
-    async def _accept(self) -> None:
-        async with asyncio.TaskGroup() as connections:
-            while True:
-                try:
-                    connection, (host, *_) = await self._loop.sock_accept(self._listener)
-                except OSError:
-                    # Out of files, or gone before it was accepted.
-                    await asyncio.sleep(0.1)
-                    continue
-                most = MOST_CONNECTIONS if ip_address(host).is_loopback else MOST_OF_ONE
-                if self._open.total() >= MOST_CONNECTIONS or self._open[host] >= most:
-                    connection.close()
-                    continue
-                self._open[host] += 1
-                connections.create_task(self._serve(connection, host))
+    def service_actions(self) -> None:
+        """Close what is open for too long, which ends its thread: called again and again."""
+        self._close_older(LONGEST_SECONDS)
 
-    async def _serve(self, connection: socket.socket, host: str) -> None:
-        """Answer one request, in the time that there is."""
-        try:
-            async with asyncio.timeout(LONGEST_SECONDS):
-                await self._converse(connection)
-        except Exception as error:
-            _LOG.debug("a connection failed: %s", error)
-        finally:
-            self._open[host] -= 1
-            # An address that is gone is not counted for ever.
-            self._open += Counter()
+    def _close_older(self, seconds: float) -> None:
+        for connection, (_, since) in list(self._open.items()):
+            if monotonic() - since >= seconds:
+                with suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
-    async def _converse(self, connection: socket.socket) -> None:
-        reader = asyncio.StreamReader(LARGEST_REQUEST)
-        protocol = asyncio.StreamReaderProtocol(reader)
-        # By default it waits 30 s for the other side's farewell.
-        farewell = None if self._context is None else 1.0
-        transport, _ = await self._loop.connect_accepted_socket(
-            lambda: protocol, connection, ssl=self._context, ssl_shutdown_timeout=farewell
-        )
-        writer = asyncio.StreamWriter(transport, protocol, reader, self._loop)
-        try:
-            writer.write(self._answer(await _received(reader)))
-            writer.close()
-            await writer.wait_closed()
-        finally:
-            transport.abort()
+    def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
+        """Let go of a connection."""
+        super().shutdown_request(request)
+        if isinstance(request, socket.socket):
+            self._open.pop(request, None)
 
-    def _answer(self, request: Request | HTTPStatus) -> bytes:
-        if isinstance(request, HTTPStatus):
-            return _response(request, REFUSED.encode())
-        if not self._may_see(request):
-            return _response(HTTPStatus.FORBIDDEN, REFUSED.encode())
-        if request.path == f"/{self._token}/":
-            page = watch_page()
-            return _response(HTTPStatus.OK, page.html.encode(), HTML, page.policy)
-        if request.path == f"/{self._token}/state":
-            return _response(HTTPStatus.OK, self._state(), JSON)
-        return _response(HTTPStatus.NOT_FOUND, b"There is no such page.\n")
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Write nothing: what others send is no line on a terminal."""
 
-    def _may_see(self, request: Request) -> bool:
+
+class _Answering(BaseHTTPRequestHandler):
+    """Answers one request, and closes the connection."""
+
+    server: WatchServer
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        """Give the page or the state to who may see it."""
+        own = self.server.path
+        if not self._may_see():
+            self._answer(HTTPStatus.FORBIDDEN, REFUSED)
+        elif self.path == own:
+            html, policy = watch_page()
+            self._answer(HTTPStatus.OK, html.encode(), "text/html; charset=utf-8", policy)
+        elif self.path == f"{own}state":
+            self._answer(HTTPStatus.OK, self.server.state(), "application/json")
+        else:
+            self._answer(HTTPStatus.NOT_FOUND, b"There is no such page.\n")
+
+    def _may_see(self) -> bool:
         """Refuse who does not know the token, other pages, other names (DNS rebinding), sockets."""
-        headers = request.headers
+        headers, host, own = self.headers, self.server.host, self.server.path
+        given = self.path[: len(own)].encode("utf-8", "replace")
         return (
-            knows(request, self._token, self._address)
-            and set(headers.get_all("Origin")) <= {self._origin}
+            secrets.compare_digest(given, own.encode())
+            and headers.get_all("Host") == [host]
+            and set(headers.get_all("Origin", [])) <= {f"http://{host}"}
             # Not sent by all browsers, nor over http to other machines. Another port of this one is
             # the same site.
-            and set(headers.get_all("Sec-Fetch-Site")) <= {"same-origin", "none"}
+            and set(headers.get_all("Sec-Fetch-Site", [])) <= {"same-origin", "none"}
             and "Upgrade" not in headers
         )
 
+    def _answer(
+        self, status: int, body: bytes, kind: str = "text/plain", policy: str = "default-src 'none'"
+    ) -> None:
+        self.send_response_only(status)
+        for name, value in {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+            # A page loads what its policy allows alone, is kept nowhere, and does not tell its
+            # address.
+            "Content-Security-Policy": policy,
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff",
+        }.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
 
-async def _received(reader: asyncio.StreamReader) -> Request | HTTPStatus:
-    """Read a request; the status that refuses it where it is none that could be answered."""
-    from websockets.http11 import Request
-    from websockets.server import ServerProtocol
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what is no request, or another than GET."""
+        self._answer(code, REFUSED)
 
-    try:
-        head = await reader.readuntil(b"\r\n\r\n")
-    except asyncio.LimitOverrunError:
-        return HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
-    if not head.startswith(b"GET "):
-        return HTTPStatus.METHOD_NOT_ALLOWED
-    protocol = ServerProtocol(logger=_LOG)
-    protocol.receive_data(head)
-    first = next(iter(protocol.events_received()), None)
-    return first if isinstance(first, Request) else HTTPStatus.BAD_REQUEST
-
-
-def _response(
-    status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "default-src 'none'"
-) -> bytes:
-    from websockets.datastructures import Headers
-    from websockets.http11 import Response
-
-    headers = Headers()
-    headers["Content-Type"] = kind
-    headers["Content-Length"] = str(len(body))
-    headers["Connection"] = "close"
-    if status == HTTPStatus.METHOD_NOT_ALLOWED:
-        headers["Allow"] = "GET"
-    seal(headers, policy)
-    headers["Cross-Origin-Resource-Policy"] = "same-origin"
-    return bytes(Response(status.value, status.phrase, headers, body).serialize())
+    def log_message(self, format: str, *args: object) -> None:
+        """Write nothing."""
 
 
-def serve_watch(
-    state: Callable[[], bytes],
-    *,
-    host: str = "127.0.0.1",
-    port: int = 0,
-    certificate: Certificate | None = None,
-) -> WatchServer:
-    """Serve the page of a watch, in the background.
+def local_address() -> str:
+    """Tell the address of this machine in the local network; nothing is sent.
 
-    Parameters
-    ----------
-    state
-        Gives the `WatchDoc` of now, as JSON; it is called by the thread that serves, for each
-        request, and has to be quick.
-    host
-        The IP address to listen on, and no other; for one that is not this machine's alone there
-        has to be a certificate.
-    port
-        0 for any that is free.
-    certificate
-        None to serve without encryption.
+    Raises
+    ------
+    UsageError
+        Where it is in none.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        try:
+            # A datagram socket sends nothing to connect: it only chooses the way, here to an
+            # address for documentation (RFC 5737), which is that to any other machine.
+            asked.connect(("192.0.2.1", 9))
+            address = str(asked.getsockname()[0])
+        except OSError:
+            address = "127.0.0.1"
+    if ip_address(address).is_loopback or ip_address(address).is_unspecified:
+        raise UsageError("this machine is in no network that a phone could be in")
+    return address
+
+
+def qr_code(url: str) -> str:
+    """Draw an address for a terminal, dark on light: two modules a character.
 
     Raises
     ------
     MissingExtraError
-        Where websockets is not installed.
-    UsageError
-        Where the address cannot be listened on.
+        Where segno is not installed.
     """
     try:
-        import websockets.server  # noqa: F401
+        import segno
     except ImportError:
-        raise MissingExtraError("live", "a page that is served") from None
+        raise MissingExtraError("live", "a QR code") from None
 
-    address = ip_of(host)
-    if address.is_unspecified:
-        raise UsageError(f"{host} stands for all addresses of this machine: name the one to use")
-    if certificate is None and not address.is_loopback:
-        raise UsageError(f"{host} can be reached by others: it needs a certificate")
-    family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
-    try:
-        listener = socket.create_server((host, port), family=family, backlog=WAITING)
-    except OSError as error:
-        raise UsageError(f"port {port} of {host}: {error.strerror}") from None
-    listener.setblocking(False)
-    context = None if certificate is None else certificate.context
-    where = address_of(host, listener.getsockname()[1], 443 if context else 80)
-    return WatchServer(state, listener, where, context)
+    code = segno.make(url, error="l", micro=False)
+    # Its standard asks for four modules of light around it.
+    rows = [[bool(module) for module in row] for row in code.matrix_iter(border=4)]
+    light = [False] * len(rows[0])
+    lines = (
+        "".join(" ▄▀█"[2 * upper + lower] for upper, lower in zip(*pair, strict=True))
+        for pair in zip_longest(rows[::2], rows[1::2], fillvalue=light)
+    )
+    # Black on white, whatever the terminal's own colours are.
+    return "\n".join(f"\x1b[30;107m{line}\x1b[0m" for line in lines)

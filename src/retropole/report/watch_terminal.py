@@ -16,9 +16,6 @@ from ..base.quantities import at_most
 from ..base.uncertainty.purpose import whole_percent
 from ..result.watching import LidarNow, WatchDoc
 
-LINES = 6
-"""Of what happened that are shown."""
-
 
 def drawn(said: WatchDoc) -> RenderableType:
     """Draw the next thing to do, and below it what is seen; all words are shown as they are."""
@@ -50,7 +47,7 @@ def _below(said: WatchDoc) -> Iterator[RenderableType]:
             now = f", now {at_most(said.bound_m)}, {whole_percent(said.probability)}"
         words.append(f"needed {said.need.words}{now}")
     yield Text("; ".join(words))
-    for line in said.words[-LINES:]:
+    for line in said.words[-6:]:
         yield Text(printable(line), style="dim")
 
 

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame
-from retropole.io.live import Source, files, growing
+from retropole.io.live import Source, files
 from retropole.io.live.files import BagSource, FolderSource
 from retropole.io.ros import frame_of
 from tests.bags import CLOUDS, START, STEP, message, points_of
@@ -408,7 +408,7 @@ def test_a_record_that_no_recorder_writes_is_not_read(tmp_path: Path, kind: int)
     path = tmp_path / "run.mcap"
     for size, hole in ((2**31, 2**31), (2**31, 0), (2**63, 0)):
         with path.open("wb") as file:
-            file.write(growing.MCAP_START + struct.pack("<BQ", kind, size))
+            file.write(files.MCAP_START + struct.pack("<BQ", kind, size))
             file.truncate(file.tell() + hole)
         tracemalloc.start()
         with closing(BagSource(path)) as source, pytest.raises(ReadError, match=f"{size:,} bytes"):
@@ -422,7 +422,7 @@ def test_what_a_record_says_of_its_parts_leads_not_beyond_it(tmp_path: Path) -> 
     with path.open("wb") as file:
         # A schema of 100 bytes whose name has 1 GiB.
         record = struct.pack("<BQHI", 3, 100, 1, 2**30)
-        file.write(growing.MCAP_START + record)
+        file.write(files.MCAP_START + record)
         file.truncate(file.tell() + 2**30)
     tracemalloc.start()
     with closing(BagSource(path)) as source, pytest.raises(ReadError):

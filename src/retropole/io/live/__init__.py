@@ -12,12 +12,8 @@ from typing import Protocol
 from ...base.errors import RetropoleError, UsageError
 from ..recordings import Frame
 
-MOST_DIGITS = 20
-"""Of a port: more are none, and Python reads no more than some thousand."""
-
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
-    "rclpy:/TOPIC": "a topic of ROS 2, by the ROS installation of this computer",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
     "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
     "folder:PATH": "a folder that gets a file for each sweep",
@@ -105,10 +101,6 @@ def source_of(
         from .dds import DdsSource
 
         return DdsSource(where, domain=domain, interface=interface)
-    if kind == "rclpy":
-        from .by_rclpy import RclpySource
-
-        return RclpySource(where)
     if kind == "velodyne":
         from .udp import ALL_INTERFACES, VelodyneSource
 
@@ -188,6 +180,7 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
 
 
 def _port(text: str, port: str) -> int:
-    if not (port.isascii() and port.isdigit() and len(port) < MOST_DIGITS):
+    # Python reads no more than some thousand digits.
+    if not (port.isascii() and port.isdigit() and len(port) < 20):
         raise UsageError(f"{text!r}: {port!r} is no port, a number from 1 to 65535")
     return int(port)

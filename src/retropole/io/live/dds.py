@@ -17,19 +17,13 @@ from typing import TYPE_CHECKING, Any
 from ...base.errors import MissingExtraError, UsageError, said
 from ..recordings import CLOUDS, Frame
 from ..ros import NANOSECONDS, frame_of
-from .mailbox import QUIET
+from .replay import QUIET
 
 if TYPE_CHECKING:
     from cyclonedds.domain import DomainParticipant
 
 MOST_DOMAIN = 232
 """Of the numbers of a domain, the largest: ports follow from it."""
-
-BUFFER = "10MB"
-"""Bytes that may wait in a socket: a sweep comes as a thousand packets at once."""
-
-SAME_CLOCK = 1.0
-"""Clocks that differ by less are not worth a word, s: a sweep takes a tenth, and its way some."""
 
 
 def domain_or_default(domain: int | None) -> int:
@@ -96,7 +90,8 @@ def _configured(domain: int, interface: str | None) -> str | None:
                 "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>"
                 '<Peer address="127.0.0.1"/></Peers></Discovery>'
             )
-    buffer = f'<Internal><SocketReceiveBufferSize min="default" max="{BUFFER}"/></Internal>'
+    # A sweep comes as a thousand packets at once.
+    buffer = '<Internal><SocketReceiveBufferSize min="default" max="10MB"/></Internal>'
     return f'<CycloneDDS><Domain Id="{domain}">{networks}{discovery}{buffer}</Domain></CycloneDDS>'
 
 
@@ -285,7 +280,8 @@ class DdsSource:
         now, data = time.time_ns(), taken[-1].data
         frame = frame_of("", self.name, number, now, data, "cdr")
         apart = _clock_of(data) - now / NANOSECONDS
-        if abs(apart) < SAME_CLOCK:
+        # A sweep takes 0.1 s, and its way some.
+        if abs(apart) < 1.0:
             return frame
         way = "ahead of" if apart > 0 else "behind"
         note = f"its stamps are {abs(apart):.3g} s {way} the clock of this computer"

@@ -18,10 +18,10 @@ from ..bag_files import opened
 from ..packets import PACKETS
 from ..recordings import Frame, Recording
 from ..ros import NANOSECONDS, frame_of
-from .mailbox import QUIET
 
-FREQUENCY = 10.0
-"""Frames a second where the recording has no times: what most sensors do by default."""
+QUIET = 2.0
+"""Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
+sensors turn, ten sweeps."""
 
 Entry = tuple[float | None, Callable[[], Frame]]
 """Time of a frame, s, or None where it is not known; function that gives the frame."""
@@ -121,7 +121,8 @@ class ReplaySource:
         stamp, read = found
         if self._first is None:
             self._first = stamp
-        recorded = self._count / FREQUENCY if stamp is None else stamp - (self._first or 0.0)
+        # Where it has no times, 10 Hz: what most sensors do by default.
+        recorded = self._count / 10.0 if stamp is None else stamp - (self._first or 0.0)
         self._next = _Next(recorded / self._rate, read)
         self._count += 1
 

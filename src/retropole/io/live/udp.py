@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
-from threading import Event, Lock, Thread
+from threading import Condition, Event, Lock, Thread
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,20 +25,11 @@ from ..failures import naming, reported
 from ..fields import frame_from_columns
 from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
 from ..recordings import Frame, is_unix
-from .mailbox import QUIET, Mailbox
+from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
 Velodyne does unless it is told otherwise, comes to this address alone."""
-
-MAX_PORT = 65_535
-
-LARGEST_PACKET = 2**16
-"""Bytes that hold any UDP packet."""
-
-BUFFER = 2**23
-"""Bytes that the system is asked to hold back; it gives as many as it allows (on Linux,
-``net.core.rmem_max``)."""
 
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
@@ -48,15 +39,8 @@ WINDOW, FEWEST = 0.1, 10
 """Packets of the senders are counted over so many seconds. Who sends fewer is no sensor, which send
 30 and more: the busiest of all is taken instead."""
 
-MOST_SENDERS = 100
-"""Senders whose packets are counted apart; more have no sensor among them that would be found."""
-
 LOOK = 0.2
 """Seconds after which the thread looks whether it is to end."""
-
-SIZES = 3
-"""Kinds of wrong packets that are named."""
-
 
 Decoder = Callable[[bytes, float], Sweep | None]
 """Takes a packet of one sensor and when it came, Unix seconds; gives the sweep that it completes.
@@ -91,6 +75,39 @@ class _Came(NamedTuple):
     notes: tuple[str, ...]
 
 
+class _Mailbox:
+    """Hands the newest sweep from the thread that receives to the one that calibrates.
+
+    What was not taken before the next came is left out.
+    """
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._held: tuple[int, _Came] | None = None
+        self._count = 0
+        self._is_closed = False
+
+    def put(self, item: _Came) -> None:
+        """Put a sweep in the place of the one before."""
+        with self._changed:
+            self._held = self._count, item
+            self._count += 1
+            self._changed.notify_all()
+
+    def take(self, wait: float) -> tuple[int, _Came] | None:
+        """Take the newest sweep and its number, counted from 0; None where none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
+            held, self._held = self._held, None
+            return held
+
+    def close(self) -> None:
+        """Wake whoever waits, and forget what is held."""
+        with self._changed:
+            self._held, self._is_closed = None, True
+            self._changed.notify_all()
+
+
 class PacketSource:
     """A sensor that sends packets to a port; `VelodyneSource` and `OusterSource` are to be used.
 
@@ -121,7 +138,7 @@ class PacketSource:
         self._port, self._kind = port, kind
         self._senders = {_address(each) for each in senders}
         self._socket = _opened(port, host)
-        self._mailbox: Mailbox[_Came] = Mailbox()
+        self._mailbox = _Mailbox()
         self._closed = Event()
         self._lock = Lock()
         self._sender: tuple[str, int] | None = None
@@ -163,7 +180,7 @@ class PacketSource:
     def _wrong_in_words(self) -> str:
         if not self._wrong:
             return ""
-        came = " and ".join(size for size, _ in self._wrong.most_common(SIZES))
+        came = " and ".join(size for size, _ in self._wrong.most_common(3))
         return (
             f"{counted(self._wrong.total(), 'packet')} came, none of a {self._kind.maker}: "
             f"{self._kind.size} bytes expected, {came} came"
@@ -194,7 +211,7 @@ class PacketSource:
         with self._socket:
             while not self._closed.is_set():
                 try:
-                    packet, sender = self._socket.recvfrom(LARGEST_PACKET)
+                    packet, sender = self._socket.recvfrom(2**16)
                 except TimeoutError:
                     continue
                 except OSError:
@@ -249,7 +266,8 @@ class PacketSource:
         if counted_for >= WINDOW:
             self._counts.clear()
             self._counted_from = now
-        if len(self._counts) < MOST_SENDERS or sender in self._counts:
+        # Of more than a hundred senders no sensor would be found.
+        if len(self._counts) < 100 or sender in self._counts:
             self._counts[sender] += 1
         if taken != self._sender:
             self._sender, self._decoder = taken, None
@@ -396,11 +414,12 @@ def _named(sender: tuple[str, int]) -> str:
 
 def _opened(port: int, host: str) -> socket.socket:
     """Open a port to receive packets."""
-    if not 0 < port <= MAX_PORT:
-        raise UsageError(f"port {port}: expected 1 to {MAX_PORT}")
+    if not 0 < port < 2**16:
+        raise UsageError(f"port {port}: expected 1 to 65535")
     own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+        # The system gives as much of it as it allows (on Linux, net.core.rmem_max).
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**23)
         own.settimeout(LOOK)
         own.bind((host, port))
     except OSError as error:

@@ -1,5 +1,5 @@
 "use strict";
-// The page of a pair, of a site, or of a field test, which has no view.
+// The page of a pair, of a site, of recordings, or of a field test, which has no view.
 (() => {
   const started = performance.now();
 
@@ -33,10 +33,10 @@
 
   // --- what is shown ---
 
-  const pair = scene.kind === "pair", alone = scene.kind === "alone";
+  const pair = scene.kind === "pair", recordings = scene.kind === "recordings", alone = recordings || scene.kind === "alone";
   const first = scene.clouds[0];
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
-  const layers = { poles: true, names: true, rejected: pair, contradicting: true, ellipsoid: true, intensity: true };
+  const layers = { poles: true, names: true, rejected: pair || recordings, contradicting: true, ellipsoid: true, intensity: true };
   /** Without poses one LiDAR at a time is shown, in its own frame. */
   const lidars = scene.lidars.map((_, k) => !alone || k === first.lidar);
   const places = scene.placements.map((_, j) => j === first.placement);
@@ -50,6 +50,7 @@
     for (const cloud of scene.clouds) {
       if (!places[cloud.placement] || (alone && !isOn(cloud))) continue;
       cloud.decoded ||= decodeCloud(cloud.points);
+      cloud.threshold ??= cloud.decoded.levels?.threshold;
       cloud.denying ||= Object.fromEntries(Object.entries(cloud.contradicting).map(([pose, points]) => [pose, decodePoints(points)]));
     }
     held = scene.clouds.filter((cloud) => cloud.decoded);
@@ -81,10 +82,14 @@
   /** Pose of a LiDAR, with a pair's source where a hypothesis has it. */
   const poseOf = (lidar, T) => (pair ? [IDENTITY, T][lidar] : scene.lidars[lidar].T || IDENTITY);
 
+  /** From where on a point is bright, of 1: between two steps of what the page holds; of all other pages nothing is. */
+  function limitOf({ threshold, decoded: { levels } }) {
+    return levels ? (Math.ceil((65535 * (threshold - levels.low)) / (levels.high - levels.low) - 1e-6) - 0.5) / 65535 : 2;
+  }
   function styleOf(plain) {
     const css = (name) => `rgb(${colour(name)})`;
     return {
-      ground: colour("--view"), colours: held.map((cloud) => colourOf(cloud.lidar)), ofLidar: scene.lidars.map((_, k) => colourOf(k)),
+      ground: colour("--view"), bright: colour("--bright"), limits: held.map(limitOf), colours: held.map((cloud) => colourOf(cloud.lidar)), ofLidar: scene.lidars.map((_, k) => colourOf(k)),
       text: css("--text"), soft: css("--soft"), faint: css("--line"), denied: css("--denied"),
       visible: held.map((cloud) => (plain ? places[cloud.placement] : isOn(cloud))), shade: layers.intensity ? 1 : 0,
       size: plain ? 0.8 : state.size, dpr: ratio(), lidars: lidars.map((on) => plain || on), places, layers, plain,
@@ -114,6 +119,7 @@
   }
 
   function paint() {
+    if (!width) return;
     const style = styleOf(false), parts = panes(), context = marks.getContext("2d");
     view.paint(parts, style, height);
     context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
@@ -191,6 +197,12 @@
     const red = layers.contradicting && denied ? " Red: stands where the other LiDAR looked through." : "";
     return `After: source transformed by ${state.pose === "result" ? "the result" : poses.get(state.pose).label}.${caution}${red}${shown}`;
   }
+  function describeRecording({ lidar, threshold, decoded: { levels }, poles, rejected }) {
+    const name = `${scene.lidars[lidar].name}, in its own frame.`;
+    if (!levels) return `${name} Its intensities tell no tape.`;
+    const found = poles.length || rejected.length ? ` Poles and rejected clusters: as found from ${short(levels.threshold)} up.` : "";
+    return `${name} In colour: ${short(threshold)} or brighter.${found}`;
+  }
   function describe() {
     const names = scene.lidars.filter((_, k) => lidars[k]).map((lidar) => lidar.name);
     const chosen = scene.placements.filter((_, j) => places[j]);
@@ -198,9 +210,36 @@
     const when = chosen.length ? `placement ${chosen.join(", ")}` : "no placement";
     if (pair) return describePair() + (places.length > 1 ? ` Shown: ${when}.` : "");
     if (!alone) return `Shown: ${what}; ${when}.`;
+    if (recordings) return describeRecording(held.find(isOn));
     const none = scene.clouds.some(isOn) ? "" : " It recorded nothing there.";
     return `Refused, so there are no poses: ${what} alone, in its own frame; ${when}.${none}`;
   }
+  let shownAlone = "";
+  const short = (value) => String(Number(value.toPrecision(4)));
+  const slider = $("#threshold");
+  function tellThreshold() {
+    const { decoded: { levels }, threshold } = held.find(isOn), limit = 65535 * limitOf(held.find(isOn));
+    const bright = levels.values.reduce((sum, value) => sum + (value >= limit), 0);
+    $("#level").textContent = `${short(threshold)}: ${bright.toLocaleString("en")} points`;
+    slider.setAttribute("aria-valuetext", $("#level").textContent);
+  }
+  /** Set the slider to the threshold of the recording that is shown. */
+  function offerThreshold() {
+    if (!slider) return;
+    const { decoded: { levels }, threshold } = held.find(isOn);
+    slider.parentElement.hidden = !levels;
+    if (!levels) return;
+    const low = Math.min(levels.median, levels.threshold), high = Math.max(levels.high, levels.threshold);
+    const step = 10 ** Math.floor(Math.log10((high - low) / 200));
+    Object.assign(slider, { step, min: Math.floor(low / step) * step, max: Math.ceil(high / step) * step, value: threshold, hidden: false });
+    tellThreshold();
+  }
+  slider?.addEventListener("input", () => {
+    held.find(isOn).threshold = Number(slider.value);
+    tellThreshold();
+    repaint(false);
+  });
+  slider?.addEventListener("change", () => { $("#state").textContent = describe(); });
   function press(name, isPressed) {
     all(`button[data-${name}]`).forEach((b) => b.setAttribute("aria-pressed", String(isPressed(b.dataset[name]))));
   }
@@ -214,8 +253,9 @@
     press("lidar", (k) => lidars[k]);
     press("place", (j) => places[j]);
     if (pair) $("#pose").value = state.pose || "";
-    if (hold() || alone) view.load(decoded(), frames());
-    if (alone) view.preset("oblique");
+    const turned = alone && lidars.join() + places.join() !== shownAlone;
+    if (hold() || turned) view.load(decoded(), frames());
+    if (turned) { shownAlone = lidars.join() + places.join(); view.preset("oblique"); offerThreshold(); }
     $("#state").textContent = describe();
   }
   function setMode(mode) {

@@ -23,7 +23,8 @@ function bytesOf(text) {
 function decodeCloud(packed) {
   const xyz = new Uint16Array(bytesOf(packed.xyz).buffer);
   const intensity = packed.intensity ? bytesOf(packed.intensity) : new Uint8Array(xyz.length / 3).fill(160);
-  return { ...packed, xyz, intensity, count: xyz.length / 3 };
+  const levels = packed.levels && { ...packed.levels, values: new Uint16Array(bytesOf(packed.levels.values).buffer) };
+  return { ...packed, xyz, intensity, levels, count: xyz.length / 3 };
 }
 
 /** Decode marked points into [x, y, z], metres. */
@@ -56,24 +57,25 @@ function presetOffset(name, { centre, origin, radius: r }) {
 }
 
 const VERTEX = `
-uniform float size, dpr, scale;
+uniform float size, dpr, scale, limit;
 uniform int poles;
-attribute float intensity;
-varying float level;
+attribute float intensity, strength;
+varying float level, bright;
 void main() {
   vec4 p = modelViewMatrix * vec4(position, 1.0);
   gl_Position = projectionMatrix * p;
-  bool marked = gl_VertexID < poles;
+  bright = step(limit, strength);
+  bool marked = gl_VertexID < poles || bright > 0.5;
   level = marked ? 1.0 : intensity;
-  gl_PointSize = dpr * clamp(size * scale / -p.z, 0.8 * size, 4.0 * size) * (marked ? 1.6 : 1.0);
+  gl_PointSize = dpr * clamp(size * scale / -p.z, 0.8 * size, 4.0 * size) * (bright > 0.5 ? 2.4 : marked ? 1.6 : 1.0);
 }`;
 
 const FRAGMENT = `
-uniform vec3 colour, ground;
+uniform vec3 colour, ground, lit;
 uniform float shade;
-varying float level;
+varying float level, bright;
 void main() {
-  gl_FragColor = vec4(mix(colour, mix(ground, colour, 0.4 + 0.6 * level), shade), 1.0);
+  gl_FragColor = vec4(bright > 0.5 ? lit : mix(colour, mix(ground, colour, 0.4 + 0.6 * level), shade), 1.0);
 }`;
 
 /** Painter through WebGL; `pad` is the element that takes the pointer. */
@@ -95,10 +97,11 @@ function webglView(canvas, context, pad, clouds, frames) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(cloud.xyz, 3, true));
     geometry.setAttribute("intensity", new THREE.BufferAttribute(cloud.intensity, 1, true));
+    if (cloud.levels) geometry.setAttribute("strength", new THREE.BufferAttribute(cloud.levels.values, 1, true));
     const uniforms = {};
-    for (const name of ["size", "dpr", "scale", "shade"]) uniforms[name] = { value: 1 };
+    for (const name of ["size", "dpr", "scale", "shade", "limit"]) uniforms[name] = { value: 1 };
     uniforms.poles = { value: cloud.on_poles };
-    for (const name of ["colour", "ground"]) uniforms[name] = { value: new THREE.Vector3() };
+    for (const name of ["colour", "ground", "lit"]) uniforms[name] = { value: new THREE.Vector3() };
     const material = new THREE.ShaderMaterial({ uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT });
     const object = new THREE.Points(geometry, material);
     object.frustumCulled = false;
@@ -199,6 +202,8 @@ function webglView(canvas, context, pad, clouds, frames) {
           u.scale.value = pane.h / 60;
           u.dpr.value = style.dpr;
           u.shade.value = style.shade;
+          u.limit.value = style.limits[k];
+          u.lit.value.set(...style.bright.map((v) => v / 255));
           u.colour.value.set(...style.colours[k].map((v) => v / 255));
           u.ground.value.set(r / 255, g / 255, b / 255);
         });
@@ -290,7 +295,7 @@ function topView(canvas, pad, clouds, frames) {
             const level = 1 - style.shade * 0.6 * (1 - v / 255);
             return pack(style.colours[k].map((c, n) => Math.round(style.ground[n] + (c - style.ground[n]) * level)));
           });
-          const xyz = metres[k];
+          const xyz = metres[k], strength = cloud.levels?.values, limit = 65535 * style.limits[k], lit = pack(style.bright);
           for (let n = 0; n < cloud.count; n++) {
             const x = xyz[3 * n], y = xyz[3 * n + 1], z = xyz[3 * n + 2];
             const X = T[0][0] * x + T[0][1] * y + T[0][2] * z + T[0][3];
@@ -298,7 +303,7 @@ function topView(canvas, pad, clouds, frames) {
             const u = ((at[0] - pane.x + A[0] * X + A[1] * Y) * dpr) | 0;
             const v = ((at[1] - pane.y + A[2] * X + A[3] * Y) * dpr) | 0;
             if (u < 0 || v < 0 || u >= w - dot || v >= h - dot) continue;
-            const value = shades[cloud.intensity[n]];
+            const value = strength && strength[n] >= limit ? lit : shades[cloud.intensity[n]];
             for (let b = 0; b < dot; b++) for (let a = 0; a < dot; a++) pixels[(v + b) * w + u + a] = value;
           }
         });
@@ -370,6 +375,8 @@ function drawMarks(context, pane, lens, scene, held, style) {
   const { halo, trace, line, spot, label } = penFor(context, lens, style.ground);
   const css = (lidar) => `rgb(${style.ofLidar[lidar].join(",")})`;
   const { layers, plain } = style, named = layers.names && !plain, near = scene.kind !== "site";
+  // Of recordings the points are looked at, and not where the poles of two LiDARs coincide.
+  const slim = scene.kind === "recordings" ? 0.5 : 1;
   const shown = held.map((cloud, n) => ({ cloud, T: pane.poses[n] })).filter(({ T }, n) => T && style.visible[n]);
   const side = (lidar) => (lidar % 2 ? 1 : -1);
   context.save();
@@ -381,7 +388,7 @@ function drawMarks(context, pane, lens, scene, held, style) {
   /** Draw a pole; of two LiDARs the first one's line is the wider, so that both are seen where they coincide. */
   function drawPole(ends, text, colour, lidar) {
     const first = scene.kind === "pair" && lidar === 0;
-    line(ends, colour, (first ? 7 : 3) * (plain ? 0.6 : 1), [], first ? 3 : 1);
+    line(ends, colour, (first ? 7 : 3) * (plain ? 0.6 : slim), [], first ? 3 : 1);
     const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
     if (seen && named) label(text, [seen[0] + 8 * side(lidar), seen[1] - 10], colour, lidar % 2 ? "left" : "right", near ? 13 : 11, !near);
   }
@@ -457,8 +464,8 @@ function drawMarks(context, pane, lens, scene, held, style) {
     for (const cluster of layers.rejected && !plain ? cloud.rejected : []) {
       const c = spot(to(cluster.at));
       if (!c) continue;
-      const arms = lidar % 2 ? [[7, 0], [0, 7]] : [[5, 5], [5, -5]];  // + and ×
-      for (const [width, stroke] of [[5, halo], [2.5, colour]]) {
+      const arms = lidar % 2 ? [[7 * slim, 0], [0, 7 * slim]] : [[5 * slim, 5 * slim], [5 * slim, -5 * slim]];  // + and ×
+      for (const [width, stroke] of [[5 * slim, halo], [2.5 * slim, colour]]) {
         context.beginPath();
         for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
         context.lineWidth = width; context.strokeStyle = stroke; context.stroke();

@@ -1,0 +1,471 @@
+"""Sweeps as they come: the poles in each, which of them is which, whether it stands still, and the
+sweeps that are kept while all do."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.datatypes import Detection, PointCloud, Pole
+from ..base.errors import ReadError, Refusal, quoting
+from ..base.se3 import lengths
+from ..base.sensors import Sensor
+from ..extraction.candidates import with_candidates, with_dimmer_candidates
+from ..extraction.poles import extract_poles
+from ..hypotheses.correspondence import line_pair, widest_angle
+from ..io import Frame
+from ..io.live import Source
+from ..result.watching import LidarNow, PoleNow
+from ..verdict import FEW_POINTS, FEW_RINGS
+
+STILL = 1.0
+"""A pole that stood where it does for so long stands still, s."""
+
+MOVED, MOVED_FAR = 0.06, 0.004
+"""A pole moved where the middle or an end of its returns lies so far from its line before, metres,
+and so much more a metre of range: lines of one sweep scatter by half of that on simulated poles
+(benchmarks/watch.py, seeds to 99)."""
+
+SAME = 0.5
+"""What lies no farther from where a pole was is that pole, metres: somebody carries it."""
+
+LATELY, REMEMBERED = 1.0, 30.0
+"""A pole is there that was seen so lately, and is missed for so long after, s: one at the limit of
+what can be found is not in every sweep."""
+
+SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
+"""Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
+differ by less; nearer to parallel than the last, rad, the distance is that of parallel lines."""
+
+SWEEPS = 15
+"""Of each LiDAR that are kept of a placement."""
+
+LEAST_SECONDS = 3.0
+"""They take no less, s: of sweeps that come faster more are kept, and a sway shows."""
+
+MOST_SWEEPS = 150
+"""More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
+
+ELSEWHERE = 0.3
+"""A pole that stands so far from where it was, metres, or one more, is another placement."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """A pole followed from sweep to sweep.
+
+    Attributes
+    ----------
+    number
+        From 1, by the order of appearance; kept while it is remembered.
+    pole
+        As it was last seen.
+    rest
+        As it was seen when it came to rest.
+    since, seen
+        When it came to rest, and when it was last seen, s.
+    has_moved
+        Whether it was seen to move before it came to rest.
+    """
+
+    number: int
+    pole: Pole
+    rest: Pole
+    since: float
+    seen: float
+    has_moved: bool = False
+
+    def is_still(self, now: float) -> bool:
+        """Whether it has stood where it does for `STILL`."""
+        return self.seen - self.since >= STILL and now - self.seen <= LATELY
+
+    @property
+    def distance(self) -> float:
+        """Of the pole from the LiDAR, metres; beams start near the origin."""
+        return float(np.linalg.norm(self.pole.point))
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A sweep that was searched for poles.
+
+    Attributes
+    ----------
+    at
+        When it came, s.
+    cloud
+        The sweep.
+    poles
+        That it shows.
+    refusal
+        Why it could not be searched.
+    doubtful, why, dim
+        Where fewer than two poles are found: lines that may be poles, in words why each is doubted,
+        and lines whose tape is too dim for the threshold.
+    threshold
+        Intensity from which a return counted as tape; NaN where it was not searched.
+    """
+
+    at: float
+    cloud: PointCloud
+    poles: tuple[Pole, ...] = ()
+    refusal: Refusal | None = None
+    doubtful: tuple[Pole, ...] = ()
+    why: tuple[str, ...] = ()
+    dim: tuple[Pole, ...] = ()
+    threshold: float = float("nan")
+
+
+def look(
+    cloud: PointCloud,
+    at: float,
+    *,
+    sensor: Sensor | None,
+    threshold: float | None,
+    radius: float,
+) -> Looked:
+    """Search one sweep for poles, and where too few are found for what may be one."""
+    try:
+        found = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
+        if len(found.poles) > 1:
+            return Looked(at, cloud, found.poles, threshold=found.threshold)
+        doubtful = with_candidates(cloud, found, radius, sensor)
+        dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
+    except Refusal as refusal:
+        return Looked(at, cloud, refusal=refusal)
+    sure = _apart(doubtful.candidates, found)
+    return Looked(
+        at,
+        cloud,
+        found.poles,
+        doubtful=sure,
+        why=tuple(_why(each, doubtful) for each in sure),
+        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, sure)),
+        threshold=found.threshold,
+    )
+
+
+def _why(pole: Pole, found: Detection) -> str:
+    """Why a candidate is no pole: what was said of the cluster with most of its returns."""
+    shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
+    return max(shared, default=(0, ""))[1]
+
+
+def _apart(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
+    """Those that are none of the poles."""
+    return tuple(each for each in candidates if not _is_any(each, found.poles))
+
+
+def _is_any(pole: Pole, others: Sequence[Pole]) -> bool:
+    return any(away_from(pole, other) < SAME for other in others)
+
+
+def away_from(pole: Pole, other: Pole) -> float:
+    """Largest distance of the middle and the ends of a pole's returns from the line of another."""
+    along = pole.direction * pole.length / 2
+    points = np.stack([pole.point, pole.point - along, pole.point + along]) - other.point
+    beside = points - np.outer(points @ other.direction, other.direction)
+    return float(lengths(beside).max())
+
+
+def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
+    """Follow the poles that were known into a sweep; new ones get the lowest free number."""
+    left = list(tracks)
+    followed = list[Tracked]()
+    fresh = list[Pole]()
+    for pole in looked.poles:
+        near = [(float(np.linalg.norm(pole.point - t.pole.point)), t) for t in left]
+        gap, known = min(near, key=lambda each: each[0], default=(np.inf, None))
+        # Of a tall pole other parts may be seen in the next sweep.
+        if known is None or gap > SAME + pole.length / 2:
+            fresh.append(pole)
+            continue
+        left.remove(known)
+        limit = MOVED + MOVED_FAR * known.distance
+        if away_from(pole, known.rest) > limit:
+            followed.append(Tracked(known.number, pole, pole, looked.at, looked.at, has_moved=True))
+        else:
+            followed.append(replace(known, pole=pole, seen=looked.at))
+    followed += [each for each in left if looked.at - each.seen <= REMEMBERED]
+    taken = {each.number for each in followed}
+    for pole in fresh:
+        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
+        taken.add(number)
+        followed.append(Tracked(number, pole, pole, looked.at, looked.at))
+    return tuple(sorted(followed, key=lambda each: each.number))
+
+
+def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
+    """Those that were seen lately."""
+    return tuple(each for each in tracks if now - each.seen <= LATELY)
+
+
+def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
+    """How far away what stands before a pole is, metres; None where nothing does.
+
+    0 where it is too near to be measured.
+    """
+    seen = cloud.xyz - cloud.origin
+    ranges = lengths(seen)
+    to = pole.xyz - cloud.origin
+    away = float(np.median(lengths(to)))
+    middle = to.mean(axis=0) / np.linalg.norm(to.mean(axis=0))
+    half = np.arctan2(pole.length / 2, away)
+    level = np.cross(middle, pole.direction)
+    sine = float(np.linalg.norm(level))
+    if sine < 1e-3:
+        return None
+    # The pole is a strip: along it as far as its returns, across it as far as what may hide it.
+    # That is 0.4 m nearer, three returns at least.
+    beams = seen / ranges[:, None]
+    across = np.abs(beams @ (level / sine))
+    ahead = beams @ middle
+    beside = np.radians(1.5)
+    strip = (across < np.sin(beside)) & (ahead > np.cos(half + beside))
+    before = strip & (ranges < away - 0.4)
+    if np.count_nonzero(before) < 3:
+        # With so few returns at any distance, something is nearer than the LiDAR measures.
+        return 0.0 if np.count_nonzero(strip) < 0.1 * len(pole.xyz) else None
+    return float(np.median(ranges[before]))
+
+
+def is_same_pair(one: tuple[Pole, Pole], other: tuple[Pole, Pole]) -> bool:
+    """Whether two LiDARs may see the same two poles: lines at the same angle and distance."""
+    (angle, gap), (other_angle, other_gap) = _relation(*one), _relation(*other)
+    return abs(angle - other_angle) < SAME_ANGLE and abs(gap - other_gap) < SAME_GAP
+
+
+def _relation(a: Pole, b: Pole) -> tuple[float, float]:
+    """Angle between two lines, rad, and their least distance, metres."""
+    angle = widest_angle([a.direction, b.direction])
+    if np.sin(angle) < PARALLEL:
+        return angle, float(np.linalg.norm(np.cross(b.point - a.point, a.direction)))
+    pair = line_pair(a.point, a.direction, b.point, b.direction)
+    return pair.angle, pair.distance
+
+
+def angle_between(poles: Sequence[Pole]) -> float | None:
+    """Largest angle between any two poles, rad; None of fewer than two."""
+    return widest_angle([each.direction for each in poles]) if len(poles) > 1 else None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A LiDAR and what it sees now.
+
+    Attributes
+    ----------
+    name
+        What words call it.
+    tracks
+        The poles that it saw lately.
+    looked
+        Its newest sweep that was searched; None before the first.
+    silent
+        Why nothing comes; empty while sweeps come.
+    fault
+        What is wrong with what comes; empty where nothing is.
+    """
+
+    name: str
+    tracks: tuple[Tracked, ...] = ()
+    looked: Looked | None = None
+    silent: str = ""
+    fault: str = ""
+
+
+def word_on(track: Tracked, now: float) -> str:
+    """What is wrong with a pole, in two or three words; empty where nothing is."""
+    if now - track.seen > LATELY:
+        return "lost"
+    if not track.is_still(now):
+        return "moving" if track.has_moved else "new"
+    if len(track.pole.xyz) < FEW_POINTS:
+        return "few returns"
+    return "few rings" if track.pole.rings <= FEW_RINGS else ""
+
+
+class Origin(NamedTuple):
+    """Where sweeps come from: the name of their frame, and who sends their packets."""
+
+    frame_id: str
+    sender: str
+
+    @property
+    def words(self) -> str:
+        """Both as text."""
+        frame = f"frame {self.frame_id!r}" if self.frame_id else ""
+        return " ".join(filter(None, (self.sender, frame))) or "a frame without a name"
+
+
+@dataclass
+class Watched:
+    """What is known of a LiDAR while it is watched: its sweeps are searched as of this sensor, from
+    this intensity up. Once a placement is kept, sweeps of another origin are not of this LiDAR."""
+
+    source: Source
+    view: View
+    sensor: Sensor | None
+    threshold: float | None
+    origin: Origin | None = None
+    kept: Origin | None = None
+    came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+
+    @property
+    def frame_id(self) -> str | None:
+        """Of the newest sweep, empty where it names none; None before the first sweep."""
+        return self.origin.frame_id if self.origin else None
+
+
+class Taken(NamedTuple):
+    """What came of a LiDAR: a sweep that was searched, or None; what is to be said of it; whether
+    it is of another frame than those before."""
+
+    searched: Frame | None = None
+    said: tuple[str, ...] = ()
+    is_of_another_frame: bool = False
+
+
+def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
+    """Take the newest sweep of a LiDAR, and search it.
+
+    Parameters
+    ----------
+    lidar
+        Its view is brought up to date.
+    radius
+        Of the poles, metres.
+    clock
+        Gives the time, s.
+    busy
+        Search but rarely.
+    """
+    view = lidar.view
+    try:
+        frame = lidar.source.newest(0.05)
+    except ReadError as error:
+        lidar.view = replace(view, fault=str(error))
+        return Taken(said=() if view.fault == str(error) else (str(error),))
+    if frame is None:
+        lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
+        return Taken()
+    now = clock()
+    said, is_other = list[str](), False
+    origin = Origin(frame.frame_id, frame.sender)
+    if lidar.origin != origin:
+        said += frame.cloud.notes
+        is_other = lidar.origin is not None
+        if is_other:
+            said.append(f"its sweeps come from {origin.words} now")
+        lidar.origin = origin
+    if lidar.kept not in (None, origin):
+        fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
+        lidar.view = replace(view, fault=fault)
+        return Taken(None, tuple(said), is_other)
+    lidar.came.append((now, frame.number))
+    # While the answer is worked out, both share the time.
+    if busy and view.looked is not None and now - view.looked.at < 0.8:
+        return Taken(None, tuple(said), is_other)
+    if not len(frame.cloud):
+        lidar.view = replace(view, fault="its sweep has no returns")
+        return Taken(None, tuple(said), is_other)
+    looked = look(frame.cloud, now, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
+    tracks = follow(view.tracks, looked)
+    lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
+    return Taken(frame, tuple(said), is_other)
+
+
+def seen_now(lidar: Watched, now: float) -> LidarNow:
+    """Say what a LiDAR sees now."""
+    view, looked = lidar.view, lidar.view.looked
+    recent = [(at, number) for at, number in lidar.came if now - at <= 3.0]
+    rate = 0.0
+    if len(recent) > 1:
+        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], 0.05)
+    poles = [
+        PoleNow(
+            name=str(track.number),
+            distance_m=track.distance,
+            returns=len(track.pole.xyz),
+            rings=track.pole.rings if looked and looked.cloud.ring is not None else None,
+            is_still=track.is_still(now),
+            is_good=not word,
+            word=word,
+        )
+        for track in present(view.tracks, now)
+        for word in [word_on(track, now)]
+    ]
+    return LidarNow(
+        name=view.name,
+        source=lidar.source.name,
+        sweeps_per_s=max(rate, 0.0),
+        age_s=None if looked is None else max(now - looked.at, 0.0),
+        points=0 if looked is None else len(looked.cloud),
+        poles=poles,
+        word=view.fault or view.silent,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What is kept of one placement.
+
+    Attributes
+    ----------
+    frames
+        Of each LiDAR.
+    start
+        When it began, s.
+    seconds
+        How long it has to take.
+    poles
+        That each LiDAR saw at its start.
+    """
+
+    frames: tuple[tuple[Frame, ...], ...]
+    start: float
+    poles: tuple[tuple[Tracked, ...], ...]
+    seconds: float = LEAST_SECONDS
+
+    @property
+    def count(self) -> int:
+        """How many sweeps are kept of the LiDAR that has the fewest."""
+        return min(len(own) for own in self.frames)
+
+    def with_frame(self, lidar: int, frame: Frame) -> Capture:
+        """Keep one sweep more; none beyond `MOST_SWEEPS`."""
+        own = self.frames[lidar]
+        if len(own) >= MOST_SWEEPS:
+            return self
+        frames = (*self.frames[:lidar], (*own, frame), *self.frames[lidar + 1 :])
+        return replace(self, frames=frames)
+
+    def is_full(self, wanted: int, now: float) -> bool:
+        """Whether there are enough sweeps, over time enough."""
+        enough = self.count >= wanted and now - self.start >= self.seconds
+        return enough or self.count >= MOST_SWEEPS
+
+
+def begun(tracks: Sequence[Sequence[Tracked]], now: float) -> Capture:
+    """Begin to keep sweeps of poles that stand so."""
+    return Capture(tuple(() for _ in tracks), now, tuple(present(own, now) for own in tracks))
+
+
+def is_elsewhere(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
+    """Whether the poles stand otherwise than when a placement was kept."""
+    for was, own in zip(capture.poles, tracks, strict=True):
+        for each in present(own, now):
+            gaps = [max(away_from(each.pole, old.pole), _along(each, old)) for old in was]
+            if min(gaps, default=np.inf) > ELSEWHERE:
+                return True
+    return False
+
+
+def _along(new: Tracked, old: Tracked) -> float:
+    """How far the middle lies beyond the returns of before, metres."""
+    gap = abs(float((new.pole.point - old.pole.point) @ old.pole.direction))
+    return max(gap - old.pole.length / 2, 0.0)
