@@ -283,8 +283,8 @@ def find_start(graph: Graph) -> Any:
         fair = model.mEstimator.Fair.Create(1.0)
         return model.Robust.Create(fair, model.Isotropic.Sigma(3, sigma))
 
-    each = np.diagonal(edges.covariance, axis1=1, axis2=2)
-    turned, moved = each[:, :3].mean(axis=1), each[:, 3:].mean(axis=1)
+    own = np.diagonal(edges.covariance, axis1=1, axis2=2)
+    turned, moved = own[:, :3].mean(axis=1), own[:, 3:].mean(axis=1)
     noise = alike(turned)
     for (i, j), T in zip(ends, edges.T_i_j, strict=True):
         turns.add(gtsam.BetweenFactorRot3(i, j, gtsam.Rot3(T[:3, :3]), noise))

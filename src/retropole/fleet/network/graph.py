@@ -237,4 +237,4 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
         for end in (i, j):
             np.maximum.at(near, end, reach)
         near[-1] = 0.0
-    return wrong & (score >= np.maximum(near[i], near[j]))
+    return np.asarray(wrong & (score >= np.maximum(near[i], near[j])))
