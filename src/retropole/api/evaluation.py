@@ -22,7 +22,7 @@ from ..evaluation.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
-from ..monitoring.swapped import swap
+from ..monitoring.drift import swap
 from ..result import ResultDoc, RunConfig
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
