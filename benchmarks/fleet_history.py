@@ -52,9 +52,8 @@ from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
 from retropole.fleet.history.store import CheckRow, flat, observed
 from retropole.fleet.history.watch import YEAR, Observed, Watched, watch
-from retropole.monitoring.certainty import FALSE_ALARM, upper_limit
 from retropole.monitoring.drift import check
-from retropole.monitoring.movement import BOUND_SIGMAS
+from retropole.monitoring.movement import BOUND_SIGMAS, FALSE_ALARM, upper_limit
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair

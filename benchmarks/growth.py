@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from retropole.base.datatypes import PointCloud
-from retropole.evaluation.rivals import ALL_METHODS, OURS
+from retropole.evaluation.methods import OURS
 from retropole.io.downsampling import MAX_POINTS, downsample
 from retropole.simulation import SimulationError, simulate_pair
-from rivals import installed, peak_megabytes, quiet, timed
+from rivals import METHODS, installed, peak_megabytes, quiet, timed
 
 REPEAT_NOISE = 0.005
 """1 σ of the noise on points that are drawn twice, because more are asked for than there are, m."""
@@ -137,7 +137,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("growth"), help="stem of .csv and .png")
     parser.add_argument("--scene", default="corridor")
-    parser.add_argument("--methods", nargs="+", default=list(ALL_METHODS))
+    parser.add_argument("--methods", nargs="+", default=list(METHODS))
     parser.add_argument("--points", type=int, nargs="*", default=[10**k for k in (4, 5, 6, 7)])
     parser.add_argument("--frames", type=int, nargs="*", default=[1, 2, 5, 10, 20])
     parser.add_argument("--poles", type=int, nargs="*", default=[2, 3, 4, 6, 8])

@@ -30,7 +30,8 @@ from deception import interval
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.errors import Refusal
-from retropole.evaluation.rivals import load_rival, missing_extra
+from retropole.evaluation.methods import missing_extra
+from retropole.evaluation.rivals import FUNCTIONS
 from retropole.pipeline import calibrate
 from semireal import PAIRS, distance, load
 from wrong_files import recordings
@@ -81,7 +82,7 @@ def run_right(job: tuple[str, Path]) -> Right:
         squared = distance(found, given.T, reference)
     if missing_extra(RIVAL) is None:
         with suppress(Refusal):
-            match = load_rival(RIVAL)(given.target, given.source, np.random.default_rng(0))
+            match = FUNCTIONS[RIVAL](given.target, given.source, np.random.default_rng(0))
             rival = apart(match.T_target_source, given.T)
     return Right(name, answer.status, codes_of(answer), off, stated, squared, rival)
 

@@ -35,13 +35,16 @@ import numpy as np
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
+from retropole.evaluation.methods import OURS as OWN
+from retropole.evaluation.methods import RIVALS, missing_extra
 from retropole.evaluation.metrics import Errors, errors_of
-from retropole.evaluation.rivals import ALL_METHODS, RIVALS, load_rival, missing_extra
-from retropole.evaluation.rivals.fpfh import fpfh_ransac
-from retropole.evaluation.rivals.kiss import kiss_matcher
+from retropole.evaluation.rivals import FUNCTIONS, fpfh_ransac, kiss_matcher
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 from retropole.surfaces.consistency import consistency, standing_in
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from studies.planes.planes import planar_surfaces
 
 SUCCESS_M = 0.1
 """Largest e_rt of a success."""
@@ -89,6 +92,11 @@ class Run:
         return self.degrees > WRONG_DEG or self.metres > WRONG_M
 
 
+RUN = {"planes": planar_surfaces, **FUNCTIONS}
+"""The rivals, and the planes of 2019, which are in no wheel."""
+
+METHODS = (*OWN, *RUN)
+
 COUNTED = {"kiss+count": kiss_matcher, "fpfh+count": fpfh_ransac}
 """Rivals at each of `COUNTED_VOXELS`, and the answer that our count of the scene finds best."""
 
@@ -114,8 +122,8 @@ def answer(method: str, target: PointCloud, source: PointCloud) -> Array:
     """Run one method; raises Refusal where it has no answer."""
     if method in COUNTED:
         return best_by_count(method, target, source)
-    if method in RIVALS:
-        return load_rival(method)(target, source, np.random.default_rng(0)).T_target_source
+    if method in RUN:
+        return RUN[method](target, source, np.random.default_rng(0)).T_target_source
     found = calibrate(target, source, scene=method != "poles")
     if found.T_target_source is None:
         raise Refusal(found.reasons[0].code, found.reasons[0].message)
@@ -153,10 +161,9 @@ class Timed(NamedTuple):
 def timed(method: str, target: PointCloud, source: PointCloud) -> Timed:
     rival = method.removesuffix("+count")
     if rival in RIVALS:
-        load_rival(rival)
-        extra = RIVALS[rival].extra
+        _, extra, module = RIVALS[rival]
         if extra is not None:
-            importlib.import_module(extra.module)
+            importlib.import_module(module)
     reset_peak()
     cpu, wall = time.process_time(), time.perf_counter()
     try:
@@ -264,7 +271,7 @@ def compare_times(ours: Sequence[Run], rival: Sequence[Run]) -> None:
 
 
 def installed(names: Sequence[str]) -> list[str]:
-    every = (*ALL_METHODS, *COUNTED)
+    every = (*METHODS, *COUNTED)
     unknown = [name for name in names if name not in every]
     if unknown:
         raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(every)}")
@@ -308,7 +315,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=25)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--scenes", nargs="+", default=["corridor", "street", "harbor", "bare"])
-    parser.add_argument("--methods", nargs="+", default=list(ALL_METHODS))
+    parser.add_argument("--methods", nargs="+", default=list(METHODS))
     parser.add_argument(
         "--sensors", nargs="+", default=["default"], help="TARGET:SOURCE, or default"
     )

@@ -23,7 +23,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.io.units import METRES, Unit
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
-from retropole.verdict.same_unit import unit_of_one
+from retropole.verdict.similarity import unit_of_one
 
 SCENES = "corridor", "street", "harbor"
 SENSORS = ("XT32", "VLP-16"), ("Pandar64", "OS1"), ("HDL-32E", "PandarQT"), ("VLP-32C", "XT32")
@@ -69,7 +69,7 @@ def pair_of(kind: str, seed: int) -> tuple[PointCloud, PointCloud]:
 def by_poles(cloud: PointCloud) -> str:
     """The unit that ``retropole info`` names of one cloud, if any."""
     shown = unit_of_one(cloud, RADIUS)
-    return "" if shown is None else shown.unit
+    return "" if shown is None else shown[0]
 
 
 def outcome(pair: tuple[PointCloud, PointCloud]) -> tuple[str, str]:

@@ -9,9 +9,8 @@ import numpy as np
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.entropy import KERNEL_WIDTH
-from retropole.evaluation.metrics import EVALUATION_VOXEL, Alignment, e_rt, evaluate
-from retropole.evaluation.rivals import load_rival
+from retropole.evaluation.metrics import EVALUATION_VOXEL, KERNEL_WIDTH, Alignment, e_rt, evaluate
+from retropole.evaluation.rivals import gicp, icp
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
@@ -24,6 +23,7 @@ from studies.paper.sharpness import (
     draw_views,
     sharpness_exhibits,
 )
+from studies.planes.planes import planar_surfaces
 
 SCORING_SEED = 0
 """Of the points that the entropy is taken of, and of the planes that are drawn."""
@@ -32,17 +32,17 @@ HALF_TURN_POSE = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Rotation by 180° about the vertical: it stands for a wrong hypothesis in recordings without
 poles."""
 
-RIVAL_NAMES = {"planes": "planes", "ICP": "icp", "GICP": "gicp"}
-"""Name of each rival of the table in the registry."""
+RIVALS = {"planes": planar_surfaces, "ICP": icp, "GICP": gicp}
+"""The rivals of the table."""
 
 
 def poses(target: PointCloud, source: PointCloud) -> PosesOrCodes:
     """Find the pose of two clouds by every method of the table; target from source."""
     found: PosesOrCodes = {}
     rng = np.random.default_rng(SCORING_SEED)
-    for name, registered in RIVAL_NAMES.items():
+    for name, rival in RIVALS.items():
         try:
-            found[name] = load_rival(registered)(target, source, rng).T_target_source
+            found[name] = rival(target, source, rng).T_target_source
         except Refusal as refusal:
             found[name] = refusal.code
     if target.intensity is None or source.intensity is None:

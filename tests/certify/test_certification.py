@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.base.datatypes import Placement
+from retropole.base import se3
+from retropole.base.datatypes import Array, Placement, Pole
 from retropole.base.description import Site, SiteLidar
+from retropole.base.errors import Refusal
 from retropole.certify.certification import (
     ALPHA,
     FieldTest,
@@ -14,13 +16,13 @@ from retropole.certify.certification import (
     certify,
     certify_site,
     compare,
+    correspond,
     quantile,
 )
 from retropole.certify.distances import Measured
 from retropole.simulation import SimulatedPair, place_again, record_again
 from tests.certify.certifying import RADIUS, found_in, four_poles
-
-pytestmark = pytest.mark.full
+from tests.conftest import PoleMaker
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,7 @@ def healthy(placement: Placement) -> FieldTest:
     return certify([placement], radius=RADIUS)
 
 
+@pytest.mark.full
 def test_lidars_that_measure_as_stated_pass(healthy: FieldTest) -> None:
     assert healthy.status == "pass"
     assert healthy.poles == (PolesSeen(4, 4, 4),)
@@ -55,6 +58,7 @@ def test_lidars_that_measure_as_stated_pass(healthy: FieldTest) -> None:
         assert 0 < each.random_target_m < each.u_target_m
 
 
+@pytest.mark.full
 def test_distances_are_near_those_of_the_poles(pair: SimulatedPair, healthy: FieldTest) -> None:
     between = [
         float(np.linalg.norm(a.centre - b.centre))
@@ -66,6 +70,7 @@ def test_distances_are_near_those_of_the_poles(pair: SimulatedPair, healthy: Fie
     assert found == pytest.approx(sorted(between), abs=0.4)
 
 
+@pytest.mark.full
 def test_where_the_lidars_stand_makes_no_difference(
     placement: Placement, healthy: FieldTest
 ) -> None:
@@ -76,6 +81,7 @@ def test_where_the_lidars_stand_makes_no_difference(
     )
 
 
+@pytest.mark.full
 def test_a_gross_error_of_the_scale_fails(pair: SimulatedPair) -> None:
     bad = replace(pair.devices[1], scale=0.02)
     again = record_again(
@@ -86,6 +92,7 @@ def test_a_gross_error_of_the_scale_fails(pair: SimulatedPair) -> None:
     assert any(not each.passed and each.difference_m < 0 for each in answer.distances)
 
 
+@pytest.mark.full
 def test_a_pole_that_moved_between_the_recordings_fails(pair: SimulatedPair) -> None:
     first, *others = pair.poles
     moved = replace(first, centre=first.centre + np.array([0.06, 0.06, 0.0]))
@@ -98,6 +105,7 @@ def test_a_pole_that_moved_between_the_recordings_fails(pair: SimulatedPair) -> 
     assert set.intersection(*failed)
 
 
+@pytest.mark.full
 def test_one_distance_is_too_few_and_placements_add_up(pair: SimulatedPair) -> None:
     three = four_poles(seed=4, frames=1, poles=3)
     one = certify([found_in(three)], radius=RADIUS)
@@ -112,6 +120,7 @@ def test_one_distance_is_too_few_and_placements_add_up(pair: SimulatedPair) -> N
     assert both.spread is None
 
 
+@pytest.mark.full
 def test_a_placement_that_does_not_fit_is_left_out_and_named(placement: Placement) -> None:
     one, other = (found_in(four_poles(seed=seed, frames=1, poles=3)) for seed in (4, 5))
     answer = certify([placement, Placement(one.target, other.source)], radius=RADIUS)
@@ -121,12 +130,14 @@ def test_a_placement_that_does_not_fit_is_left_out_and_named(placement: Placemen
     assert answer.reasons[0].message.startswith("placement 2 is not compared: ")
 
 
+@pytest.mark.full
 def test_a_recording_given_twice_is_refused(placement: Placement) -> None:
     answer = certify([Placement(placement.target, placement.target)], radius=RADIUS)
     assert answer.status == "refused"
     assert answer.reasons[0].code == "same_recording"
 
 
+@pytest.mark.full
 def test_every_pair_of_a_site_is_tested(pair: SimulatedPair, healthy: FieldTest) -> None:
     lidars = tuple(
         SiteLidar(name, (cloud,), sensor)
@@ -138,6 +149,7 @@ def test_every_pair_of_a_site_is_tested(pair: SimulatedPair, healthy: FieldTest)
     assert [e.difference_m for e in answer.distances] == [e.difference_m for e in healthy.distances]
 
 
+@pytest.mark.full
 def test_no_more_than_alpha_of_families_of_correlated_differences_fail() -> None:
     rng = np.random.default_rng(0)
     mix = rng.normal(size=(6, 4))
@@ -153,9 +165,41 @@ def test_no_more_than_alpha_of_families_of_correlated_differences_fail() -> None
     assert [2 * each.u_end_m for each in tests] == pytest.approx(sigma)
 
 
+@pytest.mark.full
 def test_what_both_have_from_the_radius_cancels() -> None:
     none = np.zeros((1, 1))
     radius = np.array([0.004])
     one = Measured(np.array([2.0]), none + 1e-6, none, radius)
     (test,) = compare((one, one), [(0, (0, 1))], 2.0)
     assert 2 * test.u_end_m == pytest.approx(np.sqrt(2e-6))
+
+
+FEET = np.array([[0.0, 0, 0], [2, 0.3, 0], [0.4, 2.6, 0.2], [2.9, 2.1, 0.1]])
+LEANS = np.array([[0.1, 0.1, 1], [-0.4, 0.1, 1], [0.2, -0.5, 1], [0.5, 0.3, 1]])
+T = se3.from_rt(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([4.0, 1, 0.5]))
+
+
+def seen(make: PoleMaker, feet: Array, order: list[int], T: Array | None = None) -> list[Pole]:
+    return [make(feet[k], LEANS[k], T=T) for k in order]
+
+
+def test_poles_are_paired_and_directed_alike(make_pole: PoleMaker) -> None:
+    target = seen(make_pole, FEET, [0, 1, 2, 3])
+    source = seen(make_pole, FEET, [2, 0, 3, 1], T)
+    source[1] = make_pole(FEET[0], -LEANS[0], T=T)
+    both = correspond(target, source)
+    assert sorted(both.pairs) == [(0, 1), (1, 3), (2, 0), (3, 2)]
+    turned = both.directions(0) @ T[:3, :3].T
+    assert both.directions(1) == pytest.approx(turned, abs=1e-9)
+
+
+def test_a_pole_that_moved_a_little_is_still_that_pole(make_pole: PoleMaker) -> None:
+    moved = FEET + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.3, 0, 0]])
+    both = correspond(seen(make_pole, FEET, [0, 1, 2, 3]), seen(make_pole, moved, [0, 1, 2, 3], T))
+    assert sorted(both.pairs) == [(k, k) for k in range(4)]
+
+
+def test_other_poles_are_refused(make_pole: PoleMaker) -> None:
+    with pytest.raises(Refusal) as caught:
+        correspond(seen(make_pole, FEET, [0, 1]), seen(make_pole, 3 * FEET + [0.0, 0, 0.5], [2, 3]))
+    assert caught.value.code == "no_match"

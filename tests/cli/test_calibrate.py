@@ -162,7 +162,7 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     clouds = bag, bag, *topics
     done = retropole_here("evaluate", *clouds, "--transform", tmp_path / "bag", "--json")
     assert json.loads(done.stdout)["overlap"] > 0.5
-    done = retropole_here("compare", *clouds, "--methods", "poles", "--json")
+    done = retropole_here("evaluate", *clouds, "--methods", "poles", "--json")
     assert json.loads(done.stdout)["methods"][0]["status"] == "ok"
     # Topics are those of each placement.
     two = [word for _ in range(2) for word in ("--placement", bag, bag)]

@@ -16,7 +16,6 @@ from tests.cli.commands import retropole_here
 WITH_JSON = {
     "calibrate": ("nothing.pcd", "nothing.pcd"),
     "check": ("nothing", "nothing.pcd", "nothing.pcd"),
-    "compare": ("nothing.pcd", "nothing.pcd"),
     "detect": ("nothing.pcd",),
     "evaluate": ("nothing.pcd", "nothing.pcd", "--transform", "nothing.json"),
     "info": ("nothing.pcd",),

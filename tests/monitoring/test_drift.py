@@ -1,22 +1,26 @@
 """A site that is recorded again: moved, unmoved, elsewhere, or with too little in it."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec import structs
 
+import retropole as rp
 from retropole import pipeline
 from retropole.adjustment.refinement import Refinement, refine
 from retropole.base import se3
-from retropole.base.datatypes import Array, Calibration, PointCloud, PoseEstimate
+from retropole.base.datatypes import Array, Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import UsageError
-from retropole.hypotheses.evidence import MAX_CONFLICTING
-from retropole.monitoring import new_pose
-from retropole.monitoring.drift import check
+from retropole.base.sensors import SENSORS
+from retropole.hypotheses.evidence import MAX_CONFLICTING, count, scenes_of
+from retropole.monitoring import drift
+from retropole.monitoring.drift import NEAR_TRANSLATION, check, swapped_clouds, swapped_sensors
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.surfaces.consistency import Standing
 from tests.tiers import first_of
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
@@ -148,7 +152,7 @@ def test_several_minima_cannot_tell(
         return found and replace(found, other_minima=(SMALL_TRANSLATION,))
 
     again = record_again(street, np.random.default_rng(20), poles=False)
-    monkeypatch.setattr(new_pose, "refine", two_ends)
+    monkeypatch.setattr(drift, "refine", two_ends)
     answer = check(stored, again.target, again.source)
     assert answer.status == "cannot_tell"
     assert "several_minima" in [reason.code for reason in answer.reasons]
@@ -165,7 +169,7 @@ def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
         return replace(found, pose=structs.replace(found.pose, T_target_source=T))
 
     again = record_again(street, np.random.default_rng(21), poles=False)
-    monkeypatch.setattr(new_pose, "refine", elsewhere)
+    monkeypatch.setattr(drift, "refine", elsewhere)
     answer = check(stored, again.target, again.source)
     assert answer.p_value is not None
     assert answer.p_value < 1e-6
@@ -254,3 +258,70 @@ def test_recording_again_moves_the_source_alone(street: SimulatedPair) -> None:
     np.testing.assert_array_equal(again.T_world_target, street.T_world_target)
     assert again.poles == ()
     assert len(again.surfaces) == len(street.surfaces) - len(street.poles)
+
+
+SCENES = ("street", "harbor", "corridor")
+
+Scenes = list[tuple[Standing, Standing]]
+
+
+@cache
+def pair_of(scene: str) -> SimulatedPair:
+    return rp.simulate(scene, 1, sensor_target="VLP-16", sensor_source="XT32")
+
+
+@cache
+def scenes(scene: str, swapped: bool) -> Scenes:
+    clouds = pair_of(scene).target, pair_of(scene).source
+    first, second = clouds[::-1] if swapped else clouds
+    return scenes_of([Placement(Scan(first), Scan(second))], np.random.default_rng(0))
+
+
+def told(scene: str, swapped: bool, stored: Array, found: Array | None = None) -> bool:
+    standing = scenes(scene, swapped)
+    reason = swapped_clouds(stored, found, standing, count(standing, stored))
+    assert reason is None or reason.code == "swapped"
+    return reason is not None
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_what_stands_there_tells(scene: str) -> None:
+    T = pair_of(scene).T_target_source
+    assert told(scene, swapped=True, stored=T)
+    assert not told(scene, swapped=False, stored=T)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_movement_is_no_swap(scene: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = pair_of(scene).T_target_source
+    step = np.r_[rng.normal(0, 0.1, 3), rng.normal(0, 0.5, 3)]
+    for found in (None, T):
+        assert not told(scene, swapped=False, stored=se3.retract(T, step), found=found)
+
+
+def test_the_pose_of_the_poles_tells_first() -> None:
+    T = pair_of("street").T_target_source
+    reverse = se3.inverse(T)
+    near = se3.retract(reverse, np.r_[np.zeros(3), 0.5 * NEAR_TRANSLATION, 0, 0])
+    far = se3.retract(reverse, np.r_[np.zeros(3), 2.0 * NEAR_TRANSLATION, 0, 0])
+    assert told("street", swapped=True, stored=T, found=near)
+    assert not told("street", swapped=True, stored=T, found=far)
+
+
+def test_back_to_back_either_order_is_right() -> None:
+    half_turn = se3.from_rt(se3.exp_so3(np.array([0, 0, np.pi])), np.array([-3.0, 0, 0]))
+    np.testing.assert_allclose(half_turn, se3.inverse(half_turn), atol=1e-12)
+    assert not told("street", swapped=True, stored=half_turn, found=half_turn)
+
+
+def test_sensors_tell_where_each_cloud_is_of_the_other() -> None:
+    pair = pair_of("street")
+    right, wrong = (SENSORS["VLP-16"], SENSORS["XT32"]), (SENSORS["XT32"], SENSORS["VLP-16"])
+    placement = Placement(Scan(pair.source), Scan(pair.target))
+    reason = swapped_sensors(placement, right)
+    assert reason is not None
+    assert "give them the other way round" in reason.message
+    assert swapped_sensors(placement, (right[0], None)) is None
+    assert swapped_sensors(Placement(Scan(pair.source), Scan(pair.source)), wrong) is None

@@ -1,8 +1,8 @@
-"""Mirrored and scaled clouds are named, honest ones are not accused."""
+"""Mirrored and scaled clouds and other units are named, honest ones are not accused."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+import retropole as rp
 from retropole.adjustment.refinement import Refinement
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
+from retropole.io.units import METRES, NAMES, Unit
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, record_again, simulate_pair
 from retropole.surfaces.scans import find_poles
-from retropole.verdict.similarity import UNITS, check_similarity, explain
+from retropole.verdict.similarity import beyond_sensors, check_similarity, explain, unit_of_one
 from tests.tiers import first_of
 
 FIND = partial(find_poles, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
 REFUSED = Refusal("no_match", "none fit")
+UNIT_OF: dict[float, Unit] = {0.3048: "ft", 1000.0: "mm"}
 
 
 def times(cloud: PointCloud, *by: float) -> PointCloud:
@@ -56,12 +59,12 @@ def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
     assert [there.code, back.code] == ["wrong_scale"] * 2
     assert float(there.values["factor"]) == pytest.approx(1 / factor, rel=0.005)
     assert float(back.values["factor"]) == pytest.approx(factor, rel=0.005)
-    unit = {0.3048: "feet", 1000.0: "millimetres"}.get(factor)
-    assert there.values.get("unit") == back.values.get("unit") == unit
+    unit = UNIT_OF.get(factor)
+    assert there.values.get("unit") == back.values.get("unit") == (unit and NAMES[unit])
     if unit is not None:
         # Numbers that are too large are in a small unit.
         small = "source" if factor > 1 else "target"
-        assert f"{UNITS[unit]:g}: is the {small} in {unit}?" in there.message
+        assert f"{METRES[unit]:g}: is the {small} in {NAMES[unit]}?" in there.message
         assert f"--unit{'-source' if factor > 1 else ''} " in there.message
 
 
@@ -170,3 +173,105 @@ def test_a_scale_is_denied_beyond_three_sigma_and_one_per_cent(
         check_similarity(wanted, [placement], pair.T_target_source)
     assert refusal.value.code == "wrong_scale"
     return None
+
+
+RADIUS = 0.02
+
+
+@cache
+def corridor(radius: float = RADIUS, poles: bool = True) -> tuple[PointCloud, PointCloud]:
+    rng = np.random.default_rng(4)
+    made = simulate_pair("corridor", rng, radius=radius)
+    if not poles:
+        made = record_again(made, rng, poles=False)
+    return made.target, made.source
+
+
+def counted(cloud: PointCloud, unit: Unit) -> PointCloud:
+    size = METRES[unit]
+    return replace(cloud, xyz=cloud.xyz / size, origin=cloud.origin / size)
+
+
+def placed(target: PointCloud, source: PointCloud) -> Placement:
+    target_scan, source_scan = (
+        find_poles(cloud, sensor=None, threshold=None, radius=RADIUS) for cloud in (target, source)
+    )
+    return Placement(target_scan, source_scan)
+
+
+def unit_told(placement: Placement) -> Refusal:
+    few = Refusal("too_few_poles", "none are seen")
+    return explain(few, [placement], (), radius=RADIUS)
+
+
+@pytest.mark.parametrize("unit", ["ft", "in", "cm", "mm"])
+@pytest.mark.full
+def test_the_unit_of_both_is_found(unit: Unit) -> None:
+    target, source = corridor()
+    placement = placed(counted(target, unit), counted(source, unit))
+    found = unit_told(placement)
+    assert found.values["unit"] == unit
+    assert f"the target shows 2 poles of radius {RADIUS:g} m and the source 2" in found.message
+    for scan in placement.scans:
+        alone = unit_of_one(scan.cloud, RADIUS)
+        # A corridor in feet is no longer than a place in metres.
+        assert (alone and alone[0]) == (None if unit == "ft" else unit)
+
+
+@pytest.mark.parametrize("clouds", [corridor(), corridor(poles=False)])
+@pytest.mark.full
+def test_metres_are_no_other_unit(clouds: tuple[PointCloud, PointCloud]) -> None:
+    placement = placed(*clouds)
+    assert "unit" not in unit_told(placement).values
+    assert [unit_of_one(cloud, RADIUS) for cloud in clouds] == [None, None]
+
+
+@pytest.mark.full
+def test_one_cloud_in_feet_is_told_where_it_reaches_farther_than_its_sensor() -> None:
+    made = simulate_pair("harbor", np.random.default_rng(1))
+    assert unit_of_one(made.target, RADIUS) is None
+    assert beyond_sensors(made.target) is None
+    shown = unit_of_one(counted(made.target, "ft"), RADIUS)
+    assert shown is not None
+    assert shown[0] == "ft"
+
+
+@pytest.mark.full
+def test_two_units_are_none_of_both() -> None:
+    target, source = corridor()
+    placement = placed(counted(target, "ft"), counted(source, "in"))
+    assert "unit" not in unit_told(placement).values
+
+
+@pytest.mark.full
+def test_no_cloud_and_one_beyond_all_ranges_are_no_unit() -> None:
+    target, source = corridor()
+    none = target.select(np.zeros(len(target), bool))
+    for other in (none, counted(source, "m"), replace(source, xyz=source.xyz * 1e9)):
+        assert "unit" not in unit_told(placed(none, other)).values
+
+
+@pytest.mark.full
+def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
+    """Both would look the same: the hint names both, and each of them is an answer."""
+    clouds = [counted(cloud, "ft") for cloud in corridor()]
+    answer = calibrate(*clouds, radius=RADIUS)
+    assert answer.T_target_source is None
+    (reason,) = answer.reasons
+    assert (reason.code, reason.values["unit"]) == ("too_few_poles", "ft")
+    assert "either the coordinates are in feet (--unit ft), or the poles are" in reason.message
+    target, source = clouds
+    assert rp.calibrate(target, source, unit="ft").status != "refused"
+    thick = [counted(cloud, "m") for cloud in corridor(RADIUS / METRES["ft"])]
+    (reason,) = calibrate(*thick, radius=RADIUS).reasons
+    if "unit" in reason.values:
+        assert "times as thick as given (--radius 0.0" in reason.message
+
+
+@pytest.mark.parametrize("unit", ["in", "cm", "mm"])
+@pytest.mark.full
+def test_ranges_that_are_no_metres_are_told_by_poles(unit: Unit) -> None:
+    answer = calibrate(*(counted(cloud, unit) for cloud in corridor()), radius=RADIUS)
+    (reason,) = answer.reasons
+    assert (reason.code, reason.values["unit"]) == ("wrong_unit", unit)
+    assert f"read them with --unit {unit}" in reason.message

@@ -20,11 +20,10 @@ from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import topics_of
 from ..io.units import Unit
-from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
-from ..monitoring.drift import check
+from ..monitoring.drift import check, swap
+from ..monitoring.movement import FALSE_ALARM as FALSE_ALARM
 from ..monitoring.movement import CheckResult as CheckResult
 from ..monitoring.movement import Movement as Movement
-from ..monitoring.swapped import swap
 from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file

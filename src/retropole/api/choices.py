@@ -1,12 +1,12 @@
 """What a user may choose from, without loading what works with it: a command lists it in its help.
 
-Methods that `compare` runs, what a watch listens to, and the movements that a check must not miss
+Methods that `evaluate` runs, what a watch listens to, and the movements that a check must not miss
 where nothing else is asked for.
 """
 
-from ..evaluation.rivals import ALL_METHODS as ALL_METHODS
-from ..evaluation.rivals import OURS as OURS
-from ..evaluation.rivals import RIVALS as RIVALS
+from ..evaluation.methods import ALL_METHODS as ALL_METHODS
+from ..evaluation.methods import OURS as OURS
+from ..evaluation.methods import RIVALS as RIVALS
 from ..io.live import SOURCE_KINDS as SOURCE_KINDS
 from ..monitoring.tolerance import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from ..monitoring.tolerance import WIDEST_TOLERANCE as WIDEST_TOLERANCE

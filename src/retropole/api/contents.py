@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
+from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud, Scan
 from ..base.files import path_in_text
 from ..base.sensors import auto_threshold
 from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
@@ -18,7 +18,7 @@ from ..io.rings import rings_fault, with_trusted_rings
 from ..io.units import NAMES, Unit
 from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
-from ..verdict.same_unit import PolesInUnit, beyond_sensors, unit_of_one
+from ..verdict.similarity import beyond_sensors, unit_of_one
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -75,8 +75,8 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     words, units = ("", ()) if odd is None else (odd.words, odd.units)
     shown = None if odd is not None and odd.is_map else unit_of_one(cloud, DEFAULT_RADIUS)
     if shown is not None:
-        units = (shown.unit,)
-        words = _in_unit(shown, words or _beyond(cloud))
+        units = (shown[0],)
+        words = _in_unit(*shown, words or _beyond(cloud))
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return document_of(
         CloudDoc,
@@ -109,10 +109,10 @@ def _beyond(cloud: PointCloud) -> str:
     )
 
 
-def _in_unit(shown: PolesInUnit, odd: str) -> str:
+def _in_unit(unit: Unit, scan: Scan, odd: str) -> str:
     """Say in which unit a cloud shows poles, after what is odd about its ranges."""
     return (
-        f"{odd}; read as {NAMES[shown.unit]} it shows {len(shown.scan.poles)} poles of radius "
+        f"{odd}; read as {NAMES[unit]} it shows {len(scan.poles)} poles of radius "
         f"{DEFAULT_RADIUS:g} m, in metres none"
     )
 

@@ -14,16 +14,15 @@ from ..base.errors import ReadError, UsageError, said
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
-from ..evaluation.entropy import KERNEL_WIDTH
+from ..evaluation.metrics import KERNEL_WIDTH
 from ..evaluation.metrics import Alignment as Alignment
 from ..evaluation.metrics import Errors as Errors
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
-from ..evaluation.rivals import ALL_METHODS
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
-from ..monitoring.swapped import swap
+from ..monitoring.drift import swap
 from ..result import ResultDoc, RunConfig
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
@@ -99,10 +98,11 @@ def compare(
     target: CloudSource,
     source: CloudSource,
     config: RunConfig,
-    methods: Sequence[str] = ALL_METHODS,
+    methods: Sequence[str],
     T_true: Array | None = None,
     listener: Listener = SILENT,
     *,
+    sigma: float = KERNEL_WIDTH,
     seed: int = 0,
 ) -> list[Compared]:
     """Run our method and its rivals on the same clouds, and score their answers alike.
@@ -113,12 +113,10 @@ def compare(
         As `evaluate` takes them.
     config
         The options: what is read, and radius, sensors and thresholds of our own method.
-    methods, T_true
+    methods, T_true, sigma, seed
         As `evaluation.comparison.compare` takes them.
     listener
         Told of each step as it starts, and of each cloud once it is read.
-    seed
-        Of what rivals draw, and of the points on which all are scored.
 
     Raises
     ------
@@ -137,6 +135,7 @@ def compare(
         radius=config.radius_m,
         sensors=(pair.target.sensor, pair.source.sensor),
         thresholds=(config.threshold_target, config.threshold_source),
+        sigma=sigma,
         seed=seed,
         progress=listener.progress,
     )

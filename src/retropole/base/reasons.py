@@ -110,8 +110,6 @@ Code = Literal[
     "too_few_distances",
     # other_methods
     "unmatched",
-    "too_few_planes",
-    "planes_unmatched",
     "no_scene",
     # cluster
     "too_short",

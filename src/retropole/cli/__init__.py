@@ -21,7 +21,6 @@ COMMANDS = (
     "calibrate",
     "certify",
     "check",
-    "compare",
     "detect",
     "evaluate",
     "export",

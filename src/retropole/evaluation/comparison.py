@@ -14,8 +14,9 @@ from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
 from ..base.sensors import Sensor
 from ..pipeline import calibrate
-from .metrics import Alignment, Errors, errors_of, evaluate
-from .rivals import ALL_METHODS, OURS, load_rival, missing_extra
+from .methods import ALL_METHODS, OURS, missing_extra
+from .metrics import KERNEL_WIDTH, Alignment, Errors, errors_of, evaluate
+from .rivals import FUNCTIONS
 
 Status = Literal["ok", "warn", "refused", "missing"]
 
@@ -27,7 +28,7 @@ class Compared:
     Attributes
     ----------
     method
-        Its name in `rivals.ALL_METHODS`.
+        Its name in `methods.ALL_METHODS`.
     status
         ``missing`` where the extra that it needs is not installed.
     codes
@@ -57,12 +58,13 @@ class Compared:
 def compare(
     target: PointCloud,
     source: PointCloud,
-    methods: Sequence[str] = ALL_METHODS,
+    methods: Sequence[str],
     *,
     T_true: Array | None = None,
     radius: float = DEFAULT_RADIUS,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
+    sigma: float = KERNEL_WIDTH,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Compared]:
@@ -73,11 +75,13 @@ def compare(
     target, source
         Clouds, each in its own frame.
     methods
-        Names from `rivals.ALL_METHODS`.
+        Names from `methods.ALL_METHODS`.
     T_true
         (4, 4) truth, where it is known.
     radius, sensors, thresholds
         As `pipeline.calibrate`; the rivals use none of them.
+    sigma
+        Kernel width of the entropy, metres.
     seed
         Of what rivals draw, and of the points on which all are scored.
     progress
@@ -108,7 +112,16 @@ def compare(
             outcome = _outcome_of_ours(name, ours)
         else:
             outcome = _run_rival(name, target, source, seed)
-        found.append(_scored(outcome, target, source, T_true, seed))
+        T = outcome.T_target_source
+        if T is not None:
+            # All are scored on the same points, or chance would rank those that are alike.
+            rng = np.random.default_rng(seed)
+            outcome = replace(
+                outcome,
+                alignment=evaluate(target, source, T, rng=rng, sigma=sigma),
+                errors=None if T_true is None else errors_of(T, T_true),
+            )
+        found.append(outcome)
     return found
 
 
@@ -131,28 +144,13 @@ def _run_rival(name: str, target: PointCloud, source: PointCloud, seed: int) -> 
     extra = missing_extra(name)
     if extra is not None:
         return Compared(name, "missing", (extra,), f"pip install 'retropole[{extra}]'")
-    rival, rng = load_rival(name), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     start = time.perf_counter()
     try:
-        pose = rival(target, source, rng)
+        pose = FUNCTIONS[name](target, source, rng)
     except Refusal as refusal:
         seconds = time.perf_counter() - start
         return Compared(name, "refused", (refusal.code,), refusal.message, seconds=seconds)
     return Compared(
         name, "ok", T_target_source=pose.T_target_source, seconds=time.perf_counter() - start
-    )
-
-
-def _scored(
-    outcome: Compared, target: PointCloud, source: PointCloud, T_true: Array | None, seed: int
-) -> Compared:
-    """Add how the clouds lie together, and the errors where the truth is known."""
-    T = outcome.T_target_source
-    if T is None:
-        return outcome
-    # Every method is scored on the same points, or chance would rank those that are alike.
-    return replace(
-        outcome,
-        alignment=evaluate(target, source, T, rng=np.random.default_rng(seed)),
-        errors=None if T_true is None else errors_of(T, T_true),
     )

@@ -21,7 +21,7 @@ from ..base.quantities import error, value_and_error
 from ..io.recordings import time_of_recording
 from ..surfaces.static import MAX_TURN
 from ..surfaces.sway import velocity_of, without_velocity
-from .certainty import FALSE_ALARM, ROTATION, TRANSLATION, least_certain
+from .movement import FALSE_ALARM, ROTATION, TRANSLATION, least_certain
 
 CREEP = 0.07
 """1 σ of the speed, along each axis, of a carrier that is taken to stand, m/s. Vehicles of 13

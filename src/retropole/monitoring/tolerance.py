@@ -47,7 +47,7 @@ DEFAULT_TOLERANCE = Tolerance(radians(0.3), 0.03)
 
 WIDEST_TOLERANCE = Tolerance(radians(1.0), 0.1)
 """The widest that is confirmed where none was asked for, and by the scene alone whatever was asked
-for: 1 σ of where `new_pose` searches it about the stored pose. What no surface holds stays as
+for: 1 σ of where `by_scene` searches it about the stored pose. What no surface holds stays as
 unsure as that, and is not within it with `CONFIDENCE`."""
 
 

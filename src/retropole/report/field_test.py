@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ..base.quantities import UNKNOWN, counted, percent
 from ..certify.certification import DistanceTest, Verdict
-from ..certify.repetition import SpreadTest
+from ..certify.distances import SpreadTest
 from ..result.certification import FieldTestDoc, PairTestDoc
 from .layout import legible, wrapped
 from .layout import table as text_table

@@ -12,7 +12,7 @@ import msgspec
 
 from ..base.bounded import Share, Size, Text
 from ..certify.certification import DistanceTest, FieldTest, PolesSeen, Verdict
-from ..certify.repetition import SpreadTest
+from ..certify.distances import SpreadTest
 from . import InputDoc, ReasonDoc, document_of, made_now
 
 FIELD_TEST_SCHEMA: Literal["retropole/field-test/1"] = "retropole/field-test/1"

@@ -1,28 +1,44 @@
-"""Whether a cloud is mirrored or scaled: what a rigid motion cannot put right, named as such.
+"""Whether a cloud is mirrored, scaled or in another unit: named, and never put right.
 
 After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. What
 is found counts only where the scene then agrees well, and clearly better than under any rigid
 motion: under those that the poles allow, and under those that come nearest to what was found, since
 a place may be its own mirror image but for a few things in it. It never gives a pose.
+
+Then each cloud is read in other units. A cloud in feet looks like one in metres, where a pole of
+4 cm is as thick as one of 13 cm. So what was given of the poles tells the unit: where a cloud shows
+poles that are as wide as that, and they and the scene fit the other cloud, it is in that unit.
+Where both clouds show such poles in one other unit and none in metres, the coordinates are in that
+unit, or the poles are as many times thicker than was said. Which of both it is, nobody can tell
+from the clouds: all is then as large as it would be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..adjustment.refinement import Refinement
 from ..base import se3
-from ..base.datatypes import MAX_RADIUS, Array, Hypothesis, Placement, Scan
+from ..base.datatypes import MAX_RADIUS, Array, Hypothesis, Placement, PointCloud, Scan
 from ..base.errors import Refusal
-from ..hypotheses.similar import Change, changed_cloud
-from ..hypotheses.similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
-from ..io.coordinates import Oddity, oddity_of
+from ..base.sensors import SENSORS
+from ..hypotheses.similarity import (
+    LEAST_CHANGE,
+    Found,
+    changed_cloud,
+    find_change,
+    find_fit,
+    find_mirror,
+)
+from ..io.beam_origin import with_beam_origin
+from ..io.coordinates import FARTHEST_HALF, NEAREST_HALF, oddity_of
+from ..io.recognition import guess_sensors
 from ..io.units import METRES, NAMES, Unit
 from ..surfaces.scans import find_poles
-from .same_unit import InUnit, common_unit
 
 EXPLAINED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
@@ -34,19 +50,38 @@ EXPLAINED = {
 SCALE_SIGMAS = 3.0
 """An answer's scale is contradicted where it is off by more than `LEAST_CHANGE` and so many σ."""
 
-_LIKELY: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
-
-UNITS = {NAMES[unit]: METRES[unit] for unit in _LIKELY}
-"""Units that clouds come in, metres."""
-
-SAME_UNIT = 0.02
-"""A factor is taken for that of a unit where it differs by no larger part."""
-
-REACH_RATIO = 2.5
-"""A unit is tried where it brings the median ranges of both clouds to within this factor."""
+UNITS: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
+"""Units that coordinates may be in."""
 
 LEVEL = 0.5
 """Cosine between the LiDARs' axes from which both stand upright, or one is upside down."""
+
+WIDTHS = 0.75, 2.0
+"""Half the width of the returns of a pole, across the beam, of the radius that was given. In the
+right unit it was 0.81 to 1.68 of it in 98 simulated clouds, since beams are wide, in another up to
+0.70, and 0.71 to 0.94 where poles of 50 mm in metres were read in feet as 20 mm (corridors, streets
+and harbors of `benchmarks/units.py`, seeds 0 to 11, and the street that `simulate --seed 1` draws).
+"""
+
+WIDTH_QUANTILES = 0.05, 0.95
+"""Between these the returns of a pole are counted to its width: one beside it is no matter."""
+
+Thresholds = tuple[float | None, float | None]
+
+
+class Reading(NamedTuple):
+    """A cloud whose coordinates are multiplied, and the poles that it then shows.
+
+    Attributes
+    ----------
+    scan
+        With two poles or more, which are as wide as their radius.
+    radius_before
+        Of these poles as the cloud was read before.
+    """
+
+    scan: Scan
+    radius_before: float
 
 
 def explain(
@@ -55,7 +90,7 @@ def explain(
     hypotheses: Sequence[Hypothesis],
     *,
     radius: float,
-    thresholds: tuple[float | None, float | None] = (None, None),
+    thresholds: Thresholds = (None, None),
 ) -> Refusal:
     """Say of a refusal where a mirrored or scaled cloud is its cause.
 
@@ -81,23 +116,23 @@ def explain(
     if refusal.code not in EXPLAINED or not placements:
         return refusal
     first = placements[0]
-    poles = min(len(first.target.poles), len(first.source.poles))
-    if poles > 1:
-        rigid = [each.match.T_target_source for each in hypotheses]
-        found = find_change(first, rigid)
+    shows_poles = min(len(scan.poles) for scan in first.scans) > 1
+    if shows_poles:
+        found = find_change(first, [each.match.T_target_source for each in hypotheses])
         if found is not None:
             return _refusal(*found, first)
-    for factor, changed in _in_other_units(first, radius, thresholds):
-        found = find_change(changed, (), is_changed=True)
-        if found is not None:
-            best, rival = found
-            change = replace(best.change, factor=best.change.factor * factor)
-            return _refusal(replace(best, change=change), rival, first)
-    shown = common_unit(first, radius, thresholds) if poles < 2 else None
-    odd = _in_no_metres(placements)
-    if shown is None:
-        return odd or refusal
-    return _in_common_unit(shown, radius, refusal, odd)
+    given = list(zip(first.scans, thresholds, strict=True))
+    sizes = [METRES[unit] for unit in UNITS]
+    sizes += [1.0 / size for size in sizes]
+    read = {size: [_read_times(size, *each, radius) for each in given] for size in sizes}
+    for size, (target, source) in read.items():
+        if source and (fit := find_fit(replace(first, source=source.scan))):
+            return _refusal(replace(fit, factor=fit.factor * size), None, first)
+        if target and (fit := find_fit(replace(first, target=target.scan))):
+            return _refusal(replace(fit, factor=fit.factor / size), None, first)
+    odd = _in_no_metres(first)
+    common = None if shows_poles else _in_common_unit(first, read, radius, refusal, odd)
+    return common or odd or refusal
 
 
 def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
@@ -120,84 +155,118 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
     found = find_mirror(placements[0], T)
     if found is not None:
         raise _refusal(*found, placements[0])
-    if refined is None or refined.scale is None:
-        return
-    factor, sigma = refined.scale
-    if abs(factor - 1.0) <= max(LEAST_CHANGE, SCALE_SIGMAS * sigma):
-        return
-    raise Refusal(
-        "wrong_scale",
-        f"lengths in the source must be multiplied by {factor:.4f} (1 σ: {sigma:.4f}) to be those "
-        f"in the target{_unit_words(factor)}: one of the two clouds is scaled, or the pose is "
-        "wrong",
-        {"factor": factor, "sigma": sigma, **_unit_values(factor)},
-    )
+    factor, sigma = (1.0, 0.0) if refined is None or refined.scale is None else refined.scale
+    if abs(factor - 1.0) > max(LEAST_CHANGE, SCALE_SIGMAS * sigma):
+        because = "one of the two clouds is scaled, or the pose is wrong"
+        raise _wrong_scale(factor, because, {"sigma": sigma}, f" (1 σ: {sigma:.4f})")
 
 
-def _in_other_units(
-    placement: Placement, radius: float, thresholds: tuple[float | None, float | None]
-) -> Iterator[tuple[float, Placement]]:
-    """Find the poles again with one cloud brought to the other's unit; the source's factor first.
+def unit_of_one(cloud: PointCloud, radius: float) -> tuple[Unit, Scan] | None:
+    """Find the unit of one cloud whose ranges are none in metres, by the poles that it shows in it.
 
-    In feet a pole of 4 cm is as thick as one of 13 cm, and is none.
+    Poles alone do not tell it of one cloud: in feet, bollards and signs are as thin as poles. Of 72
+    clouds in metres without poles, 4 showed two (`benchmarks/units.py`, seeds 1000 to 1035).
+
+    Parameters
+    ----------
+    cloud
+        As it was read.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    tuple of Unit and Scan, or None
+        None where its ranges may be metres, where it shows poles in metres, and where no unit or
+        several show some.
     """
-    clouds = placement.target.cloud, placement.source.cloud
-
-    def searched(lidar: int, factor: float) -> Scan:
-        return find_poles(
-            changed_cloud(clouds[lidar], Change(factor)),
-            sensor=placement.scans[lidar].sensor,
-            threshold=thresholds[lidar],
-            radius=radius,
-        )
-
-    if any(len(cloud) == 0 or np.abs(cloud.xyz).max() > se3.FARTHEST for cloud in clouds):
-        return
-    far = [float(np.median(np.linalg.norm(each.xyz - each.origin, axis=1))) for each in clouds]
-    for unit in UNITS.values():
-        for factor in (unit, 1.0 / unit):
-            off = abs(np.log(far[0] / (factor * far[1])))
-            is_near = off < min(np.log(REACH_RATIO), abs(np.log(far[0] / far[1])))
-            if not is_near:
-                continue
-            source = searched(1, factor)
-            if len(source.poles) > 1 and len(placement.target.poles) > 1:
-                yield factor, replace(placement, source=source)
-            target = searched(0, 1.0 / factor)
-            if len(target.poles) > 1 and len(placement.source.poles) > 1:
-                yield factor, replace(placement, target=target)
+    if cloud.intensity is None or (oddity_of(cloud) is None and not beyond_sensors(cloud)):
+        return None
+    scan = find_poles(cloud, sensor=None, threshold=None, radius=radius)
+    if len(scan.poles) > 1:
+        return None
+    read = [(unit, _read_times(METRES[unit], scan, None, radius)) for unit in UNITS]
+    fitting = [(unit, each.scan) for unit, each in read if each is not None]
+    return fitting[0] if len(fitting) == 1 else None
 
 
-def _in_no_metres(placements: Sequence[Placement]) -> Refusal | None:
-    """Say which clouds have ranges that are no metres; None where all may be metres."""
-    odd: dict[str, Oddity] = {}
-    for placement in placements:
-        for name, scan in (("target", placement.target), ("source", placement.source)):
-            found = None if name in odd else oddity_of(scan.cloud)
-            if found is not None and found.is_tiny:
-                return Refusal("wrong_unit", f"of the {name}, {found.words}", {"lidars": name})
-            if found is not None and found.units:
-                odd[name] = found
+def beyond_sensors(cloud: PointCloud) -> float | None:
+    """The longest range of all sensors that fit, where 1 % of a cloud lies beyond; else None."""
+    sensors = guess_sensors(cloud)
+    if not sensors:
+        return None
+    longest = max(SENSORS[name].max_range for name in sensors)
+    ranges = se3.lengths(cloud.xyz - with_beam_origin(cloud).origin)
+    return longest if float(np.quantile(ranges, 0.99)) > longest else None
+
+
+def _read_times(size: float, scan: Scan, threshold: float | None, radius: float) -> Reading | None:
+    """Multiply a cloud; None where the place or the poles are then of no likely size."""
+    cloud = scan.cloud
+    if len(cloud) == 0 or np.abs(cloud.xyz).max() > se3.FARTHEST:
+        return None
+    half = size * float(np.median(se3.lengths(cloud.xyz - cloud.origin)))
+    if not NEAREST_HALF <= half <= FARTHEST_HALF:
+        return None
+    cloud = changed_cloud(cloud, size)
+    found = find_poles(cloud, sensor=scan.sensor, threshold=threshold, radius=radius)
+    if len(found.poles) < 2:
+        return None
+    widths = []
+    for pole in found.poles:
+        side = np.cross(pole.direction, pole.point - found.cloud.origin)
+        across = (pole.xyz - pole.point) @ (side / np.linalg.norm(side))
+        widths.append(np.ptp(np.quantile(across, WIDTH_QUANTILES)) / 2)
+    width = float(np.median(widths))
+    is_likely = WIDTHS[0] <= width / radius <= WIDTHS[1]
+    return Reading(found, width / size) if is_likely else None
+
+
+def _in_no_metres(placement: Placement) -> Refusal | None:
+    """Say which clouds have ranges that are no metres; None where both may be metres."""
+    named = zip(("target", "source"), placement.scans, strict=True)
+    odd = {name: found for name, scan in named if (found := oddity_of(scan.cloud))}
+    for name, found in odd.items():
+        if found.is_tiny:
+            return Refusal("wrong_unit", f"of the {name}, {found.words}", {"lidars": name})
+    odd = {name: found for name, found in odd.items() if found.units}
     if not odd:
         return None
     first, *others = odd.values()
     common = tuple(unit for unit in first.units if all(unit in each.units for each in others))
-    told = replace(first, units=common or first.units)
+    likely = replace(first, units=common or first.units)
     whose = "both clouds' points" if others else f"the {next(iter(odd))}'s points"
-    options = " or ".join(_options(unit, list(odd)) for unit in told.units)
+    options = " or ".join(_options(unit, *odd) for unit in likely.units)
     return Refusal(
         "wrong_unit",
         f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, which no "
-        f"LiDAR sees in metres: they look like {told.candidates}; if they are, read them with "
+        f"LiDAR sees in metres: they look like {likely.candidates}; if they are, read them with "
         f"{options}",
-        {"lidars": " and ".join(odd), "half": told.half, "units": " or ".join(told.units)},
+        {"lidars": " and ".join(odd), "half": likely.half, "units": " or ".join(likely.units)},
     )
 
 
-def _in_common_unit(shown: InUnit, radius: float, refusal: Refusal, odd: Refusal | None) -> Refusal:
-    """Say in which unit both clouds show poles; nothing else tells feet from thicker poles."""
-    target, source, agreed = shown
-    unit, thicker = target.unit, (target.radius_before + source.radius_before) / 2
+def _in_common_unit(
+    placement: Placement,
+    read: Mapping[float, Sequence[Reading | None]],
+    radius: float,
+    refusal: Refusal,
+    odd: Refusal | None,
+) -> Refusal | None:
+    """Say in which one unit both clouds show poles; nothing else tells feet from thicker poles."""
+    fitting = []
+    for unit in UNITS:
+        target, source = read[METRES[unit]]
+        if target is None or source is None:
+            continue
+        fit = find_fit(replace(placement, target=target.scan, source=source.scan))
+        # Clouds that are in two units are told by what brings one to the other.
+        if fit is not None and abs(np.log(fit.factor)) <= LEAST_CHANGE:
+            fitting.append((unit, target, source, fit.agreed))
+    if len(fitting) != 1:
+        return None
+    ((unit, target, source, agreed),) = fitting
+    thicker = (target.radius_before + source.radius_before) / 2
     said = (
         f"read as {NAMES[unit]}, the target shows {len(target.scan.poles)} poles of radius "
         f"{radius:g} m and the source {len(source.scan.poles)}, which fit each other, and "
@@ -214,7 +283,7 @@ def _in_common_unit(shown: InUnit, radius: float, refusal: Refusal, odd: Refusal
     return Refusal(refusal.code, f"{refusal.message}; {hint}", {**refusal.values, **values})
 
 
-def _options(unit: Unit, lidars: Sequence[str]) -> str:
+def _options(unit: Unit, *lidars: str) -> str:
     if len(lidars) > 1:
         return f"--unit {unit}"
     return f"--unit-source {unit}" if lidars[0] == "source" else f"--unit {unit} --unit-source m"
@@ -222,29 +291,25 @@ def _options(unit: Unit, lidars: Sequence[str]) -> str:
 
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:
     agreed = found.agreed
-    figures = {
-        "agreeing": agreed.agreeing,
-        "contradicting": agreed.contradicting,
-        **({} if rigid is None else {"rigid_agreeing": rigid.agreed.agreeing}),
-        **({} if rigid is None else {"rigid_contradicting": rigid.agreed.contradicting}),
-    }
+    figures = {"agreeing": agreed.agreeing, "contradicting": agreed.contradicting}
     shown = f"{agreed.agreeing} of {agreed.total} voxels off the ground then agree"
     if rigid is not None:
+        figures["rigid_agreeing"] = rigid.agreed.agreeing
+        figures["rigid_contradicting"] = rigid.agreed.contradicting
         shown += f", {rigid.agreed.agreeing} of {rigid.agreed.total} under the best rigid motion"
-    if not found.change.mirrored:
-        factor = found.change.factor
-        return Refusal(
-            "wrong_scale",
-            f"lengths in the source must be multiplied by {factor:.4f} to be those in the target"
-            f"{_unit_words(factor)}: {shown}; bring both clouds to metres",
-            {"factor": factor, **_unit_values(factor), **figures},
-        )
-    axis = _mirrored_axis(found, placement)
-    words = {
-        "horizontal": "one horizontal axis",
-        "vertical": "the vertical axis, or a horizontal one where a LiDAR hangs upside down,",
-        "unknown": "one axis",
-    }[axis]
+    if found.factor > 0:
+        return _wrong_scale(found.factor, f"{shown}; bring both clouds to metres", figures)
+    # As far as the LiDARs' own axes tell: two horizontal ones differ by a rotation.
+    moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.factor).axis
+    cosine = float(placement.target.cloud.axis @ moved)
+    axis, words = (
+        "vertical",
+        "the vertical axis, or a horizontal one where a LiDAR hangs upside down,",
+    )
+    if abs(cosine) < LEVEL:
+        axis, words = "unknown", "one axis"
+    elif cosine > 0:
+        axis, words = "horizontal", "one horizontal axis"
     return Refusal(
         "mirrored",
         f"{words} of one of the two clouds is reversed: {shown}; look at the driver's axes "
@@ -253,36 +318,23 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
     )
 
 
-def _mirrored_axis(found: Found, placement: Placement) -> str:
-    """Which axis is reversed, as far as the LiDARs' own axes tell under the pose.
-
-    Two horizontal ones differ by a rotation about the vertical one.
-    """
-    moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.change).axis
-    cosine = float(placement.target.cloud.axis @ moved)
-    if abs(cosine) < LEVEL:
-        return "unknown"
-    return "horizontal" if cosine > 0 else "vertical"
-
-
-def _unit_of(factor: float) -> str | None:
-    """Name the unit that one of two clouds is in, where a factor is that of one to metres."""
-    for name, size in UNITS.items():
-        if abs(abs(np.log(factor)) + np.log(size)) < SAME_UNIT:
-            return name
-    return None
-
-
-def _unit_words(factor: float) -> str:
-    name = _unit_of(factor)
-    if name is None:
-        return ""
-    lidar = "source" if factor < 1 else "target"
-    unit = next((unit for unit, known in NAMES.items() if known == name), None)
-    option = "" if unit is None else f" Then read it with {_options(unit, [lidar])}"
-    return f" ({UNITS[name]:g}: is the {lidar} in {name}?{option})"
-
-
-def _unit_values(factor: float) -> dict[str, float | int | str]:
-    name = _unit_of(factor)
-    return {} if name is None else {"unit": name, "unit_m": UNITS[name]}
+def _wrong_scale(
+    factor: float, because: str, figures: dict[str, float] | dict[str, int], error: str = ""
+) -> Refusal:
+    """Refuse by a scale, and name the unit that one of two clouds is in where it is of one."""
+    unit = next(
+        (u for u in UNITS if abs(abs(np.log(factor)) + np.log(METRES[u])) < LEAST_CHANGE), None
+    )
+    values: dict[str, float | int | str] = {"factor": factor, **figures}
+    named = ""
+    if unit is not None:
+        lidar = "source" if factor < 1 else "target"
+        values |= {"unit": NAMES[unit], "unit_m": METRES[unit]}
+        named = f" ({METRES[unit]:g}: is the {lidar} in {NAMES[unit]}?"
+        named += f" Then read it with {_options(unit, lidar)})"
+    return Refusal(
+        "wrong_scale",
+        f"lengths in the source must be multiplied by {factor:.4f}{error} to be those in the "
+        f"target{named}: {because}",
+        values,
+    )

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.evaluation.entropy import KERNEL_WIDTH
-from retropole.evaluation.rivals import RIVALS
+from retropole.evaluation.metrics import KERNEL_WIDTH
 from retropole.simulation import EXACT, simulate_pair
-from studies.paper.comparing import RIVAL_NAMES, comparing_real
+from studies.paper.comparing import comparing_real
 from studies.paper.sharpness import KERNEL_WIDTHS, RELATIONS, sums_of
 from tests.paths import SHARED
 from tests.studies.paper.exhibits import all_exhibits, number
@@ -47,10 +46,6 @@ def test_a_cloud_on_itself_is_sharper_than_one_beside_it() -> None:
 def test_the_truth_has_no_error() -> None:
     rows = {row[0]: row for row in all_exhibits()["table4_comparing"].rows}
     assert number(rows["truth"][6]) == 0.0
-
-
-def test_every_rival_of_the_table_is_registered() -> None:
-    assert set(RIVAL_NAMES.values()) <= set(RIVALS)
 
 
 @pytest.mark.nightly

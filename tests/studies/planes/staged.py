@@ -6,7 +6,7 @@ import numpy as np
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
-from retropole.evaluation.rivals.plane_extraction import Plane
+from studies.planes.extraction import Plane
 
 
 def square(normal: Array, centre: Array, rng: np.random.Generator, count: int = 200) -> Plane:

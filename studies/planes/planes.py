@@ -20,12 +20,12 @@ from itertools import compress
 
 import numpy as np
 
-from ...base import se3
-from ...base.datatypes import Array, BoolArray, PointCloud, PoseEstimate
-from ...base.errors import Refusal
-from ...surfaces.visibility import View, compare_views, view_of
-from .plane_extraction import MAX_ROUNDS, PlaneSearch, extract_planes, triples
-from .plane_poses import (
+from retropole.base import se3
+from retropole.base.datatypes import Array, BoolArray, PointCloud, PoseEstimate
+from retropole.base.errors import Refusal
+from retropole.surfaces.visibility import View, compare_views, view_of
+from studies.planes.extraction import MAX_ROUNDS, PlaneSearch, extract_planes, triples
+from studies.planes.poses import (
     MAX_REFINE_STEPS,
     SAME_PLANE_ANGLE,
     RefinedPose,
@@ -107,8 +107,8 @@ def planar_surfaces(
     Raises
     ------
     Refusal
-        ``too_few_planes`` where a cloud has no three linearly independent planes,
-        ``planes_unmatched`` where no three of the one fit three of the other,
+        ``unmatched`` where a cloud has no three linearly independent planes, or no three of the one
+        fit three of the other,
         ``no_overlap`` where some do but the surroundings contradict,
         ``ambiguous`` where different poses fit alike,
         ``not_converged`` where the refinement of the chosen pose still moves.
@@ -129,7 +129,7 @@ def planar_surfaces(
             refined.append(found)
     if not refined:
         raise Refusal(
-            "planes_unmatched",
+            "unmatched",
             f"no three of the target's {len(planes[0])} planes have the same angles between them "
             f"as three of the source's {len(planes[1])}, within "
             f"{np.degrees(SAME_PLANE_ANGLE):.0f}°; record where both LiDARs see the same three",
@@ -155,7 +155,7 @@ def _require_three(lidar: str, search: PlaneSearch) -> None:
         return
     given_up = "" if search.complete else f", and the search was given up after {MAX_ROUNDS} rounds"
     raise Refusal(
-        "too_few_planes",
+        "unmatched",
         f"the {lidar} cloud has {len(search.planes)} planes, but no three that are linearly "
         f"independent{given_up}; record where the ground and two walls that are not parallel are "
         "seen",

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...base.datatypes import Array, IntArray, PointCloud
-from ...base.se3 import principal_axes
-from ...surfaces.registration import voxel_downsample
+from retropole.base.datatypes import Array, IntArray, PointCloud
+from retropole.base.se3 import principal_axes
+from retropole.surfaces.registration import voxel_downsample
 
 PLANE_VOXEL = 0.15
 """Clouds are downsampled to one point per cube of this side, metres, so that support means area."""

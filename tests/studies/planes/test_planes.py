@@ -6,12 +6,12 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.rivals import plane_poses
-from retropole.evaluation.rivals.planes import planar_surfaces
 from retropole.io import read_cloud
 from retropole.simulation import SimulatedPair, simulate_pair
-from tests.evaluation.rivals.staged import ROOM, assert_close, box
+from studies.planes import poses
+from studies.planes.planes import planar_surfaces
 from tests.paths import SHARED
+from tests.studies.planes.staged import ROOM, assert_close, box
 from tests.tiers import first_of
 
 pytestmark = pytest.mark.full
@@ -32,7 +32,7 @@ def test_fewer_than_three_independent_planes_are_refused(faces: str, side: int) 
     clouds[side] = box(rng, ROOM, faces)
     with pytest.raises(Refusal) as refusal:
         planar_surfaces(clouds[0], clouds[1], rng)
-    assert refusal.value.code == "too_few_planes"
+    assert refusal.value.code == "unmatched"
     assert refusal.value.values["lidar"] == ("target", "source")[side]
 
 
@@ -42,7 +42,7 @@ def test_planes_with_other_angles_are_refused() -> None:
     skew = np.array([[1.0, 0.3, 0], [0, 1, 0.4], [0.3, 0, 1]])
     with pytest.raises(Refusal) as refusal:
         planar_surfaces(room, PointCloud(room.xyz @ skew.T), rng)
-    assert refusal.value.code == "planes_unmatched"
+    assert refusal.value.code == "unmatched"
 
 
 def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
@@ -56,7 +56,7 @@ def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
 def test_a_refinement_that_still_moves_is_refused(
     corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plane_poses, "SMALL_REFINE_STEP", 0.0)
+    monkeypatch.setattr(poses, "SMALL_REFINE_STEP", 0.0)
     with pytest.raises(Refusal) as refusal:
         planar_surfaces(corridor.target, corridor.source, np.random.default_rng(0))
     assert refusal.value.code == "not_converged"
@@ -66,7 +66,7 @@ def test_no_points_are_refused() -> None:
     empty = PointCloud(np.zeros((0, 3)))
     with pytest.raises(Refusal) as refusal:
         planar_surfaces(empty, empty, np.random.default_rng(0))
-    assert refusal.value.code == "too_few_planes"
+    assert refusal.value.code == "unmatched"
 
 
 def test_transforming_both_clouds_transforms_the_answer(corridor: SimulatedPair) -> None:

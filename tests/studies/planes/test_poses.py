@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.evaluation.rivals import plane_poses
-from retropole.evaluation.rivals.plane_extraction import Plane
-from retropole.evaluation.rivals.plane_poses import agreement, candidate_poses, linearised, refine
-from tests.evaluation.rivals.staged import assert_close, transformed, walls
+from studies.planes import poses
+from studies.planes.extraction import Plane
+from studies.planes.poses import agreement, candidate_poses, linearised, refine
+from tests.studies.planes.staged import assert_close, transformed, walls
 
 NEARBY = np.array([0.01, -0.01, 0.01, 0.02, 0.02, -0.02])
 
@@ -80,7 +80,7 @@ def test_swapping_the_clouds_inverts_the_refined_pose(planes: list[Plane]) -> No
 def test_a_refinement_that_still_moves_says_so(
     planes: list[Plane], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plane_poses, "MAX_REFINE_STEPS", 1)
+    monkeypatch.setattr(poses, "MAX_REFINE_STEPS", 1)
     source = transformed(planes, se3.inverse(se3.retract(np.eye(4), NEARBY)))
     rng = np.random.default_rng(7)
     noisy = [

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...alignment.solver import Solution, gauss_newton
-from ...base import se3
-from ...base.datatypes import Array, BoolArray, PoseEstimate
-from .plane_extraction import MIN_INDEPENDENCE, Plane, independence, triples
+from retropole.alignment.solver import Solution, gauss_newton
+from retropole.base import se3
+from retropole.base.datatypes import Array, BoolArray, PoseEstimate
+from studies.planes.extraction import MIN_INDEPENDENCE, Plane, independence, triples
 
 SAME_PLANE_ANGLE = float(np.radians(3.0))
 """Triples may match if the angles between their planes differ by no more than this, rad."""

@@ -5,15 +5,15 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
-from retropole.evaluation.rivals import plane_extraction
-from retropole.evaluation.rivals.plane_extraction import (
+from studies.planes import extraction
+from studies.planes.extraction import (
     MAX_PLANES,
     MIN_EXTENT,
     extract_planes,
     fit_plane,
     triples,
 )
-from tests.evaluation.rivals.staged import ROOM, box, transformed, walls
+from tests.studies.planes.staged import ROOM, box, transformed, walls
 
 pytestmark = pytest.mark.full
 
@@ -67,7 +67,7 @@ def test_strips_are_no_planes_and_a_search_that_only_finds_strips_says_so(
     complete = extract_planes(cloud, rng)
     assert complete.planes == ()
     assert complete.complete
-    monkeypatch.setattr(plane_extraction, "MAX_ROUNDS", 2)
+    monkeypatch.setattr(extraction, "MAX_ROUNDS", 2)
     given_up = extract_planes(cloud, rng)
     assert given_up.planes == ()
     assert not given_up.complete
