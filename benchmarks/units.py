@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from retropole.base.datatypes import PointCloud
-from retropole.io.units import METRES, Unit
+from retropole.io.fields import METRES, Unit
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
 from retropole.verdict.same_unit import unit_of_one

@@ -8,7 +8,7 @@ import pytest
 
 import retropole as rp
 from retropole.base.datatypes import Placement, PointCloud
-from retropole.io.units import METRES, Unit
+from retropole.io.fields import METRES, Unit
 from retropole.pipeline import calibrate
 from retropole.simulation import record_again, simulate_pair
 from retropole.surfaces.scans import find_poles

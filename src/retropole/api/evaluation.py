@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError, said
+from ..base.errors import ReadError, UsageError, readable, said
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -22,7 +22,6 @@ from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
-from ..io.failures import readable
 from ..monitoring.swapped import swap
 from ..result import ResultDoc, RunConfig
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair

@@ -20,14 +20,13 @@ from ..base.description import (
     SurveyedPole,
     Up,
 )
-from ..base.errors import ReadError, Refusal
+from ..base.errors import ReadError, Refusal, naming
 from ..base.files import path_in_text
 from ..base.quantities import error as length
 from ..base.quantities import step_of
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..io import sha256_of
-from ..io.failures import naming
 from ..result.site import RecordingDoc, SiteConfig, recording_document
 from ..world.projection import projected
 from ..world.world import in_metres

@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError, said
+from ..base.errors import ReadError, UsageError, naming, said
 from ..base.files import read_document
 from ..base.quantities import error
 from ..base.se3 import rigid
-from ..io.failures import naming
 from ..result import ReasonDoc, ResultDoc
 from ..result.folder import any_result_file
 from ..result.site import SiteDoc

@@ -19,10 +19,9 @@ from ..base.datatypes import Placement, PointCloud, Scan
 from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import Confirmation
 from ..hypotheses.similarity_search import LEAST_CHANGE, find_change
-from ..io.beam_origin import with_beam_origin
+from ..io.beams import guess_sensors, with_beam_origin
 from ..io.coordinates import FARTHEST_HALF, NEAREST_HALF, oddity_of
-from ..io.recognition import guess_sensors
-from ..io.units import METRES, Unit, in_metres
+from ..io.fields import METRES, Unit, in_metres
 from ..surfaces.scans import find_poles
 
 UNITS_TRIED: tuple[Unit, ...] = ("ft", "in", "cm", "mm")

@@ -20,7 +20,7 @@ from ..base.errors import Refusal
 from ..hypotheses.similar import Change, changed_cloud
 from ..hypotheses.similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
 from ..io.coordinates import Oddity, oddity_of
-from ..io.units import METRES, NAMES, Unit
+from ..io.fields import METRES, NAMES, Unit
 from ..surfaces.scans import find_poles
 from .same_unit import InUnit, common_unit
 

@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.errors import ReadError, UsageError
+from ...base.errors import ReadError, UsageError, naming, readable, reported
 from ...base.files import check_is_file
 from ...base.quantities import counted
 from .. import READERS, open_recording
-from ..bag_files import check_extra
-from ..failures import naming, readable, reported
+from ..bags import check_extra
 from ..recordings import Frame, time_of_recording
 from ..ros import frame_of
 from .growing import PARTS, Part, Recorded

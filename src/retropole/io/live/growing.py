@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
 
 from ...base.errors import ReadError
 from ...base.files import check_is_file
-from ..bag_files import MAX_TOPICS, open_database, topics_in
-from ..bag_mcap import entries_of
+from ..bags import MAX_TOPICS, entries_of, open_database, topics_in
 from ..recordings import CLOUDS, holds_clouds
 from ..ros import MAX_LISTED
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
