@@ -65,7 +65,7 @@ from retropole.simulation import (
     record_again,
     simulate_pair,
 )
-from retropole.simulation.recording import Arrangement, Recorders, poles_in_view, record
+from retropole.simulation.pairs import Arrangement, Recorders, poles_in_view, record
 from retropole.simulation.scanning import scan
 from retropole.simulation.site_places import stands_free
 from retropole.simulation.sites import DrawnSite, draw_site

@@ -41,8 +41,7 @@ from retropole.simulation import (
     place_again,
     simulate_pair,
 )
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import simulate_blunder
 
 PAIRS, SITES, FIRST_SEED = 120, 30, 7000

@@ -42,8 +42,7 @@ from retropole.base.relative import joint_of, relative
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation import FIELD, SimulationError
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import Blunder, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")

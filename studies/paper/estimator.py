@@ -16,7 +16,7 @@ from retropole.base.errors import Refusal
 from retropole.base.systematic import NO_ERRORS
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.paper import PAPER_NOISE, PAPER_POLE_LENGTH
+from retropole.simulation.scenes import PAPER_NOISE, PAPER_POLE_LENGTH
 from studies.paper.exhibit import Exhibit
 
 if TYPE_CHECKING:

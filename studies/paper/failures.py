@@ -18,9 +18,9 @@ from retropole.extraction.clustering import clusters
 from retropole.pipeline import calibrate
 from retropole.report.figures import GREEN, GREY, RED
 from retropole.simulation import FIELD, SimulatedPair, record_again, simulate_pair
-from retropole.simulation.intensity import TAPE_REACH, saturation, tape_strength
+from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.raycast import Box, Material, Rectangle, Surface
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.returns import TAPE_REACH, saturation, tape_strength
 from retropole.surfaces.disambiguation import SCORING_VOXEL
 from retropole.surfaces.registration import as_surface, voxel_downsample
 from studies.paper.choosing import icp_of_any_reach

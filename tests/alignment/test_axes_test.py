@@ -16,7 +16,7 @@ from retropole.base.systematic import (
     NO_ERRORS,
 )
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.pairs import Arrangement, Recorders, record
 from tests.alignment.beams import beams_at, beams_in, paper
 from tests.tiers import first_of
 

@@ -30,8 +30,7 @@ from retropole.hypotheses.link_by_one_pole import link_by_place
 from retropole.hypotheses.pairs import Pair, PairHypothesis
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from tests.adjustment.adjusting import Steps, between, made, off, reordered
 
 THOUSANDTH = 22.5

@@ -21,7 +21,7 @@ from retropole.simulation import (
     record_again,
     simulate_pair,
 )
-from retropole.simulation.recording import MIN_RETURNS
+from retropole.simulation.pairs import MIN_RETURNS
 from retropole.simulation.scenes import SURROUNDINGS
 from tests.simulation.surfaces import distance_from
 from tests.tiers import first_of
