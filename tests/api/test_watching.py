@@ -20,7 +20,7 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.export import Transform
-from retropole.export.publishing import Published
+from retropole.export.recording import Published
 from retropole.io import Frame, read_frames
 from retropole.result import InputDoc, RunConfig
 from retropole.result.watching import WatchDoc
