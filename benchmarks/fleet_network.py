@@ -36,7 +36,7 @@ from scipy.special import chdtri
 from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.relative import relative_jacobian
+from retropole.base.se3 import relative_jacobian
 from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, find_components
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network

@@ -12,7 +12,7 @@ from retropole.adjustment.datum import Datum, without_poles
 from retropole.adjustment.site import Adjusted, Recorded
 from retropole.base import se3
 from retropole.base.errors import Refusal
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from tests.adjustment.adjusting import Steps, made, off, steps_of
 from tests.tiers import first_of
 

@@ -13,9 +13,10 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS
-from retropole.base.systematic import NO_ERRORS, Sizes
+from retropole.base.systematic import Sizes
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
+from studies.paper.estimator import NO_ERRORS
 from tests.conftest import PoleMaker
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 

@@ -12,11 +12,9 @@ from retropole.alignment.axes_test import AxesTest
 from retropole.alignment.observations import Beams
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.systematic import (
-    NO_ERRORS,
-)
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
+from studies.paper.estimator import NO_ERRORS
 from tests.alignment.beams import beams_at, beams_in, paper
 from tests.tiers import first_of
 

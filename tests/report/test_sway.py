@@ -3,7 +3,7 @@ import math
 import msgspec
 import numpy as np
 
-from retropole.base.sway import Sway, stated_sway
+from retropole.base.systematic import Sway, stated_sway
 from retropole.report import render_report
 from retropole.report.text import describe_result
 from retropole.result.sway import SwayDoc

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.base.sway import Sway
+from retropole.base.systematic import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
 from retropole.result import ReasonDoc, ResultDoc

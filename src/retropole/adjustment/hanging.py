@@ -13,7 +13,7 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..base.relative import joint_of, relative
+from ..base.se3 import joint_of, relative
 from ..hypotheses.by_place import LEAN_ANOTHER, check_held_by_scene
 from ..hypotheses.joint_choice import linked_groups
 from ..hypotheses.pairs import Pair

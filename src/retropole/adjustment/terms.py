@@ -11,7 +11,7 @@ import numpy as np
 
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, IntArray
-from ..base.relative import joint_of, relative, relative_jacobian
+from ..base.se3 import joint_of, relative, relative_jacobian
 from ..base.systematic import Layout
 from ..surfaces.patch_pairs import (
     MIN_PATCHES,

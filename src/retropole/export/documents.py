@@ -24,11 +24,11 @@ from ..base.datatypes import Array
 from ..base.description import Frame, Geodetic
 from ..base.errors import MissingExtraError, ReadError, said
 from ..base.se3 import rigid
+from ..base.world import OnWgs84, heading, on_wgs84, pose_in_frame
 from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, plain, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, LidarDoc, SiteDoc
 from ..result.verdict import verdict_line
-from ..world.world import OnWgs84, heading, on_wgs84, pose_in_frame
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,

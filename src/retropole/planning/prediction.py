@@ -16,7 +16,7 @@ from ..alignment.factor import PoleFactor
 from ..alignment.network import factor_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray
-from ..base.relative import joint_of, relative
+from ..base.se3 import joint_of, relative
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import BudgetEntry
 from ..extraction.sensor_pattern import error_sizes

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from ..base.quantities import round_below
-from ..base.sway import Sway
+from ..base.systematic import Sway
 from ..result.sway import SwayDoc
 from .page import EMPTY, Html, fill, join
 from .subject import Subject

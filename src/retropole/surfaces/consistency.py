@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.sampling import every_nth
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
 from .averaging import averaged
 from .patch_pairs import labels_of

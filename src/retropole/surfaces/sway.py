@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array, PointCloud
-from ..base.sway import Sway, stated_sway
+from ..base.systematic import Sway, stated_sway
 from .ordering import numbered
 from .oscillation import SIZES, Asked, Motion, hypotheses, infer, length_of, ways_of
 from .static import MAX_TURN, MIN_FRAMES, turned_by

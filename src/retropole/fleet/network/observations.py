@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...api import Array, IntArray, se3
-from ...base.relative import relative_jacobian
+from ...base.se3 import relative_jacobian
 
 
 @dataclass(frozen=True, eq=False)

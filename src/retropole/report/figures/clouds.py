@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...base.datatypes import Array
-from ...base.sampling import every_nth
+from ...base.datatypes import Array, every_nth
 from .canvas import GREEN, MAX_FIGURE_POINTS
 
 if TYPE_CHECKING:

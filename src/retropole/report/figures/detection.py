@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...base.datatypes import Array, Detection, IntArray, PointCloud
+from ...base.datatypes import Array, Detection, IntArray, PointCloud, every_nth
 from ...base.quantities import counted
-from ...base.sampling import every_nth
 from .canvas import BLUE, GREY, MAX_FIGURE_POINTS, ORANGE, RED, new_figure, save_figure
 
 if TYPE_CHECKING:
