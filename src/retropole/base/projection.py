@@ -21,10 +21,6 @@ BEYOND_AREA = np.radians(20.0)
 up to 31°. Swapped east and north of UTM lie farther off."""
 
 
-CONFORMAL = 1e-5
-"""Up to which a distortion of angles is rounding, rad: 0.3 mm at 30 m."""
-
-
 class Projected(NamedTuple):
     """A projected system as PROJ has it: the projection, its ellipsoid and its name."""
 
@@ -78,7 +74,8 @@ class Grid:
             f"{self.height_factor:.7f}), and grid north is "
             f"{np.degrees(abs(self.convergence)):.4f} deg {side} of true north"
         )
-        if self.distortion > CONFORMAL:
+        # What rounding makes of angles, rad: 0.3 mm at 30 m.
+        if self.distortion > 1e-5:
             # Scales along and across differ by sin(distortion / 2) of their mean either way.
             words += (
                 f"; it is not conformal: in some directions 30 m are {15e3 * self.distortion:.1f} "
@@ -233,10 +230,6 @@ class Ellipsoid(NamedTuple):
 WGS84 = Ellipsoid(6_378_137.0, 1 / 298.257223563)
 """Defining parameters of the World Geodetic System 1984 (NGA.STND.0036, table 3.1)."""
 
-ITERATIONS = 4
-"""Of the latitude: each cuts its error by more than a thousand up to 10,000 km of height, from
-less than 1e-3 rad."""
-
 
 def geocentric_of(geodetic: Array, ellipsoid: Ellipsoid = WGS84) -> Array:
     """Earth-centred, earth-fixed coordinates (N, 3), metres.
@@ -275,7 +268,9 @@ def geodetic_of(geocentric: Array, ellipsoid: Ellipsoid = WGS84) -> Array:
     p = np.hypot(x, y)
     reduced = np.arctan2(z, p * ratio)
     latitude = reduced
-    for _ in range(ITERATIONS):
+    # Of the latitude: each cuts its error by more than a thousand up to 10,000 km of height, from
+    # less than 1e-3 rad.
+    for _ in range(4):
         latitude = np.arctan2(
             z + e2 / ratio * a * np.sin(reduced) ** 3, p - e2 * a * np.cos(reduced) ** 3
         )

@@ -46,10 +46,6 @@ RANGE_TO_OFFSET = 3.0
 """A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
 share: the bound that hardly any device exceeds."""
 
-USUAL_TAPE = 0.007
-"""1 σ of the range offset on tape, metres, of a LiDAR that is known and whose manufacturer states
-nothing of retro-reflectors: an assumption."""
-
 USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
 """1 σ of the logarithm of the width of a beam: of a LiDAR that is not known, since manufacturers'
 figures range from 1.5 to 8 mrad, and of one that is, since some state the width at half of the
@@ -132,7 +128,8 @@ def sizes_of(sensor: Sensor | None) -> Sizes:
     if sensor.range_accuracy is not None:
         retro = sensor.retro_accuracy
         zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
-        tape = USUAL_TAPE if retro is None else retro / RANGE_TO_OFFSET
+        # Of a maker who states nothing of retro-reflectors: an assumption.
+        tape = 0.007 if retro is None else retro / RANGE_TO_OFFSET
         sizes = replace(sizes, zero=zero, tape=tape)
     return replace(sizes, **sensor.errors)
 

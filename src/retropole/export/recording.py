@@ -32,25 +32,19 @@ anything, those of topics may not."""
 
 TRANSFORMS, TRANSFORM_TOPIC = "tf2_msgs/msg/TFMessage", "/tf_static"
 
-FRAME_PERIOD = 0.1
-"""Between frames whose times are not known, s: LiDARs turn ten times a second, mostly."""
-
-LAST_SECOND = 2**31
-"""ROS 2 has no time from here on."""
-
-_KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL = 1, 1, 1
-_LATCHED = f"""\
-- history: {_KEEP_LAST}
+_LATCHED = """\
+- history: 1
   depth: 1
-  reliability: {_RELIABLE}
-  durability: {_TRANSIENT_LOCAL}
-  deadline: {{sec: 0, nsec: 0}}
-  lifespan: {{sec: 0, nsec: 0}}
+  reliability: 1
+  durability: 1
+  deadline: {sec: 0, nsec: 0}
+  lifespan: {sec: 0, nsec: 0}
   liveliness: 1
-  liveliness_lease_duration: {{sec: 0, nsec: 0}}
+  liveliness_lease_duration: {sec: 0, nsec: 0}
   avoid_ros_namespace_conventions: false
 """
-"""Who listens to ``/tf_static`` late is told all the same, also by ``ros2 bag play``."""
+"""Keep last, reliable, transient local: who listens to ``/tf_static`` late gets it all the same,
+also by ``ros2 bag play``."""
 
 
 class Track(NamedTuple):
@@ -178,8 +172,10 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
 def _times(clouds: Mapping[str, Sequence[Frame]]) -> dict[str, list[int]]:
     """Give the time of each frame, ns; one clock for all, so all or none by the recorder's."""
     stamps = {topic: [frame.stamp for frame in frames] for topic, frames in clouds.items()}
-    if not all(s is not None and 0 <= s < LAST_SECOND for own in stamps.values() for s in own):
-        stamps = {name: [k * FRAME_PERIOD for k in range(len(own))] for name, own in stamps.items()}
+    # ROS 2 has no time from 2^31 s on.
+    if not all(s is not None and 0 <= s < 2**31 for own in stamps.values() for s in own):
+        # LiDARs turn ten times a second, mostly.
+        stamps = {name: [k * 0.1 for k in range(len(own))] for name, own in stamps.items()}
     return {name: [round((s or 0.0) * NANOSECONDS) for s in own] for name, own in stamps.items()}
 
 

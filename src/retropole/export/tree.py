@@ -25,9 +25,6 @@ from .transform import Found, Transform
 
 MAP, SITE = "map", "site"
 
-WORTH_SAYING = 1e-4
-"""Of what a tree is off in the grid, metres: a tenth of a millimetre is below any survey."""
-
 
 @dataclass(frozen=True, eq=False)
 class Tree:
@@ -186,7 +183,8 @@ def notes_of(tree: Tree) -> list[str]:
         by_tree = se3.apply(tree.edges[0].T_parent_child, tree.places)
         off = np.linalg.norm(by_tree - to_frame(frame, tree.places), axis=1)
         worst = int(off.argmax())
-        if off[worst] >= WORTH_SAYING:
+        # A tenth of a millimetre is below any survey.
+        if off[worst] >= 1e-4:
             notes.append(
                 f"the tree keeps lengths on the ground, so by it {tree.lidars[worst].name} is "
                 f"{1000 * off[worst]:.1f} mm from its coordinates in the grid; json and geojson "
