@@ -41,6 +41,7 @@ from multiprocessing import get_context
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from again import record_again
 from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -62,7 +63,6 @@ from retropole.simulation import (
     SimulatedPair,
     SimulationError,
     draw_device,
-    record_again,
     simulate_pair,
 )
 from retropole.simulation.pairs import Arrangement, Recorders, poles_in_view, record

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.adjustment.agreement import check_agreement, check_contradiction
 from retropole.adjustment.refinement import refine
 from retropole.alignment.adjustment import BeamAlignment
@@ -18,7 +19,7 @@ from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
-from retropole.simulation import FIELD, SimulatedPair, draw_device, record_again, simulate_pair
+from retropole.simulation import FIELD, SimulatedPair, draw_device, simulate_pair
 from retropole.surfaces.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.surfaces.patches import surface_patches
 from retropole.surfaces.scans import find_poles

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import place_again, record_again
 from retropole.base.datatypes import Placement
 from retropole.base.description import Site, SiteLidar
 from retropole.certify.certification import (
@@ -17,7 +18,7 @@ from retropole.certify.certification import (
     quantile,
 )
 from retropole.certify.distances import Measured
-from retropole.simulation import SimulatedPair, place_again, record_again
+from retropole.simulation import SimulatedPair
 from tests.certify.certifying import RADIUS, found_in, four_poles
 
 pytestmark = pytest.mark.full

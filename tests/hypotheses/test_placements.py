@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.hypotheses.placements import merge_clouds
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, place_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 
 
 def placements(scene: str, seed: int, count: int = 3) -> list[SimulatedPair]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from benchmarks.again import record_again
 from retropole import pipeline
 from retropole.adjustment.refinement import Refinement, refine
 from retropole.base import se3
@@ -16,7 +17,7 @@ from retropole.hypotheses.evidence import MAX_CONFLICTING
 from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.sensors import SENSORS, find_sensor
@@ -17,7 +18,6 @@ from retropole.simulation import (
     NoiseModel,
     Rectangle,
     Surface,
-    record_again,
     scan,
     simulate_pair,
 )

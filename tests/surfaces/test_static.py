@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import BoolArray, PointCloud
 from retropole.base.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.static import (
     check_static,
     check_still,

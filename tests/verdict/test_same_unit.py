@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import retropole as rp
+from benchmarks.again import record_again
 from retropole.base.datatypes import Placement, PointCloud
 from retropole.io.fields import METRES, Unit
 from retropole.pipeline import calibrate
-from retropole.simulation import record_again, simulate_pair
+from retropole.simulation import simulate_pair
 from retropole.surfaces.scans import find_poles
 from retropole.verdict.same_unit import beyond_sensors, common_unit, unit_of_one
 
