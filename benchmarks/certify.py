@@ -18,6 +18,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from again import record_again
 from retropole.base.datatypes import Placement
 from retropole.certify.certification import FieldTest, certify
 from retropole.simulation import (
@@ -27,7 +28,6 @@ from retropole.simulation import (
     NoiseModel,
     SimulatedPair,
     SimulationError,
-    record_again,
     simulate_pair,
 )
 from retropole.surfaces.scans import find_poles

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from again import place_again, record_again
 from insertion import insert_poles
 from retropole.adjustment.refinement import refine
 from retropole.base import se3
@@ -39,13 +40,7 @@ from retropole.monitoring.drift import check, search_covariance
 from retropole.monitoring.movement import CheckResult
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
-from retropole.simulation import (
-    NOISE_MODELS,
-    SimulationError,
-    place_again,
-    record_again,
-    simulate_pair,
-)
+from retropole.simulation import NOISE_MODELS, SimulationError, simulate_pair
 from semireal import PAIRS, Loaded, load
 
 SCENES = ("corridor", "street", "harbor")

@@ -52,8 +52,7 @@ from retropole.base.description import ControlPoint, Site, SurveyedPole
 from retropole.base.errors import Reason
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation import FIELD, SimulationError
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import Blunder, axis_of, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")

@@ -59,8 +59,13 @@ from deception_sites import (
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from retropole.simulation import Box, Cylinder
-from retropole.simulation.arrangement import rotated_by_180, symmetric_poles
-from retropole.simulation.scenes import METAL, SURROUNDINGS, Surroundings
+from retropole.simulation.scenes import (
+    METAL,
+    SURROUNDINGS,
+    Surroundings,
+    rotated_by_180,
+    symmetric_poles,
+)
 
 FEET_IN_METRES = 0.3048
 ONE, TWO, THREE = standing(1), standing(2), standing(3)

@@ -16,20 +16,28 @@ from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from retropole.base.sensors import Sensor
 from retropole.simulation import Cylinder, Device, NoiseModel, Surface, scan
-from retropole.simulation.arrangement import (
+from retropole.simulation.pairs import (
+    LIDAR_SPACING,
+    MAX_POLE_ANGLE,
+    MIN_POLE_ANGLE,
+    Arrangement,
+    Recorders,
+    are_in_view,
+)
+from retropole.simulation.scanning import DELAY, SWEEP_SECONDS, Mover, draw_movers
+from retropole.simulation.scenes import (
     FOOT_HEIGHT,
     MAX_LEAN,
     MAX_POLE_X,
     POLE_LENGTHS,
     POLE_SPACING,
+    SURROUNDINGS,
+    TAPE,
+    UP,
+    Surroundings,
     draw_lidar,
     draw_poles,
 )
-from retropole.simulation.environment import DELAY, Mover, draw_movers
-from retropole.simulation.pairs import LIDAR_SPACING, MAX_POLE_ANGLE, MIN_POLE_ANGLE
-from retropole.simulation.recording import Arrangement, Recorders, are_in_view
-from retropole.simulation.scanning import SWEEP_SECONDS
-from retropole.simulation.scenes import SURROUNDINGS, TAPE, UP, Surroundings
 
 KEPT_FREE = 1.2
 """What is set or carried somewhere comes no closer to a LiDAR, metres."""

@@ -26,8 +26,7 @@ from retropole.base.datatypes import Array, Calibration
 from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
 from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan
-from retropole.simulation.arrangement import draw_lidar, draw_poles
-from retropole.simulation.scenes import SURROUNDINGS
+from retropole.simulation.scenes import SURROUNDINGS, draw_lidar, draw_poles
 
 FIRST_STATED_SEED = 1000
 KINDS = ("wall", "vest", "plate", "few", "wall and few", "one pole missing")

@@ -47,6 +47,7 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.special import chdtrc
 
+from again import record_again
 from fleet_bound import bound_table
 from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
@@ -56,7 +57,7 @@ from retropole.monitoring.drift import check
 from retropole.monitoring.movement import BOUND_SIGMAS, FALSE_ALARM, upper_limit
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE
 from retropole.pipeline import calibrate
-from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
+from retropole.simulation import NOISE_MODELS, simulate_pair
 
 WEEKS = 104
 SIGMAS = (np.radians(0.003), np.radians(0.05)), (0.0005, 0.005)

@@ -34,7 +34,7 @@ from scipy.special import chdtri
 from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.relative import relative_jacobian
+from retropole.base.se3 import relative_jacobian
 from retropole.fleet.network.adjustment import (
     NetworkAdjustment,
     adjust_network,

@@ -34,9 +34,13 @@ from typing import Any
 
 import numpy as np
 
-from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
+from retropole.simulation import NOISE_MODELS, SimulatedPair, simulate_pair
 from retropole.simulation.raycast import Box, Material
 from retropole.simulation.writing import write_pair
+
+# Tests import this module from the root of the clone.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks.again import record_again
 
 WEEKS = 9
 STEP_WEEK, LORRY_WEEK = 4, 5

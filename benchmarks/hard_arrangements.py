@@ -17,10 +17,16 @@ from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array
 from retropole.base.sensors import find_sensor
 from retropole.simulation import FIELD, Cylinder, Rectangle, SimulatedPair, Surface, draw_device
-from retropole.simulation.arrangement import LIDAR_HEIGHTS, draw_poles
-from retropole.simulation.pairs import LIDAR_SPACING, MAX_POLE_ANGLE, MIN_POLE_ANGLE
-from retropole.simulation.recording import Arrangement, Recorders, are_in_view, record
-from retropole.simulation.scenes import SURROUNDINGS
+from retropole.simulation.pairs import (
+    LIDAR_SPACING,
+    MAX_POLE_ANGLE,
+    MIN_POLE_ANGLE,
+    Arrangement,
+    Recorders,
+    are_in_view,
+    record,
+)
+from retropole.simulation.scenes import LIDAR_HEIGHTS, SURROUNDINGS, draw_poles
 
 PLACES = "corridor", "street", "harbor"
 SENSORS = (

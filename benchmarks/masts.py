@@ -32,7 +32,7 @@ from retropole.base.datatypes import Array
 from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, Cylinder, draw_device
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.scenes import SURROUNDINGS, TAPE, UP
 
 HEIGHTS, DISTANCES, MODELS = (2.0, 4.0, 6.0, 8.0), (6.0, 10.0, 15.0), ("VLP-16", "XT32", "OS1")

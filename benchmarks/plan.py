@@ -41,6 +41,7 @@ from multiprocessing import get_context
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from again import record_again
 from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -62,10 +63,9 @@ from retropole.simulation import (
     SimulatedPair,
     SimulationError,
     draw_device,
-    record_again,
     simulate_pair,
 )
-from retropole.simulation.recording import Arrangement, Recorders, poles_in_view, record
+from retropole.simulation.pairs import Arrangement, Recorders, poles_in_view, record
 from retropole.simulation.scanning import scan
 from retropole.simulation.site_places import stands_free
 from retropole.simulation.sites import DrawnSite, draw_site

@@ -18,9 +18,15 @@ from retropole.base.description import SurveyedPole
 from retropole.base.errors import UsageError
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scenes import UP
-from retropole.simulation.site_arrangement import Seen, are_linked, arrange
-from retropole.simulation.site_survey import Survey, Surveyed
-from retropole.simulation.sites import DrawnSite, SimulatedSite, draw_site, record_site
+from retropole.simulation.site_places import Seen, are_linked, arrange
+from retropole.simulation.sites import (
+    DrawnSite,
+    SimulatedSite,
+    Survey,
+    Surveyed,
+    draw_site,
+    record_site,
+)
 from retropole.simulation.writing import write_site
 
 BLUNDERS = "pole", "slide", "files", "control"

@@ -33,8 +33,7 @@ from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
-from retropole.simulation.environment import Sway
-from retropole.simulation.scanning import scan
+from retropole.simulation.scanning import Sway, scan
 
 KINDS = "street", "harbor", "square"
 SIZES_DEG, FREQUENCIES, FRAMES = (0.02, 0.05, 0.1), (0.3, 1.0), (10, 30, 100)

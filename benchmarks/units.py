@@ -19,10 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from again import record_again
 from retropole.base.datatypes import PointCloud
-from retropole.io.units import METRES, Unit
+from retropole.io.fields import METRES, Unit
 from retropole.pipeline import calibrate
-from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
+from retropole.simulation import NOISE_MODELS, simulate_pair
 from retropole.verdict.similarity import unit_of_one
 
 SCENES = "corridor", "street", "harbor"

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from again import record_again
 from retropole.api.watching import Watch, Wish, open_sources
 from retropole.result import RunConfig
 from retropole.simulation import simulate_pair
-from retropole.simulation.pairs import record_again
 
 SWEEPS, POINTS = 5, 100_000
 DOMAIN = "87"

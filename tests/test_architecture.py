@@ -18,8 +18,8 @@ LAYERS = (
     # The steps, by what they return: poles, their pose, what two clouds have in common at a pose,
     # which poses there may be, the poses of all LiDARs, what follows from them.
     *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
-    # The field test, and frames of maps.
-    *("certify", "world"),
+    # The field test.
+    "certify",
     # The method and its answer.
     *("pipeline", "pipeline_of_sites", "result"),
     # Around the method, and what people touch.
@@ -32,7 +32,7 @@ LAYERS = (
 PUBLIC = {
     *(("api",), ("result",), ("base", "errors"), ("base", "files"), ("base", "version")),
     # Small pure mathematics of transforms.
-    *(("base", "se3"), ("base", "relative")),
+    ("base", "se3"),
 }
 """What others may build on, and `fleet` builds on alone."""
 
@@ -45,7 +45,7 @@ DOORS = {
         *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
     # A recording is written in the frames that one is read in, a tree in the frames of a site.
-    "export": {"base", "io", "result", "world"},
+    "export": {"base", "io", "result"},
 }
 """Rooms that what stands outermost may import; with time fewer."""
 

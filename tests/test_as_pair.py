@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.base.description import Site, SiteLidar
 from retropole.base.sensors import Sensor
@@ -12,7 +13,7 @@ from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.result import encode
 from retropole.result.site import found_document
-from retropole.simulation import SimulatedPair, place_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 
 RECORDINGS = (
     "street",

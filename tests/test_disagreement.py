@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.pipeline import calibrate
-from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
+from retropole.simulation import NOISE_MODELS, SimulatedPair, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq
 from tests.tiers import first_of
 

@@ -14,7 +14,7 @@ from retropole.adjustment.site import Adjusted, Recorded, adjust
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
-from retropole.base.relative import RelativePose
+from retropole.base.se3 import RelativePose
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline_of_sites import calibrate_site
 from retropole.simulation.sites import SimulatedSite

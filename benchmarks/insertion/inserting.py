@@ -13,9 +13,14 @@ import numpy as np
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array, IntArray, PointCloud
 from retropole.base.sensors import Sensor
-from retropole.simulation.inserting import DIVERGENCE, in_sensor_frame, with_poles
 from retropole.simulation.raycast import Cylinder
-from retropole.simulation.recorded import in_frame, recorded_beams
+from retropole.simulation.recorded import (
+    DIVERGENCE,
+    in_frame,
+    in_sensor_frame,
+    recorded_beams,
+    with_poles,
+)
 from retropole.simulation.scenes import UP
 
 from .standing import draw_standing_poles

@@ -9,12 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from retropole.base.datatypes import Array
-from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
-from retropole.simulation.pairs import MIN_POLE_ANGLE
+from retropole.simulation.pairs import MIN_POLE_ANGLE, MIN_RINGS, SimulationError
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.recorded import RecordedBeams, met_by
-from retropole.simulation.recording import MIN_RINGS, SimulationError
-from retropole.simulation.scenes import TAPE
+from retropole.simulation.scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
 
 MIN_RETURNS = 8
 """Returns of each LiDAR on each pole. Where rings are known, they lie on `MIN_RINGS` of them: a

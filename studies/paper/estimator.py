@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -13,10 +13,10 @@ from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.point_to_line import LineAlignment, Lines, align_each, equivalent_points
 from retropole.base.datatypes import Array, IntArray, PointCloud, Pole
 from retropole.base.errors import Refusal
-from retropole.base.systematic import NO_ERRORS
+from retropole.base.systematic import Sizes
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.paper import PAPER_NOISE, PAPER_POLE_LENGTH
+from retropole.simulation.scenes import PAPER_NOISE, PAPER_POLE_LENGTH
 from studies.paper.exhibit import Exhibit
 
 if TYPE_CHECKING:
@@ -27,6 +27,9 @@ PAPER_E_RT = 0.168
 
 PAPER_SIGMA = PAPER_NOISE.isotropic_noise
 """Of the paper's noise, metres (Sec. IV-A)."""
+
+NO_ERRORS = Sizes(*(0.0 for _ in fields(Sizes)))
+"""Of a LiDAR without systematic errors."""
 
 NoiseKind = Literal["isotropic", "along the beam", "none"]
 NOISE_KINDS: tuple[NoiseKind, ...] = ("isotropic", "along the beam", "none")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
@@ -17,10 +18,10 @@ from retropole.evaluation.metrics import Errors, errors_of
 from retropole.extraction.clustering import clusters
 from retropole.pipeline import calibrate
 from retropole.report.figures import GREEN, GREY, RED
-from retropole.simulation import FIELD, SimulatedPair, record_again, simulate_pair
-from retropole.simulation.intensity import TAPE_REACH, saturation, tape_strength
+from retropole.simulation import FIELD, SimulatedPair, simulate_pair
+from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.raycast import Box, Material, Rectangle, Surface
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.returns import TAPE_REACH, saturation, tape_strength
 from retropole.surfaces.disambiguation import SCORING_VOXEL
 from retropole.surfaces.registration import as_surface, voxel_downsample
 from studies.paper.choosing import icp_of_any_reach

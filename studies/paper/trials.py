@@ -11,7 +11,7 @@ from retropole.base.datatypes import Array
 from retropole.evaluation.metrics import errors_of
 from retropole.report.figures import BLUE, ORANGE
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.pairs import Arrangement, Recorders, record
 from studies.paper.estimator import PAPER_E_RT, poles_of, solve
 from studies.paper.exhibit import Cell, Exhibit
 

@@ -17,12 +17,11 @@ from retropole.alignment.maximum import Sight
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import Site
-from retropole.base.relative import RelativePose, joint_of, relative
+from retropole.base.se3 import RelativePose, joint_of, relative
 from retropole.hypotheses.joint_choice import Choices, choose_poses
 from retropole.hypotheses.pairs import Pair, find_pairs, poles_of
 from retropole.hypotheses.scans import SiteScans, Views, find_scans, patches_of, views_of
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from retropole.surfaces.patches import Patches
 
 

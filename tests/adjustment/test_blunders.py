@@ -26,10 +26,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import Site
 from retropole.base.errors import Reason, Refusal
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from retropole.pipeline_of_sites import calibrate_site
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite
+from retropole.simulation.sites import SimulatedSite, Survey
 from tests.adjustment.adjusting import (
     Steps,
     between,

@@ -7,7 +7,7 @@ from retropole.adjustment.descent import RefinementProblem, minimise, scene_pair
 from retropole.alignment.network import factor_of
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.relative import relative_jacobian
+from retropole.base.se3 import relative_jacobian
 from retropole.base.systematic import ErrorModel, sizes_of
 from retropole.surfaces.patch_pairs import pair_patches
 from tests.adjustment import geodetic

@@ -17,8 +17,7 @@ from retropole.base.description import Site, Up
 from retropole.base.errors import Refusal
 from retropole.hypotheses.scans import find_scans, patches_of
 from retropole.simulation import SimulationError
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import simulate_site
+from retropole.simulation.sites import Survey, simulate_site
 from tests.tiers import first_of
 
 pytestmark = pytest.mark.full

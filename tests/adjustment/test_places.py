@@ -11,7 +11,7 @@ from retropole.adjustment.places import labels_of_places, parts_of_surfaces, res
 from retropole.alignment.certainty import FLOOR, Part, budget_of, joint_covariance
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite

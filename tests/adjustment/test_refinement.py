@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.adjustment.agreement import check_agreement, check_contradiction, check_decisive
 from retropole.adjustment.places import Places
 from retropole.adjustment.refinement import MAX_SHARE, Refinement, leverage, refine
@@ -21,7 +22,7 @@ from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
-from retropole.simulation import FIELD, SimulatedPair, draw_device, record_again, simulate_pair
+from retropole.simulation import FIELD, SimulatedPair, draw_device, simulate_pair
 from retropole.surfaces.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.surfaces.patches import surface_patches
 from retropole.surfaces.scans import find_poles

@@ -9,7 +9,7 @@ from retropole.adjustment.datum import without_poles
 from retropole.adjustment.site import check_held, find_links, without_observations
 from retropole.base import se3
 from retropole.base.errors import Refusal
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import Steps, off
 from tests.tiers import first_of

@@ -15,10 +15,11 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS
-from retropole.base.systematic import NO_ERRORS, Sizes
+from retropole.base.systematic import Sizes
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.simulation.pairs import Arrangement, Recorders, record
+from studies.paper.estimator import NO_ERRORS
 from tests.alignment.beams import beams_at, beams_in
 from tests.conftest import PoleMaker
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian

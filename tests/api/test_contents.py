@@ -11,7 +11,7 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.sensors import SENSORS, auto_threshold
 from retropole.io import read_cloud, write_pcd
-from retropole.io.recognition import guess_sensors
+from retropole.io.beams import guess_sensors
 from retropole.report.contents_text import describe_info
 from retropole.simulation import simulate_pair
 from tests.io.files import required

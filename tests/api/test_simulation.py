@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
+from retropole.api.simulation import simulate_site
 from retropole.evaluation.metrics import e_rt
 from tests.api.clouds import pair
 
@@ -40,3 +41,10 @@ def test_the_place_before_its_poles_are_set_up() -> None:
     assert e_rt(answer.T_target_source, bare.T_target_source) < 0.1
     with pytest.raises(rp.UsageError, match="nothing but its poles"):
         rp.simulate("paper", poles=0)
+
+
+def test_nuisances_that_there_are_not_are_said() -> None:
+    with pytest.raises(rp.UsageError, match="no nuisances 'rain'; there are field"):
+        rp.simulate("bare", nuisances="rain")
+    with pytest.raises(rp.UsageError, match="no nuisances 'rain'; there are field"):
+        simulate_site("posts", nuisances="rain")

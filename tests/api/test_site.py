@@ -15,7 +15,7 @@ from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.description import Site
 from retropole.base.errors import ReadError, Refusal, UsageError
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from retropole.result.decoding import decode_site
 from tests.api.site_files import NAMES, answer_to, recorded, write_site
 

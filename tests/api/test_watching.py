@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.again import place_again, record_again
 from retropole.api import watching
 from retropole.api.calibration import calibrate_with
 from retropole.api.checking import read_stored
@@ -20,12 +21,11 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.export import Transform
-from retropole.export.publishing import Published
+from retropole.export.recording import Published
 from retropole.io import Frame, read_frames
 from retropole.result import InputDoc, RunConfig
 from retropole.result.watching import WatchDoc
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.simulation.pairs import place_again, record_again
 from tests.report.made_up import made_up
 
 pytest.importorskip("mcap")

@@ -23,10 +23,9 @@ from retropole.simulation import (
     Surface,
     scan,
 )
-from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
+from retropole.simulation.pairs import MIN_RINGS
 from retropole.simulation.recorded import levels, recorded_beams, sharpest_axis
-from retropole.simulation.recording import MIN_RINGS
-from retropole.simulation.scenes import TAPE
+from retropole.simulation.scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
 from tests.paths import SHARED
 
 pytestmark = pytest.mark.full

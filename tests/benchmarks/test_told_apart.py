@@ -7,7 +7,7 @@ from benchmarks.site_blunders import told_apart
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Sighting, SurveyedPole
-from retropole.simulation.site_survey import Surveyed
+from retropole.simulation.sites import Surveyed
 
 pytestmark = pytest.mark.full
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import place_again, record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Pole
 from retropole.base.description import Site, SiteLidar
@@ -20,7 +21,7 @@ from retropole.certify.certification import (
     quantile,
 )
 from retropole.certify.distances import Measured
-from retropole.simulation import SimulatedPair, place_again, record_again
+from retropole.simulation import SimulatedPair
 from tests.certify.certifying import RADIUS, found_in, four_poles
 from tests.conftest import PoleMaker
 

@@ -7,8 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.result import encode
-from retropole.simulation import record_again, simulate_pair, write_pair
+from retropole.simulation import simulate_pair, write_pair
 from tests.cli.commands import retropole_here
 from tests.export.sites import free
 from tests.tiers import first_of

@@ -15,12 +15,12 @@ from threading import Timer
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.api.watching import Watch
 from retropole.base import se3
 from retropole.io import write_pcd
 from retropole.result.watching import WatchDoc
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.simulation.pairs import record_again
 from tests.cli.commands import retropole, retropole_here, transform_of
 
 pytest.importorskip("mcap")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import UsageError
@@ -12,7 +13,7 @@ from retropole.evaluation.methods import RIVALS
 from retropole.evaluation.metrics import e_rt, evaluate
 from retropole.evaluation.rivals import FUNCTIONS
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 
 
 @pytest.fixture(scope="module")

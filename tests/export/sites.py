@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from retropole.base import world
 from retropole.base.description import Frame
 from retropole.result.site import SiteDoc
-from retropole.world import world
 from tests.report.site.made_up import document_of, made_up_site
 
 UTM = 25832

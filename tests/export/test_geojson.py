@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import UsageError
+from retropole.base.projection import local_of
+from retropole.export.documents import write_geojson
 from retropole.export.tree import tree_of
-from retropole.export.tree_formats import write_geojson
 from retropole.result.site import SiteDoc
-from retropole.world.geodesy import local_of
 from tests.export import sites
 
 

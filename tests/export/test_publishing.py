@@ -15,8 +15,7 @@ from retropole.export import Transform
 
 pytest.importorskip("cyclonedds")
 
-from retropole.export.publishing import check_publishing, publish
-from retropole.export.recording import TRANSFORMS
+from retropole.export.recording import TRANSFORMS, check_publishing, publish
 from retropole.export.transform import to_quaternion
 from retropole.io.live.dds import message_type, participant
 

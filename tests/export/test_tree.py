@@ -16,7 +16,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
-from retropole.base.relative import joint_of, relative
+from retropole.base.se3 import joint_of, relative
 from retropole.export import TREE_FORMATS, read_transform, read_tree
 from retropole.export.recording import write_transforms
 from retropole.export.tree import Tree, found_in_site, tree_of

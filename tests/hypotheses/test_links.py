@@ -31,8 +31,7 @@ from retropole.hypotheses.links import link_by_place
 from retropole.hypotheses.pairs import Pair
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
-from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from tests.adjustment.adjusting import Steps, between, made, off, reordered
 from tests.hypotheses.conftest import hypothesis_at
 

@@ -9,7 +9,7 @@ import retropole as rp
 from retropole.base.datatypes import PointCloud
 from retropole.io import read_cloud
 from retropole.io.coordinates import FARTHEST_HALF, oddity_of
-from retropole.io.units import METRES, Unit, in_metres
+from retropole.io.fields import METRES, Unit, in_metres
 from tests.paths import SHARED
 
 RECORDINGS = ("pandar_0001/top.pcd", "pandar_0001/left.pcd", "pandar_scene1/qt_202.pcd")

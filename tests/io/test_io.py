@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError
 from retropole.io import READERS, read_cloud, read_recording, sha256_of, write_pcd
-from retropole.io.recognition import guess_sensors
-from retropole.io.rings import rings_fault, with_trusted_rings
+from retropole.io.beams import guess_sensors, rings_fault, with_trusted_rings
 from tests.io.files import INTENSITY, WRITERS, XYZ, make_pcd, make_ply
 
 

@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.monitoring.carrier import CarrierMotion, carrier_motion
 from retropole.monitoring.drift import check
 from retropole.monitoring.movement import CheckResult
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from tests.surfaces import swaying
 
 pytestmark = pytest.mark.full

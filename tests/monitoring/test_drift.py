@@ -9,6 +9,7 @@ import pytest
 from msgspec import structs
 
 import retropole as rp
+from benchmarks.again import record_again
 from retropole import pipeline
 from retropole.adjustment.refinement import Refinement, refine
 from retropole.base import se3
@@ -19,7 +20,7 @@ from retropole.hypotheses.evidence import MAX_CONFLICTING, count, scenes_of
 from retropole.monitoring import drift
 from retropole.monitoring.drift import NEAR_TRANSLATION, check, swapped_clouds, swapped_sensors
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.consistency import Standing
 from tests.tiers import first_of
 

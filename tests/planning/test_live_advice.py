@@ -9,7 +9,7 @@ import pytest
 
 from retropole.base.datatypes import PointCloud, Pole
 from retropole.base.errors import Refusal
-from retropole.base.sway import Sway
+from retropole.base.systematic import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
 from retropole.planning.live_advice import Advice, advice_after, advise, keep_still, outcome_of

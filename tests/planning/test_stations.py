@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Scan
 from retropole.base.errors import Refusal
 from retropole.planning.stations import bare_scan, settle, stand
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 
 pytestmark = pytest.mark.full
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.base.sway import Sway, stated_sway
+from retropole.base.systematic import Sway, stated_sway
 from retropole.base.uncertainty import predicted_error
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import Fitness, displacement_bound, displacement_bounds

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
+from benchmarks.again import place_again, record_again
 from retropole.base import se3
 from retropole.base.errors import UsageError
 from retropole.cli.simulate import simulate
@@ -17,11 +18,9 @@ from retropole.simulation import (
     NoiseModel,
     SimulatedPair,
     SimulationError,
-    place_again,
-    record_again,
     simulate_pair,
 )
-from retropole.simulation.recording import MIN_RETURNS
+from retropole.simulation.pairs import MIN_RETURNS
 from retropole.simulation.scenes import SURROUNDINGS
 from tests.simulation.surfaces import distance_from
 from tests.tiers import first_of

@@ -14,7 +14,7 @@ from retropole.base import se3
 from retropole.base.errors import UsageError
 from retropole.cli import cli
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
-from retropole.simulation.site_arrangement import are_linked, closes_otherwise, groups_of
+from retropole.simulation.site_places import are_linked, closes_otherwise, groups_of
 from retropole.simulation.sites import draw_site, record_site
 from tests.simulation.sites import everything, largest_distance
 from tests.simulation.surfaces import distance_from

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import BoolArray, Placement, PointCloud, Scan
 from retropole.base.errors import Reason, Refusal
@@ -12,7 +13,7 @@ from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.io.recordings import time_of_recording
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.static import (
     MAX_APART,
     check_recordings,

@@ -11,13 +11,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import retropole as rp
+from benchmarks.again import record_again
 from retropole.adjustment.refinement import Refinement
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
-from retropole.io.units import METRES, NAMES, Unit
+from retropole.io.fields import METRES, NAMES, Unit
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.scans import find_poles
 from retropole.verdict.similarity import beyond_sensors, check_similarity, explain, unit_of_one
 from tests.tiers import first_of

@@ -21,7 +21,7 @@ from ..base.datatypes import Array, BoolArray
 from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
-from ..base.relative import joint_of, relative
+from ..base.se3 import joint_of, relative
 from ..hypotheses.by_place import LEAN_ANOTHER, check_held_by_scene
 from ..hypotheses.joint_choice import linked_groups
 from ..hypotheses.pairs import Pair

@@ -30,7 +30,7 @@ from ..alignment.solver import MAX_ITERATIONS
 from ..alignment.unknowns import POSE, Unknowns
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from ..base.relative import joint_of, relative, relative_jacobian
+from ..base.se3 import joint_of, relative, relative_jacobian
 from ..base.systematic import Groups, Layout
 from ..surfaces.patch_pairs import (
     MIN_PATCHES,

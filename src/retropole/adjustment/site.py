@@ -33,8 +33,7 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..base.sway import left_of_each
-from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, left_of_each
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in
 from ..hypotheses.scans import SiteScans

@@ -142,7 +142,7 @@ def _shares(returns: int, cloud: PointCloud) -> tuple[float, float]:
     """Which share of a pole's returns, and of the beams that passed beside it, is worked on.
 
     Together they tell where the pole ends: as many of either must be left out. Where the cloud was
-    thinned (`io.downsampling`), beams beside the pole are fewer already; its returns, bright, are
+    thinned (`io.recordings`), beams beside the pole are fewer already; its returns, bright, are
     not.
     """
     left = len(cloud) / (len(cloud) + cloud.thinned)

@@ -19,7 +19,7 @@ from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import topics_of
-from ..io.units import Unit
+from ..io.fields import Unit
 from ..monitoring.drift import check, swap
 from ..monitoring.movement import FALSE_ALARM as FALSE_ALARM
 from ..monitoring.movement import CheckResult as CheckResult

@@ -11,11 +11,9 @@ from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud, Scan
 from ..base.files import path_in_text
 from ..base.sensors import auto_threshold
 from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
-from ..io.beam_origin import with_beam_origin
+from ..io.beams import guess_sensors, rings_fault, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
-from ..io.recognition import guess_sensors
-from ..io.rings import rings_fault, with_trusted_rings
-from ..io.units import NAMES, Unit
+from ..io.fields import NAMES, Unit
 from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
 from ..verdict.similarity import beyond_sensors, unit_of_one

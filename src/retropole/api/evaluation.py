@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError, said
+from ..base.errors import ReadError, UsageError, readable, said
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -21,7 +21,6 @@ from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
-from ..io.failures import readable
 from ..monitoring.drift import swap
 from ..result import ResultDoc, RunConfig
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair

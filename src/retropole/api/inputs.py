@@ -27,10 +27,9 @@ from ..io import (
     read_recording,
     sha256_of,
 )
-from ..io.beam_origin import with_beam_origin
+from ..io.beams import with_beam_origin, with_trusted_rings
 from ..io.coordinates import Oddity, oddity_of
-from ..io.rings import with_trusted_rings
-from ..io.units import in_metres, unit_named
+from ..io.fields import in_metres, unit_named
 from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..surfaces.scans import find_poles
 from ..surfaces.static import what_to_give

@@ -9,7 +9,14 @@ import numpy as np
 from ..base.datatypes import MAX_POLES
 from ..base.errors import UsageError
 from ..result import DEFAULT_CONFIG, RunConfig
-from ..simulation import NOISE_MODELS, SimulatedPair, SimulatedSite, Survey, simulate_pair
+from ..simulation import (
+    NOISE_MODELS,
+    NoiseModel,
+    SimulatedPair,
+    SimulatedSite,
+    Survey,
+    simulate_pair,
+)
 from ..simulation import simulate_site as draw_site
 from ..simulation import write_pair as write_pair
 from ..simulation import write_site as write_site
@@ -63,8 +70,7 @@ def simulate(
     SimulationError
         Where no arrangement is found in which both LiDARs see every pole.
     """
-    if nuisances is not None and nuisances not in NOISE_MODELS:
-        raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
+    noise = None if nuisances is None else _noise(nuisances)
     if not 0 <= poles <= MAX_POLES:
         raise UsageError(f"poles is {poles}, expected a number from 0 to {MAX_POLES}")
     checked_options(RunConfig(radius_m=radius))
@@ -75,7 +81,7 @@ def simulate(
         sensor_source=sensor_source,
         poles=poles,
         radius=radius,
-        noise=None if nuisances is None else NOISE_MODELS[nuisances],
+        noise=noise,
         frames=frames,
         symmetric=symmetric,
     )
@@ -109,6 +115,13 @@ def simulate_site(
         Names of sensors, taken in turn; none takes those of the kind.
     survey
         Survey the poles of the first placement and four control points.
+
+    Raises
+    ------
+    UsageError
+        For an unknown kind, sensor or set of nuisances, and numbers that the kind does not have.
+    SimulationError
+        Where no arrangement is found in which poles link all LiDARs.
     """
     return draw_site(
         kind,
@@ -118,6 +131,13 @@ def simulate_site(
         poles=poles,
         sensors=sensors or None,
         radius=radius,
-        noise=NOISE_MODELS[nuisances],
+        noise=_noise(nuisances),
         survey=Survey(placements=(0,), points=4) if survey else None,
     )
+
+
+def _noise(nuisances: str) -> NoiseModel:
+    """Find the noise model of a name, or raise a `UsageError`."""
+    if nuisances not in NOISE_MODELS:
+        raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
+    return NOISE_MODELS[nuisances]

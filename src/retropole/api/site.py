@@ -16,7 +16,7 @@ from ..base.description import Site
 from ..base.errors import Refusal, UsageError
 from ..base.files import write_atomically
 from ..base.quantities import error as in_words
-from ..base.relative import RelativePose, joint_of, relative
+from ..base.se3 import RelativePose, joint_of, relative
 from ..hypotheses.scans import SiteScans
 from ..pipeline_of_sites import calibrate_site as find_poses
 from ..report import render_site

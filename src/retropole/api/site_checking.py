@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ..base.errors import ReadError, Reason, Refusal
+from ..base.errors import ReadError, Reason, Refusal, naming
 from ..base.quantities import step_of
 from ..io import sha256_of
-from ..io.failures import naming
 from ..monitoring.movement import CheckResult, Status
 from ..monitoring.tolerance import Asked
 from ..result import refusal_of

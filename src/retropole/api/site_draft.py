@@ -11,11 +11,10 @@ from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from ..base.errors import ReadError, UsageError, printable, said, shortened
+from ..base.errors import ReadError, UsageError, printable, readable, said, shortened
 from ..base.quantities import counted
 from ..io import BAGS, PACKETS, READERS
-from ..io.bag_files import is_rosbag2
-from ..io.failures import readable
+from ..io.bags import is_rosbag2
 from .site_file import decode_site_file
 
 SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}

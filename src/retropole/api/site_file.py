@@ -17,14 +17,13 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from ..base.datatypes import DEFAULT_RADIUS
-from ..base.errors import ReadError, RetropoleError, said
+from ..base.errors import ReadError, RetropoleError, naming, said
 from ..base.se3 import FARTHEST
 from ..base.sensors import name_from, sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
-from ..io.downsampling import MAX_POINTS
-from ..io.failures import naming
-from ..io.units import Unit
+from ..io.fields import Unit
+from ..io.recordings import MAX_POINTS
 from ..result.options import (
     Intensity,
     MastSway,

@@ -20,17 +20,16 @@ from ..base.description import (
     SurveyedPole,
     Up,
 )
-from ..base.errors import ReadError, Refusal
+from ..base.errors import ReadError, Refusal, naming
 from ..base.files import path_in_text
+from ..base.projection import projected
 from ..base.quantities import error as length
 from ..base.quantities import step_of
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
+from ..base.world import in_metres
 from ..io import sha256_of
-from ..io.failures import naming
 from ..result.site import RecordingDoc, SiteConfig, recording_document
-from ..world.projection import projected
-from ..world.world import in_metres
 from .inputs import SILENT, Input, Listener, input_documents, read_input, refuse_repeated
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 
@@ -139,7 +138,7 @@ def inputs_of(site: Site) -> SiteInputs:
     Raises
     ------
     MissingExtraError, UsageError
-        Where its frame is a projected one, as `world.world.in_metres`.
+        Where its frame is a projected one, as `base.world.in_metres`.
     """
     inputs = {
         (k, n): Input(cloud, cloud, lidar.sensor, lidar.threshold)

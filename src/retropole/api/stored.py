@@ -11,14 +11,13 @@ from typing import TypeVar
 import numpy as np
 
 from ..base.datatypes import Placement, Scan
-from ..base.errors import ReadError, UsageError, printable
+from ..base.errors import ReadError, UsageError, naming, printable, readable
 from ..base.files import path_of_text, read_document
 from ..base.sensors import sensor_or_auto
 from ..export import Transform
 from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
-from ..io.failures import naming, readable
 from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
 from ..result.decoding import decode
 from ..result.folder import SITE_REPORT_FILE, any_result_file

@@ -23,9 +23,8 @@ from ..base.quantities import counted
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import USABLE
 from ..export.documents import found_in_result
-from ..export.publishing import Published, publish
-from ..export.publishing import check_publishing as check_publishing
-from ..export.recording import TOPICS, Track, write_recording
+from ..export.recording import TOPICS, Published, Track, publish, write_recording
+from ..export.recording import check_publishing as check_publishing
 from ..export.transform import Transform, choose
 from ..io import sha256_of
 from ..io.live import Source as Source
@@ -235,7 +234,7 @@ class Watch:
         Raises
         ------
         UsageError, MissingExtraError
-            As `export.publishing.publish`.
+            As `export.recording.publish`.
         Refusal
             Where the answer was refused.
         """

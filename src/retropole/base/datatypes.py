@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -18,7 +19,7 @@ from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .sway import Sway
+from .systematic import Sway
 from .uncertainty import ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
 from .uncertainty.confirmation import Confirmation
 from .uncertainty.purpose import Fitness
@@ -371,3 +372,11 @@ class Calibration:
     chosen: int = 0
     vertical: Array | None = None
     notes: tuple[Reason, ...] = ()
+
+
+Rows = TypeVar("Rows", bound=np.ndarray)
+
+
+def every_nth(rows: Rows, most: int) -> Rows:
+    """Take every n-th row of an array, so that no more than a number of them are left."""
+    return rows[:: 1 + max(len(rows) - 1, 0) // most]  # type: ignore[return-value]

@@ -27,9 +27,6 @@ UNFINISHED = ".retropole-unfinished"
 RUNNING = ".running"
 """Name of the note of the run that has a folder for itself; it is removed with the run."""
 
-LOCKED_BYTE = 2**30
-"""The byte of a note that is locked where the system locks bytes: far behind those to be read."""
-
 LONGEST_NOTE = 2**12
 """Bytes of a note; one has about 100."""
 
@@ -332,7 +329,8 @@ def _locked(descriptor: int) -> bool:
         if sys.platform == "win32":
             import msvcrt
 
-            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+            # Where the system locks bytes, the one that is locked is far behind those to be read.
+            os.lseek(descriptor, 2**30, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
             os.lseek(descriptor, 0, os.SEEK_SET)
         else:

@@ -17,9 +17,6 @@ UNKNOWN = "–"
 MILLIMETRES_BELOW = 0.0995
 """Lengths below this, metres, are written in mm: what rounds to 0.10 m is written in m."""
 
-PER_MILLE_BELOW = 0.1
-"""Ratios are written in per mille below, in per cent from here on."""
-
 
 def error(sigma: float | None, unit: Unit = "m") -> str:
     """Write an uncertainty with two significant digits: ``8.4 mm``, ``0.12 m``, ``0.035°``.
@@ -141,7 +138,7 @@ def _scale(size: float, unit: Unit) -> tuple[float, str]:
     if unit == "rad":
         return 180 / math.pi, "°"
     if unit == "1":
-        return (1000.0, " ‰") if size < PER_MILLE_BELOW else (100.0, " %")
+        return (1000.0, " ‰") if size < 0.1 else (100.0, " %")
     return (1000.0, " mm") if size < MILLIMETRES_BELOW else (1.0, " m")
 
 

@@ -78,7 +78,6 @@ class Sensor:
 
 
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-MOST_RINGS = 1024
 
 
 class ListedErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -133,7 +132,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
             raise ValueError("noise, divergence, ranges, threshold and full scale are above zero")
         counts = [each[2] if isinstance(each, tuple) else 1 for each in self.elevations_deg]
-        has_rings = sum(counts) <= MOST_RINGS and 0.0 < self.azimuth_step_deg <= 180.0
+        has_rings = sum(counts) <= 1024 and 0.0 < self.azimuth_step_deg <= 180.0
         if not (self.points > 0 if self.rosette_deg else has_rings and min(counts, default=0) > 0):
             raise ValueError(
                 "expected elevations_deg and azimuth_step_deg, or rosette_deg and points"
@@ -266,15 +265,8 @@ LITTLE = "little stands out"
 GIVEN = "given"
 """How a threshold was found that the user gave."""
 
-BRIGHT_TAIL = 2.5
-"""The threshold lies so many times the spread of the diffuse returns above their median, …"""
-
 OF_BRIGHTEST = (0.55, 0.78)
-"""… but between these parts of the brightest returns (140 and 200 of 255)."""
-
-BRIGHTEST = 6
-"""The brightest return is taken as the sixth: a single glint says nothing of the scale."""
-
+"""The threshold lies between these parts of the brightest returns (140 and 200 of 255)."""
 
 BOTTOM = 0.01
 """Share of the returns that may be below the bottom of the scale."""
@@ -294,7 +286,8 @@ def auto_threshold(intensity: Array) -> Threshold:
         brightest count from zero, or from the bottom of the scale where that is lower.
     """
     tail = _end_of_diffuse(intensity)
-    rank = min(BRIGHTEST, len(intensity))
+    # The brightest return is taken as the sixth: a single glint says nothing of the scale.
+    rank = min(6, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
     # A few returns may have -1, or less, in the place of an intensity.
     bottom = min(0.0, float(np.quantile(intensity, BOTTOM)))
@@ -336,7 +329,8 @@ def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ..
 
 def _end_of_diffuse(intensity: Array) -> float:
     median, high = np.quantile(intensity, [0.5, 0.95])
-    return float(median + BRIGHT_TAIL * (high - median))
+    # So many times the spread of the diffuse returns above their median.
+    return float(median + 2.5 * (high - median))
 
 
 def threshold_for(intensity: Array, sensor: Sensor | None, given: float | None) -> Threshold:

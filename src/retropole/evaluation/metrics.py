@@ -19,8 +19,7 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
-from ..io.beam_origin import with_beam_origin
-from ..io.rings import with_trusted_rings
+from ..io.beams import with_beam_origin, with_trusted_rings
 from ..surfaces.consistency import Line, consistency, standing_in
 from ..surfaces.registration import CORES, prepare, voxel_downsample
 from ..surfaces.visibility import OVERLAP_DISTANCE, overlap

@@ -15,16 +15,22 @@ from typing import NamedTuple
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import ReadError, UsageError, said
+from ..base.errors import ReadError, UsageError, naming, printable, said
 from ..base.files import read_document
 from ..base.quantities import error
 from ..base.se3 import rigid
-from ..io.failures import naming
 from ..result import ReasonDoc, ResultDoc
 from ..result.folder import any_result_file
 from ..result.site import SiteDoc
-from .documents import read_json, read_yaml, result_in, write_json, write_yaml
-from .markup import is_xml, read_xml
+from .documents import (
+    read_json,
+    read_yaml,
+    result_in,
+    write_geojson,
+    write_json,
+    write_tree,
+    write_yaml,
+)
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
     read_matrix,
@@ -38,10 +44,9 @@ from .transform import Found, choose
 from .transform import Transform as Transform
 from .transform import inverted as inverted
 from .transform import mounted as mounted
-from .tree import Tree, tree_of
-from .tree_formats import TREE_FORMATS as TREE_FORMATS
+from .tree import Tree, notes_of, tree_of
+from .urdf import is_xml, read_urdf, read_xml, write_urdf
 from .urdf import put_into_urdf as put_into_urdf
-from .urdf import read_urdf, write_urdf
 
 
 class Format(NamedTuple):
@@ -65,6 +70,34 @@ FORMATS = {
     "cloudcompare": Format(
         "CloudCompare: Edit > Apply Transformation", write_cloudcompare, read_matrix
     ),
+}
+
+
+class TreeFormat(NamedTuple):
+    """One form of a site's frames: what it is, and how it is written."""
+
+    title: str
+    write: Callable[[Tree], str]
+
+
+def _yaml(tree: Tree) -> str:
+    return write_yaml(*tree.edges, notes=notes_of(tree))
+
+
+def _launch(tree: Tree) -> str:
+    return write_launch(*tree.edges, notes=notes_of(tree))
+
+
+def _urdf(tree: Tree) -> str:
+    return write_urdf(*tree.edges, name=printable(tree.name) or "site", notes=notes_of(tree))
+
+
+TREE_FORMATS = {
+    "json": TreeFormat("JSON: transforms, covariances, places in the site's frame", write_tree),
+    "yaml": TreeFormat("YAML: Autoware's sensors_calibration.yaml", _yaml),
+    "urdf": TreeFormat("URDF: a robot with a fixed joint for each LiDAR", _urdf),
+    "launch": TreeFormat("ROS 2: Python launch file with a publisher for each LiDAR", _launch),
+    "geojson": TreeFormat("GeoJSON: the LiDARs on the map (RFC 7946)", write_geojson),
 }
 
 _SUFFIXES = {

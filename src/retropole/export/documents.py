@@ -2,7 +2,8 @@
 
 Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
 z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
-would have to know flow mappings, anchors and quotes to read what others wrote.
+would have to know flow mappings, anchors and quotes to read what others wrote. The frames of a site
+are written as JSON too, and its LiDARs on the map as GeoJSON.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec import structs, to_builtins
 
 from ..base.bounded import LARGEST
 from ..base.datatypes import Array
+from ..base.description import Frame, Geodetic
 from ..base.errors import MissingExtraError, ReadError, said
 from ..base.se3 import rigid
-from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
+from ..base.world import OnWgs84, heading, on_wgs84, pose_in_frame
+from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, plain, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
-from ..result.site import SITE_SCHEMA, SiteDoc
+from ..result.site import SITE_SCHEMA, LidarDoc, SiteDoc
 from ..result.verdict import verdict_line
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
@@ -37,7 +41,7 @@ from .transform import (
     notes_on,
     to_quaternion,
 )
-from .tree import found_in_site
+from .tree import Tree, found_in_site, grid_of, notes_of
 
 TRANSFORM_SCHEMA, TREE_SCHEMA = "retropole/transform/1", "retropole/tree/1"
 
@@ -360,3 +364,111 @@ def _scalars(node: Any) -> dict[str, str]:
     if not all(isinstance(value, str) for value in values.values()):
         raise ReadError(f"expected a number for each of {' '.join((*TRANSLATION_KEYS, *RPY))}")
     return values
+
+
+COVARIANCE_FRAME = "axes east, north, up of the site: t_true = t + [x y z], R_true = Exp([rot]) R"
+
+
+def write_tree(tree: Tree) -> str:
+    """Write the transforms, and where each LiDAR is in the user's frame and on the earth."""
+    frame, grid = tree.frame, grid_of(tree)
+    about: dict[str, Any] = to_builtins(frame, enc_hook=plain)
+    if grid is not None:
+        about |= {
+            "scale": grid.scale,
+            "height_factor": grid.height_factor,
+            "convergence_rad": grid.convergence,
+        }
+    lidars = []
+    for lidar, edge in zip(tree.lidars, tree.lidar_edges, strict=True):
+        T = edge.T_parent_child
+        placed = {**_named(lidar), "T_frame_lidar": pose_in_frame(frame, T).tolist()}
+        if frame.epsg is not None or frame.geodetic is not None:
+            found = on_wgs84(frame, T[None, :3, 3])
+            placed["wgs84"] = structs.asdict(Geodetic(*found.geodetic[0].tolist()))
+            placed |= {"heading_rad": heading(frame, T), **_datum(found)}
+        lidars.append(placed)
+    return _as_json(
+        {
+            "schema": TREE_SCHEMA,
+            "name": tree.name,
+            "datum": tree.datum,
+            "verdict": tree.verdict,
+            "notes": notes_of(tree),
+            "frame": about,
+            "lidars": lidars,
+            "transforms": [transform_fields(edge, "T_parent_child") for edge in tree.edges],
+        }
+    )
+
+
+def write_geojson(tree: Tree) -> str:
+    """Write a FeatureCollection (RFC 7946) with a point for each LiDAR, on WGS 84.
+
+    Raises
+    ------
+    UsageError
+        Where nothing ties the frame of the site to the earth.
+    MissingExtraError
+        Where its frame is projected and pyproj is not installed.
+    """
+    found = on_wgs84(tree.frame, tree.places)
+    features = []
+    for lidar, edge, at in zip(tree.lidars, tree.lidar_edges, found.geodetic, strict=True):
+        # To 0.01 mm.
+        longitude, latitude = np.degrees([at[1], at[0]]).round(10).tolist()
+        place = [longitude, latitude, round(float(at[2]), 5)]
+        features.append(
+            {
+                "type": "Feature",
+                "id": lidar.name,
+                "geometry": {"type": "Point", "coordinates": place},
+                "properties": {**_named(lidar), **_on_map(tree.frame, edge), **_datum(found)},
+            }
+        )
+    return _as_json(
+        {
+            "type": "FeatureCollection",
+            "name": tree.name,
+            "description": "; ".join(notes_of(tree)),
+            "features": features,
+        }
+    )
+
+
+def _as_json(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _named(lidar: LidarDoc) -> dict[str, Any]:
+    return {"name": lidar.name, "serial": lidar.serial, "sensor": lidar.sensor}
+
+
+def _datum(found: OnWgs84) -> dict[str, Any]:
+    """How another datum was brought to WGS 84."""
+    if not found.datum:
+        return {}
+    return {"datum_operation": found.datum, "datum_accuracy_m": found.accuracy}
+
+
+def _on_map(frame: Frame, edge: Transform) -> dict[str, Any]:
+    """What a map shows of a LiDAR beside its place; headings in degrees, as maps have them."""
+    T, covariance = edge.T_parent_child, edge.covariance
+    about: dict[str, Any] = {"heading_deg": _degrees(heading(frame, T))}
+    if frame.epsg is not None:
+        east, north, height = pose_in_frame(frame, T)[:3, 3].tolist()
+        about |= {"epsg": frame.epsg, "east_m": east, "north_m": north, "height_m": height}
+        about["heading_grid_deg"] = _degrees(heading(frame, T, of_grid=True))
+    if covariance is None:
+        return about
+    level = np.linalg.eigvalsh(covariance[3:5, 3:5])
+    about["sigma_horizontal_m"] = float(np.sqrt(max(level[-1], 0.0)))
+    about["sigma_vertical_m"] = float(np.sqrt(covariance[5, 5]))
+    about["covariance"] = covariance_to_ros(covariance).tolist()
+    about["covariance_order"] = ROS_COVARIANCE_ORDER
+    about["covariance_frame"] = COVARIANCE_FRAME
+    return about
+
+
+def _degrees(angle: float | None) -> float | None:
+    return None if angle is None else round(float(np.degrees(angle)), 6)

@@ -1,13 +1,16 @@
-"""Both clouds and the transform between them as an MCAP file of ROS 2 (the extra ``ros``).
+"""Clouds and transforms as messages of ROS 2: both clouds as an MCAP file, ``/tf_static`` by DDS.
 
-Foxglove and RViz draw it as it is: each cloud stands in its own frame, and ``/tf_static`` places
-the frames. The types are those of ROS 2 Humble, which later ones have kept.
+Foxglove and RViz draw the file (the extra ``ros``) as it is: each cloud stands in its own frame,
+and ``/tf_static`` places the frames. The types are those of ROS 2 Humble, which later ones have
+kept. To publish takes no ROS (the extra ``live``).
 """
 
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -18,6 +21,7 @@ from ..base.datatypes import Array, PointCloud
 from ..base.errors import MissingExtraError
 from ..io import Frame, ReadRecording
 from ..io.fields import records_of
+from ..io.live.dds import domain_or_default, message_of, message_type, participant
 from ..io.recordings import CLOUDS
 from ..io.ros import DATATYPES, NANOSECONDS
 from .transform import Transform, to_quaternion
@@ -28,25 +32,19 @@ anything, those of topics may not."""
 
 TRANSFORMS, TRANSFORM_TOPIC = "tf2_msgs/msg/TFMessage", "/tf_static"
 
-FRAME_PERIOD = 0.1
-"""Between frames whose times are not known, s: LiDARs turn ten times a second, mostly."""
-
-LAST_SECOND = 2**31
-"""ROS 2 has no time from here on."""
-
-_KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL = 1, 1, 1
-_LATCHED = f"""\
-- history: {_KEEP_LAST}
+_LATCHED = """\
+- history: 1
   depth: 1
-  reliability: {_RELIABLE}
-  durability: {_TRANSIENT_LOCAL}
-  deadline: {{sec: 0, nsec: 0}}
-  lifespan: {{sec: 0, nsec: 0}}
+  reliability: 1
+  durability: 1
+  deadline: {sec: 0, nsec: 0}
+  lifespan: {sec: 0, nsec: 0}
   liveliness: 1
-  liveliness_lease_duration: {{sec: 0, nsec: 0}}
+  liveliness_lease_duration: {sec: 0, nsec: 0}
   avoid_ros_namespace_conventions: false
 """
-"""Who listens to ``/tf_static`` late is told all the same, also by ``ros2 bag play``."""
+"""Keep last, reliable, transient local: who listens to ``/tf_static`` late gets it all the same,
+also by ``ros2 bag play``."""
 
 
 class Track(NamedTuple):
@@ -174,8 +172,10 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
 def _times(clouds: Mapping[str, Sequence[Frame]]) -> dict[str, list[int]]:
     """Give the time of each frame, ns; one clock for all, so all or none by the recorder's."""
     stamps = {topic: [frame.stamp for frame in frames] for topic, frames in clouds.items()}
-    if not all(s is not None and 0 <= s < LAST_SECOND for own in stamps.values() for s in own):
-        stamps = {name: [k * FRAME_PERIOD for k in range(len(own))] for name, own in stamps.items()}
+    # ROS 2 has no time from 2^31 s on.
+    if not all(s is not None and 0 <= s < 2**31 for own in stamps.values() for s in own):
+        # LiDARs turn ten times a second, mostly.
+        stamps = {name: [k * 0.1 for k in range(len(own))] for name, own in stamps.items()}
     return {name: [round((s or 0.0) * NANOSECONDS) for s in own] for name, own in stamps.items()}
 
 
@@ -241,3 +241,65 @@ def _points(cloud: PointCloud) -> NDArray[Any]:
 def _smallest_floats(values: Array) -> NDArray[Any]:
     short = values.astype(np.float32)
     return short if np.array_equal(short, values) else values
+
+
+@dataclass(eq=False)
+class Published:
+    """What is published, for as long as this is kept: those who come late are told all the same."""
+
+    writer: Any
+
+    def withdraw(self) -> None:
+        """Publish it no longer: who comes from now on does not get it.
+
+        Who listens already keeps it until it starts again: tf2 forgets no static transform.
+        """
+        self.writer = None
+
+
+def check_publishing(*, domain: int | None = None, interface: str | None = None) -> None:
+    """Join the domain, so that `publish` finds nothing missing when there is an answer.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `publish`.
+    """
+    participant(domain_or_default(domain), interface)
+
+
+def publish(
+    transforms: Sequence[Transform], *, domain: int | None = None, interface: str | None = None
+) -> Published:
+    """Publish transforms on ``/tf_static``, reliably and for those who come late.
+
+    Parameters
+    ----------
+    transforms
+        All that this program publishes there.
+    domain, interface
+        As `io.live.dds.DdsSource` takes them.
+
+    Raises
+    ------
+    MissingExtraError
+        Where cyclonedds is not installed.
+    UsageError
+        Where DDS cannot be used.
+    """
+    own = participant(domain_or_default(domain), interface)
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    message = transform_message(transforms, time.time_ns(), store)
+    qos = Qos(
+        Policy.Reliability.Reliable(10**9),
+        Policy.Durability.TransientLocal,
+        Policy.History.KeepLast(1),
+    )
+    writer = DataWriter(own, Topic(own, f"rt{TRANSFORM_TOPIC}", message_type(TRANSFORMS)), qos=qos)
+    writer.write(message_of(TRANSFORMS, bytes(store.serialize_cdr(message, TRANSFORMS))))
+    return Published(writer)

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError, said
-from .markup import is_xml, read_xml
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, comments, pose_of, pose_values, to_float
 from .transform import Found, Transform, from_quaternion, from_rpy, notes_on
+from .urdf import is_xml, read_xml
 
 PROGRAM = "static_transform_publisher"
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError, said
-from ..base.relative import relative_jacobian
+from ..base.se3 import relative_jacobian
 
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""

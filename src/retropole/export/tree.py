@@ -15,18 +15,15 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.description import Frame
 from ..base.errors import UsageError, printable
-from ..base.relative import joint_of, relative
+from ..base.projection import Grid, grid_at
+from ..base.se3 import joint_of, relative
+from ..base.world import geodetic, site_in_frame, to_frame
 from ..result import refusal_of
 from ..result.site import LidarDoc, SiteDoc
 from ..result.verdict import verdict_line
-from ..world.projection import Grid, grid_at
-from ..world.world import geodetic, site_in_frame, to_frame
 from .transform import Found, Transform
 
 MAP, SITE = "map", "site"
-
-WORTH_SAYING = 1e-4
-"""Of what a tree is off in the grid, metres: a tenth of a millimetre is below any survey."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +183,8 @@ def notes_of(tree: Tree) -> list[str]:
         by_tree = se3.apply(tree.edges[0].T_parent_child, tree.places)
         off = np.linalg.norm(by_tree - to_frame(frame, tree.places), axis=1)
         worst = int(off.argmax())
-        if off[worst] >= WORTH_SAYING:
+        # A tenth of a millimetre is below any survey.
+        if off[worst] >= 1e-4:
             notes.append(
                 f"the tree keeps lengths on the ground, so by it {tree.lidars[worst].name} is "
                 f"{1000 * off[worst]:.1f} mm from its coordinates in the grid; json and geojson "

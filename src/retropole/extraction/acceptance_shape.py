@@ -14,7 +14,7 @@ import numpy as np
 from ..base.datatypes import PointCloud
 from ..base.quantities import counted
 from ..base.reasons import Code
-from ..io.rings import elevations
+from ..io.beams import elevations
 from .lines import MIN_LINE_POINTS, Line
 
 MIN_POLE_POINTS = 6

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor, Threshold, lower_thresholds
-from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
+from ..io.beams import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,

@@ -13,9 +13,8 @@ import numpy as np
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import Refusal
 from ..base.se3 import FARTHEST, lengths
-from ..io.beam_origin import with_beam_origin
+from ..io.beams import with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
-from ..io.rings import with_trusted_rings
 from .acceptance_shape import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0

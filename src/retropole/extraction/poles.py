@@ -30,8 +30,7 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.se3 import principal_axes
 from ..base.sensors import Sensor, threshold_for
-from ..io.beam_origin import with_beam_origin
-from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
+from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,

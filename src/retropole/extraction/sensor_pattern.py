@@ -19,8 +19,14 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
 from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
-from ..io.recognition import MIN_RING_POINTS, guess_sensors
-from ..io.rings import MAX_RING_SPREAD, RING_SAMPLE, elevations, ring_spread
+from ..io.beams import (
+    MAX_RING_SPREAD,
+    MIN_RING_POINTS,
+    RING_SAMPLE,
+    elevations,
+    guess_sensors,
+    ring_spread,
+)
 
 RMS_PER_RADIUS = 0.62
 """Beams evenly spaced across a cylinder scatter by so many radii about their line."""

@@ -23,7 +23,7 @@ from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..base.errors import Refusal
-from ..base.sway import left_of_each
+from ..base.systematic import left_of_each
 from ..extraction.sensor_pattern import error_sizes
 
 

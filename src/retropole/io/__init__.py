@@ -10,18 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..base.datatypes import PointCloud
-from ..base.errors import ReadError, UsageError
+from ..base.errors import ReadError, UsageError, naming, readable
 from ..base.files import check_is_file
 from .arrays import ARRAY_SOURCE as ARRAY_SOURCE
 from .arrays import cloud_from_array as cloud_from_array
-from .arrays import read_npy, read_npz, read_pts, read_text
-from .bag_files import BAGS as BAGS
-from .bag_files import is_rosbag2
-from .binary_records import read_bin
-from .downsampling import MAX_POINTS as MAX_POINTS
-from .downsampling import downsample as downsample
-from .downsampling import read_within
-from .failures import naming, readable
+from .arrays import read_bin, read_npy, read_npz, read_pts, read_text
+from .bags import BAGS as BAGS
+from .bags import is_rosbag2
+from .fields import Unit, in_metres, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
 from .packets import CAPTURES, open_packets
@@ -29,15 +25,17 @@ from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
 from .pcd import write_pcd as write_pcd
 from .ply import read_ply
+from .recordings import MAX_POINTS as MAX_POINTS
 from .recordings import Frame as Frame
 from .recordings import FrameHeader as FrameHeader
 from .recordings import ReadRecording as ReadRecording
 from .recordings import Recording as Recording
 from .recordings import Topic as Topic
 from .recordings import chosen_frames as chosen_frames
+from .recordings import downsample as downsample
 from .recordings import joined as joined
+from .recordings import read_within
 from .ros import bag_topics, open_bag
-from .units import Unit, in_metres, unit_named
 
 READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".pcd": read_pcd,

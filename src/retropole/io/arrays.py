@@ -1,4 +1,8 @@
-"""Plain arrays of numbers: NumPy's .npy and .npz, and text, also that of other formats."""
+"""Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
+
+Nothing in a ``.bin`` says how long a point is, and a wrong length gives a cloud of nonsense. So a
+length counts only where its values are those of points, and one of two that could be is no guess.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import Array, PointCloud
-from ..base.errors import ReadError, UsageError
-from .failures import LineError, reported
+from ..base.errors import LineError, ReadError, UsageError, reported
 from .fields import (
+    LARGEST,
     PLAIN_COLUMNS,
     REAL_KINDS,
     cloud_from_columns,
+    floats,
     has_coordinates,
     has_meaning,
     noted,
@@ -40,9 +45,6 @@ DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?")
 HEXADECIMAL = re.compile(rb"(?<![\w.+-])0[xX][0-9a-fA-F]{1,16}(?![\w.])")
 """A whole number as Livox Viewer writes its error codes."""
 
-MAX_EXACT = 2**53
-"""Up to this, a float64 holds every whole number."""
-
 COLOURS = ("red", "green", "blue")
 LEICA_COLUMNS = (*PLAIN_COLUMNS[:3], *COLOURS), (*PLAIN_COLUMNS, *COLOURS)
 """What six and seven columns of a ``.pts`` are."""
@@ -55,16 +57,6 @@ MAX_HEAD = 2**20
 
 ARRAY_SOURCE = "<array>"
 """Source of a cloud that was made of an array."""
-
-MAX_DEFLATE_RATIO = 1100
-"""Deflate compresses at most 1032 bytes into one; an entry that promises more is damaged."""
-
-NPZ_ALLOWED, NPZ_RATIO = 2**28, 20
-"""Bytes that the arrays of an NPZ may take: so many, and so many times its size, with 8 for each
-number. Coordinates compress 2 to 10 fold."""
-
-NUMBER = 8
-"""Bytes of a number in a point cloud."""
 
 
 def _is_table(array: NDArray[Any]) -> bool:
@@ -131,7 +123,8 @@ def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
         raise ReadError(f"promises {size} bytes of data, the file holds {left} in all")
-    spend(max(size, NUMBER * size // dtype.itemsize))
+    # A number in a point cloud takes 8 bytes.
+    spend(max(size, 8 * size // dtype.itemsize))
     body = file.read(size)
     if len(body) < size:
         raise ReadError(f"promises {size} bytes of data, the file holds {len(body)}")
@@ -154,11 +147,14 @@ def read_npz(path: Path) -> PointCloud:
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
-    spend = allowance(len(data), NPZ_ALLOWED, NPZ_RATIO)
+    # So much in all, and so many times its size; coordinates compress 2 to 10 fold.
+    spend = allowance(len(data), 2**28, 20)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
     with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
         for entry in archive.infolist():
-            if entry.file_size > MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
+            # Deflate compresses at most 1032 bytes into one; an entry that promises more is
+            # damaged.
+            if entry.file_size > 1100 * max(entry.compress_size, 1):
                 promised = f"{entry.compress_size} bytes cannot unpack to {entry.file_size}"
                 raise ReadError(f"{entry.filename}: {promised}")
             name = entry.filename.removesuffix(".npy")
@@ -261,7 +257,8 @@ def _check_colours(values: Array) -> None:
 def _whole(column: Array) -> NDArray[Any]:
     """Give whole numbers as such: a text has no types, and of times they are ticks."""
     with np.errstate(invalid="ignore"):
-        is_whole = np.all(np.abs(column) <= MAX_EXACT) and np.all(column == np.rint(column))
+        # Up to this, a float64 holds every whole number.
+        is_whole = np.all(np.abs(column) <= 2**53) and np.all(column == np.rint(column))
     return column.astype(np.int64) if is_whole else column
 
 
@@ -389,3 +386,104 @@ def _first_bad(body: bytes, columns: int, separator: str | None) -> tuple[int, s
         if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):
             return k, content
     return None
+
+
+FOUR, FIVE = PLAIN_COLUMNS, (*PLAIN_COLUMNS, "ring")
+"""Columns of KITTI's velodyne files, and of nuScenes' ``.pcd.bin`` files."""
+
+FLOAT, LONG_RECORD = 4, 32
+"""Bytes of a value; and of a point as PCL holds it in memory, x y z and intensity each padded."""
+
+TINIEST = 1e-20
+"""No coordinate but zero is smaller, or above `LARGEST`, metres or millimetres: halves of float64,
+whole numbers and padding that are read as float32 are."""
+
+
+def read_bin(path: Path) -> PointCloud:
+    """Read float32 x y z intensity (KITTI), or x y z intensity ring (nuScenes).
+
+    Raises
+    ------
+    ReadError
+        Where the values are neither's, or could be both's.
+    """
+    data = read_whole(path)
+    fitting = [
+        names
+        for names, fits in ((FOUR, _are_four), (FIVE, _are_five))
+        if len(data) % (FLOAT * len(names)) == 0 and fits(_rows(data, len(names)))
+    ]
+    if len(fitting) == 1:
+        rows = _rows(data, len(fitting[0]))
+        return cloud_from_columns(dict(zip(fitting[0], rows.T, strict=True)))
+    raise ReadError(_why(data, bool(fitting)))
+
+
+def _rows(data: bytes, columns: int) -> NDArray[Any]:
+    return np.frombuffer(data, "<f4").reshape(-1, columns)
+
+
+def _are_four(rows: NDArray[Any]) -> bool:
+    return _are_points(rows) and not _alternate(rows)
+
+
+def _are_five(rows: NDArray[Any]) -> bool:
+    ring = rows[:, 4]
+    with np.errstate(invalid="ignore"):
+        # Coordinates, four fifths of what a wrong length puts there, are no whole numbers.
+        are_rings = (ring >= 0) & (ring < 256) & (ring == np.round(ring))
+    return bool(np.all(are_rings)) and _are_points(rows)
+
+
+def _are_points(rows: NDArray[Any]) -> bool:
+    """Whether x, y and z can be coordinates, and the fourth value an intensity."""
+    with np.errstate(invalid="ignore"):
+        size = np.abs(rows[:, :3])
+        odd = np.any(((size < TINIEST) & (size > 0.0)) | (size > LARGEST), axis=1)
+        odd |= rows[:, 3] < 0.0
+    # What is not a number is no return, and dropped; infinity is one of the largest.
+    # With a wrong length, a third and more of the intensities are coordinates, half of which are
+    # negative.
+    return float(np.mean(odd & ~np.any(np.isinf(size), axis=1))) <= 0.01
+
+
+def _alternate(rows: NDArray[Any]) -> bool:
+    """Whether every second row is something else than a point."""
+    if len(rows) < 64 or len(rows) * FLOAT * 4 % LONG_RECORD:
+        return False
+    ground = floats(rows[:, :2])
+    ground = np.where(np.isfinite(ground), ground, 0.0)
+    spreads = [
+        np.ptp(np.quantile(part, [0.05, 0.95], axis=0), axis=0)
+        for part in (ground[::2], ground[1::2])
+    ]
+    low, high = np.minimum(*spreads), np.maximum(*spreads)
+    length = np.maximum(np.linalg.norm(ground, axis=1), TINIEST)
+    cosine = np.sum(ground[:-1] * ground[1:], axis=1) / (length[:-1] * length[1:])
+    # Points of one sweep spread alike, and lie in one direction: the upper and the lower lasers of
+    # a VLP-16 alternate, and may see 4 m and 16 m.
+    return bool(np.any(high > 8.0 * low) and np.median(cosine) < 0.9)
+
+
+def _why(data: bytes, are_both: bool) -> str:
+    """Say why the values are no points, or two kinds of them, and how to convert them."""
+    size = len(data)
+    if size % (4 * FLOAT) and size % (5 * FLOAT):
+        return (
+            f"{size} bytes, expected a multiple of 16 (float32 x y z intensity, KITTI) or of 20 "
+            "(and ring, nuScenes)"
+        )
+    if not are_both and size % LONG_RECORD == 0 and _alternate(_rows(data, 4)):
+        return (
+            "its points seem to have 32 bytes, as PCL and ROS hold x y z _ intensity; write these: "
+            "np.save('a.npy', np.fromfile(FILE, 'f4').reshape(-1, 8)[:, [0, 1, 2, 4]])"
+        )
+    why = (
+        "could be four float32 a point (KITTI) or five (nuScenes)"
+        if are_both
+        else "its values are not float32 x y z intensity (KITTI), nor with a ring (nuScenes)"
+    )
+    return (
+        f"{why}; write x y z intensity, of N columns: "
+        "np.save('a.npy', np.fromfile(FILE, 'f4').reshape(-1, N)[:, :4])"
+    )

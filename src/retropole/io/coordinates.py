@@ -13,9 +13,8 @@ import numpy as np
 
 from ..base.datatypes import PointCloud
 from ..base.se3 import lengths
-from .beam_origin import with_beam_origin
-from .rings import with_trusted_rings
-from .units import METRES, NAMES, SMALL, Unit
+from .beams import with_beam_origin, with_trusted_rings
+from .fields import METRES, NAMES, SMALL, Unit
 
 SAMPLE = 20_000
 """Points, evenly taken, whose ranges are looked at."""
@@ -31,11 +30,6 @@ and half of them beyond the second: the longest range of the table of sensors is
 NEAREST_PLACE = 0.5
 """Where all but 5 % of the returns are nearer than this, metres, there is no place around the LiDAR
 to stand poles in; a lone sensor's shortest range is 0.05 to 1 m."""
-
-HEAP, WIDE_HEAP = 3.0, 30.0
-"""Points are a heap far away where their middle is so many times farther away than they spread; the
-second where they spread farther than a LiDAR sees. From a LiDAR they lie around it, or before it
-and as wide as they are far."""
 
 
 @dataclass(frozen=True)
@@ -119,4 +113,5 @@ def _is_heap(cloud: PointCloud) -> bool:
     middle = np.median(part, axis=0)
     spread = float(np.quantile(lengths(part - middle), 0.9))
     away = float(np.linalg.norm(middle - cloud.origin))
-    return away > (HEAP if spread <= FARTHEST_RETURN else WIDE_HEAP) * spread
+    # From a LiDAR, points lie around it, or before it and as wide as they are far.
+    return away > (3.0 if spread <= FARTHEST_RETURN else 30.0) * spread

@@ -1,4 +1,4 @@
-"""From named columns to a point cloud: what the names mean, and which points are dropped."""
+"""From named columns to a cloud in metres: what names mean, units, which points are dropped."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.errors import ReadError, UsageError
-from .failures import naming
-from .units import METRES
+from ..base.errors import ReadError, UsageError, naming
 
 PARAVIEW = ("points", "points_m_xyz")
 IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]{0,20})[\])]$")
@@ -41,14 +39,8 @@ PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 IN_SECONDS = ("", "s", "sec", "seconds")
 """Units in the name of a time that are taken for seconds; most names have none."""
 
-LAST_SECOND = 1e11
-"""Greater than any time in seconds (year 5138), smaller than any Unix time in milliseconds."""
-
 MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
-
-MAX_RING = 2**31 - 1
-"""Larger numbers, from fields of 8 bytes, are not rings."""
 
 LARGEST = 1e9
 """Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
@@ -308,7 +300,8 @@ def _ring(values: NDArray[Any]) -> IntArray | None:
         return values.astype(np.int64)
     numbers = floats(values)
     with np.errstate(invalid="ignore"):
-        indices = np.all(np.abs(numbers) <= MAX_RING) and np.all(numbers == np.round(numbers))
+        # Larger numbers, from fields of 8 bytes, are not rings.
+        indices = np.all(np.abs(numbers) < 2**31) and np.all(numbers == np.round(numbers))
     return numbers.astype(np.int64) if indices else None
 
 
@@ -318,5 +311,38 @@ def _time(values: NDArray[Any]) -> Array | None:
         return None
     seconds = floats(values)
     with np.errstate(invalid="ignore"):
-        plausible = np.all(np.abs(seconds) < LAST_SECOND)
+        # Above any time in seconds (year 5138), below any Unix time in milliseconds.
+        plausible = np.all(np.abs(seconds) < 1e11)
     return seconds if plausible else None
+
+
+Unit = Literal["m", "cm", "mm", "ft", "in"]
+
+METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
+"""Length of each unit, metres; the foot is the international one, 2 ppm from that of US surveys."""
+
+SMALL: tuple[Unit, ...] = ("cm", "mm", "in")
+"""Units in which ranges are so large that they cannot be metres; feet can."""
+
+NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+NAMES |= {"ft": "feet", "in": "inches"}
+
+
+def unit_named(name: str) -> Unit:
+    """Take the name of a unit.
+
+    Raises
+    ------
+    UsageError
+        For any other than ``m``, ``cm``, ``mm``, ``ft`` and ``in``.
+    """
+    if name not in METRES:
+        raise UsageError(f"unit is {name!r}, expected {', '.join(METRES)}")
+    return name
+
+
+def in_metres(cloud: PointCloud, unit: Unit) -> PointCloud:
+    """Bring a cloud whose coordinates and origin are in a unit to metres."""
+    if unit == "m":
+        return cloud
+    return replace(cloud, xyz=cloud.xyz * METRES[unit], origin=cloud.origin * METRES[unit])

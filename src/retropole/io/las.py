@@ -23,35 +23,17 @@ MAX_LAZ_RATIO = 1000
 """Scans compress 5 to 20 fold: a file that promises more than this is damaged."""
 
 SMALLEST_HEADER = 227
-SMALLEST_RECORD = 54
-"""Bytes of a variable length record without content."""
-
-SMALLEST_POINT = 20
-"""Bytes of a point of the shortest format."""
-
-SIZES_AT, FORMAT_AT, COMPRESSED = 94, 104, 0x80
-"""Bytes of the header with its sizes, and with the format of points; its highest bit means LAZ."""
-
-LAYERED = 3
-"""Number of the LAZ compression of formats 6 to 10, which keeps each kind of value in a layer."""
-
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of layers of the items of a point: the point itself, RGB, RGB and NIR, wave packet."""
 
 ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 """Bytes of each kind of item, after LASzip's specification; extra bytes (0 and 14) have any."""
 
-EXTRA_BYTES = 14
-"""The item of which each byte is a layer."""
-
 ITEMS_AT, ITEM = 34, "<HHH"
 """Byte of LAZ's own record at which the items of a point begin, after their number; and an item."""
 
 FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the place of the table of chunks."""
-
-COUNT_SIZE = 4
-"""Bytes of a count of points or of layers."""
 
 
 def read_las(path: Path) -> PointCloud:
@@ -120,20 +102,24 @@ def _check_header(file: BinaryIO, size: int) -> None:
             f"starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which starts "
             f"with b'LASF' and has {SMALLEST_HEADER} or more"
         )
-    length, points, records = struct.unpack_from("<HII", head, SIZES_AT)
+    length, points, records = struct.unpack_from("<HII", head, 94)
     if points > size:
         said = f"the header says that points start at byte {points}"
         raise ReadError(f"{said}, the file ends at {size}")
-    if length + SMALLEST_RECORD * records > points:
+    # A record has 54 bytes without content.
+    if length + 54 * records > points:
         raise ReadError(
             f"the header promises {records} variable length records, which the bytes {length} to "
             f"{points} before the points cannot hold"
         )
-    if not head[FORMAT_AT] & COMPRESSED:
+    # The highest bit of the format of points means LAZ.
+    if not head[104] & 0x80:
         return
-    file.seek(_chunk_table(file, points, size) + COUNT_SIZE)
-    chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
-    if chunks * SMALLEST_POINT > size:
+    # Counts of points and of layers have 4 bytes.
+    file.seek(_chunk_table(file, points, size) + 4)
+    chunks = struct.unpack("<I", file.read(4))[0]
+    # A point of the shortest format has 20 bytes.
+    if chunks * 20 > size:
         raise ReadError(f"promises {chunks} chunks, its {size} bytes cannot hold them")
 
 
@@ -176,22 +162,22 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
     A chunk of layers is its first point, the number of its points, the length of each layer, and
     the layers; the next one follows at once.
     """
-    if len(record) < ITEMS_AT or struct.unpack_from("<H", record)[0] != LAYERED:
+    # Number 3 is the compression of formats 6 to 10, which keeps each kind of value in a layer.
+    if len(record) < ITEMS_AT or struct.unpack_from("<H", record)[0] != 3:
         return
     items = _items(record)
     first = sum(length for _, length, _ in items)
-    layers = sum(
-        length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items
-    )
+    # Of the extra bytes, item 14, each byte is a layer.
+    layers = sum(length if kind == 14 else LAYERS.get(kind, 0) for kind, length, _ in items)
     with path.open("rb") as file:
         end = _chunk_table(file, start, path.stat().st_size)
         position = start + FIRST_CHUNK
         while position < end:
-            file.seek(position + first + COUNT_SIZE)
-            sizes = file.read(COUNT_SIZE * layers)
+            file.seek(position + first + 4)
+            sizes = file.read(4 * layers)
             # Unknown items have no layers; the position still grows, by the count at least.
-            position += first + COUNT_SIZE + COUNT_SIZE * layers
-            complete = len(sizes) == COUNT_SIZE * layers
+            position += first + 4 + 4 * layers
+            complete = len(sizes) == 4 * layers
             if complete:
                 position += sum(struct.unpack(f"<{layers}I", sizes))
             if not complete or position > end:

@@ -1,7 +1,9 @@
 """PCD, the Point Cloud Library's format: ascii, binary and binary_compressed.
 
 The header is read here, so that its sizes are checked against that of the file before any memory is
-allocated; the data are one NumPy record array. Only the decompression is a library's.
+allocated; the data are one NumPy record array. Only the decompression is a library's. pypcd4, which
+reads PCD too, takes one that was cut between two points for a smaller one, mixes up the values of
+compressed fields that have several, and cannot read a COUNT of 0 or padding that is left out.
 """
 
 from __future__ import annotations
@@ -15,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import Array, PointCloud
-from ..base.errors import ReadError, UsageError, said
+from ..base.errors import LineError, ReadError, UsageError, naming, said
 from ..base.files import write_atomically
 from .arrays import read_table
-from .failures import LineError, naming
 from .fields import (
     LARGEST,
     MAX_PROMISED,
@@ -35,9 +36,6 @@ MAX_HEADER = 64 * 1024
 
 MAX_VALUES = 10_000
 """Values of a point; more are an error in the header, and would take the memory."""
-
-MAX_LZF_RATIO = 300
-"""LZF writes at least three bytes for 264: a file that promises more is damaged."""
 
 LZF_SIZES = 8
 """Bytes of the two sizes in front of compressed data."""
@@ -275,7 +273,8 @@ def _decompress(body: memoryview, sizes: list[int]) -> bytes:
         raise ReadError(f"its data decompress to {size} bytes, the header promises {sizes[-1]}")
     if compressed > left:
         raise ReadError(f"promises {compressed} bytes of compressed data, holds {left}")
-    if size > MAX_LZF_RATIO * compressed:
+    # LZF writes at least three bytes for 264.
+    if size > 300 * compressed:
         raise ReadError(f"{compressed} bytes cannot decompress to {size}")
     try:
         plain: bytes | None = lzf.decompress(bytes(body[LZF_SIZES:][:compressed]), size)

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
-from ..base.errors import ReadError
+from ..base.errors import LineError, ReadError
 from .arrays import read_table
-from .failures import LineError
 from .fields import MAX_PROMISED, cloud_from_columns, left_out, noted, read_whole
 
 PLY_TYPES = {

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ReadError, shortened
+from ..base.errors import ReadError, naming, reported, shortened
 from ..base.quantities import counted
-from .bag_files import opened
-from .failures import naming, reported
+from .bags import opened
 from .fields import Columns, frame_from_columns, noted
 from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
 from .unpacking import LARGEST_RECORD

@@ -25,9 +25,6 @@ ALLOWED, ALLOWED_RATIO = 2**29, 100
 """Bytes that all of a bag may unpack to: so many, and so many times its size. Scans compress 2 to
 20 fold."""
 
-BLOCK = 2**20
-"""Bytes that are unpacked at a time."""
-
 Spend = Callable[[int], None]
 """Counts bytes, and raises where a file has used up what it is allowed."""
 
@@ -119,7 +116,7 @@ def unpack_file(packed: Path, to: Path, kind: str, spend: Spend) -> None:
 def _blocks(kind: str, file: BinaryIO, spend: Spend) -> Iterator[bytes]:
     """Decompress a file block by block, each counted before it is given."""
     with _stream(kind, file) as stream:
-        while block := stream.read(BLOCK):
+        while block := stream.read(2**20):
             spend(len(block))
             yield block
 

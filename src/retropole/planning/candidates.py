@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray
-from ..simulation.arrangement import FOOT_HEIGHT
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import RecordedBeams
-from ..simulation.scenes import TAPE
+from ..simulation.scenes import FOOT_HEIGHT, TAPE
 from .place import Place, Station
 
 LEANS = (np.radians(20.0), np.radians(35.0))

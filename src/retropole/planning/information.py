@@ -19,8 +19,8 @@ from ..alignment.posterior import JointState, Posterior
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
-from ..simulation.inserting import DIVERGENCE, in_sensor_frame, range_noise
 from ..simulation.raycast import Cylinder
+from ..simulation.recorded import DIVERGENCE, in_sensor_frame, range_noise
 from .candidates import Candidates, beams_met
 from .place import Station
 

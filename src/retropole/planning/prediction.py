@@ -14,7 +14,7 @@ from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.network import PoleFactor, factor_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray
-from ..base.relative import joint_of, relative
+from ..base.se3 import joint_of, relative
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import BudgetEntry
 from ..extraction.sensor_pattern import error_sizes

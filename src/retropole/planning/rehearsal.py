@@ -13,8 +13,8 @@ from ..base.description import Site, SiteLidar
 from ..base.uncertainty.purpose import Need
 from ..pipeline import calibrate
 from ..pipeline_of_sites import calibrate_site
-from ..simulation.inserting import in_sensor_frame, range_noise, with_poles
 from ..simulation.raycast import Cylinder
+from ..simulation.recorded import in_sensor_frame, range_noise, with_poles
 from .information import divergences_of
 from .place import Station
 

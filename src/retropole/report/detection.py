@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.datatypes import Array, Detection, IntArray, PointCloud
+from ..base.datatypes import Array, Detection, IntArray, PointCloud, every_nth
 from ..base.errors import shortened
 from ..base.files import write_atomically
 from ..base.quantities import counted
-from ..base.sampling import every_nth
 from .figures import MAX_FIGURE_POINTS
 from .page import Html, fill, join
 from .svg import Chart, Labels, round_numbers

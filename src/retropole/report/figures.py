@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, PointCloud, Pole
+from ..base.datatypes import Array, PointCloud, Pole, every_nth
 from ..base.errors import MissingExtraError
-from ..base.sampling import every_nth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

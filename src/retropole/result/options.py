@@ -17,8 +17,8 @@ from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
-from ..io.downsampling import LEAST_POINTS, MAX_POINTS
-from ..io.units import METRES, Unit
+from ..io.fields import METRES, Unit
+from ..io.recordings import LEAST_POINTS, MAX_POINTS
 
 UNITS = get_args(Unit)
 """That coordinates may have."""

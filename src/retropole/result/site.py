@@ -37,8 +37,8 @@ from ..base.datatypes import Array, Scan
 from ..base.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Fitness, Need
-from ..io.downsampling import MAX_POINTS
-from ..io.units import Unit
+from ..io.fields import Unit
+from ..io.recordings import MAX_POINTS
 from . import (
     COVARIANCE_ORDER,
     DEFAULT_CONFIG,

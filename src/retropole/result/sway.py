@@ -8,7 +8,7 @@ import msgspec
 
 from ..base.bounded import Count
 from ..base.datatypes import Scan
-from ..base.sway import Sway
+from ..base.systematic import Sway
 
 
 class SwayDoc(msgspec.Struct, frozen=True, eq=False):

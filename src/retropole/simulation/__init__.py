@@ -1,12 +1,10 @@
 """Simulated pairs and sites whose true poses are known."""
 
 from .devices import EXACT, FIELD, NOISE_MODELS, TYPICAL, Device, NoiseModel, draw_device
-from .pairs import SCENES, place_again, record_again, simulate_pair
+from .pairs import SCENES, SimulatedPair, SimulationError, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
-from .recording import SimulatedPair, SimulationError
 from .scanning import LabelledScan, scan
-from .site_survey import Survey
-from .sites import SITES, SimulatedSite, simulate_site
+from .sites import SITES, SimulatedSite, Survey, simulate_site
 from .writing import write_pair, write_site
 
 __all__ = [
@@ -29,8 +27,6 @@ __all__ = [
     "Surface",
     "Survey",
     "draw_device",
-    "place_again",
-    "record_again",
     "scan",
     "simulate_pair",
     "simulate_site",

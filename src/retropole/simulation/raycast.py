@@ -10,10 +10,6 @@ import numpy as np
 
 from ..base.datatypes import Array, IntArray
 
-BEAM_MARGIN = 0.2
-"""Added to the bounding radius of a cylinder, metres: the edge of a beam hits it too, and half of 3
-mrad, a common divergence, is 0.15 m at 100 m."""
-
 
 @dataclass(frozen=True)
 class Material:
@@ -143,7 +139,8 @@ class Cylinder:
     @property
     def bounding_radius(self) -> float:
         """Radius of a sphere about the centre that contains it and the edge of a beam, metres."""
-        return float(np.hypot(self.radius, self.length / 2)) + BEAM_MARGIN
+        # The edge of a beam hits it too: half of 3 mrad, a common divergence, is 0.15 m at 100 m.
+        return float(np.hypot(self.radius, self.length / 2)) + 0.2
 
     def intersect(self, origin: Array, rays: Array, divergence: float) -> Intersection:
         """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,).

@@ -1,16 +1,21 @@
-"""The beams of a recorded cloud: those that returned, and those between them that did not."""
+"""The beams of a recorded cloud, those that returned and those between them, and poles put into it.
+
+Surroundings, other bright things and the pattern of the beams stay as they were recorded.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.datatypes import PER_POINT, Array, IntArray, PointCloud
 from ..base.sensors import Sensor
 from .raycast import Cylinder, Hits, cast
+from .returns import RETRO_GRAZING, RETRO_INCIDENCE, saturation
 
 TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
 """The axis of the rings is searched in steps that shrink, rad. The first two reach 2.4° from the
@@ -21,10 +26,6 @@ SHARPNESS_POINTS = 20_000
 
 LEVEL_BIN = float(np.radians(0.02))
 """Elevations are counted in bins of this size, rad: a fifth of the closest rings (chosen)."""
-
-LEVEL_RETURNS, LEVEL_WIDTH = 15, 6
-"""A ring fills each of its bins with so many returns at least, and so many bins at most. Rings of
-the table of sensors are 8 bins apart or more."""
 
 LEVEL_SHARE = 0.7
 """Elevations are rings if so large a share of the returns lies on them (chosen; recordings of
@@ -83,7 +84,7 @@ def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedB
     if sensor is not None and _is_of(directions, cloud.axis, sensor):
         return _sent_beams(cloud, directions, ranges, sensor)
     given = cloud.ring is not None and len(np.unique(cloud.ring)) > 1
-    axis = np.array([0.0, 0.0, 1.0]) if given else sharpest_axis(directions)
+    axis = cloud.axis if given else sharpest_axis(directions)
     rings = cloud.ring if given and cloud.ring is not None else levels(directions @ axis)
     missing, like = _between(directions, rings, axis, cloud.frame)
     own = np.arange(len(cloud))
@@ -105,8 +106,8 @@ def _is_of(directions: Array, axis: Array, sensor: Sensor) -> bool:
 
 
 def _level(axis: Array) -> tuple[Array, Array]:
-    """Two directions (3,) across an axis (3,) near z, and across each other."""
-    across = np.cross(axis, [0.0, 1.0, 0.0])
+    """Two directions (3,) across an axis (3,), and across each other."""
+    across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
     return across, np.cross(axis, across)
 
@@ -196,10 +197,11 @@ def levels(sines: Array) -> IntArray:
     rings = np.full(len(sines), -1, dtype=np.int64)
     elevation = np.arcsin(np.clip(sines, -1, 1))
     bins = ((elevation + np.pi / 2) / LEVEL_BIN).astype(np.int64)
-    full = np.bincount(bins, minlength=int(np.pi / LEVEL_BIN) + 2) >= LEVEL_RETURNS
+    full = np.bincount(bins, minlength=int(np.pi / LEVEL_BIN) + 2) >= 15
     edges = np.flatnonzero(np.diff(np.r_[False, full, False].astype(np.int64)))
     starts, ends = edges[::2], edges[1::2]
-    narrow = ends - starts <= LEVEL_WIDTH
+    # Rings of the table of sensors are 8 bins apart or more.
+    narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
         # A bin beside it holds what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
@@ -245,3 +247,82 @@ def _between(
         )
         like.append(group[left])
     return np.concatenate(found), np.concatenate(like)
+
+
+DIVERGENCE = 0.003
+"""Full angle of the beam, rad, where the sensor is not known: that of most of the table."""
+
+
+def range_noise(sensor: Sensor | None) -> float:
+    """1 σ of a LiDAR's ranges, metres."""
+    # That of most of the table of sensors.
+    return 0.010 if sensor is None else sensor.range_noise
+
+
+def in_sensor_frame(poles: Sequence[Cylinder], T_target_cloud: Array) -> list[Cylinder]:
+    """Express poles of the target's frame in a cloud's, by its pose (4, 4)."""
+    T = se3.inverse(T_target_cloud)
+    return [
+        replace(pole, centre=se3.apply(T, pole.centre[None])[0], axis=T[:3, :3] @ pole.axis)
+        for pole in poles
+    ]
+
+
+def with_poles(
+    cloud: PointCloud,
+    beams: RecordedBeams,
+    poles: Sequence[Cylinder],
+    width: float,
+    sensor: Sensor | None,
+    rng: np.random.Generator,
+    biases: Array,
+) -> tuple[PointCloud, IntArray]:
+    """Replace what the poles hide by returns on them; the labels (N',) are their index or −1.
+
+    The biases are those of ranges to tape, metres: of each ring, and last where none is known.
+    """
+    hits, met = met_by(beams, poles, width)
+    ranges = hits.ranges[met] + biases[beams.rings[met]]
+    ranges += range_noise(sensor) * rng.normal(size=len(met))
+    points = beams.origin + ranges[:, None] * beams.directions[met]
+    # Returns stay in their places in the file; beams that had none come last.
+    count = len(cloud)
+    rows = np.concatenate([np.arange(count), beams.like[met[met >= count]]])
+    place = np.where(met < count, met, 0)
+    place[met >= count] = np.arange(count, len(rows))
+    arrays: dict[str, Any] = {"xyz": cloud.xyz[rows]}
+    for name in PER_POINT:
+        value = getattr(cloud, name)
+        arrays[name] = None if value is None else value[rows]
+    if cloud.intensity is None:
+        arrays["intensity"] = np.zeros(len(rows))
+    labels = np.full(len(rows), -1, dtype=np.int64)
+    arrays["xyz"][place] = points
+    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
+    labels[place] = hits.surface[met]
+    if cloud.ring is not None and np.array_equal(cloud.ring, beams.rings[:count]):
+        # A beam that the sensor sends has no return beside it on a ring that met nothing.
+        arrays["ring"][place] = beams.rings[met]
+    return replace(cloud, **arrays), labels
+
+
+def _tape(
+    recorded: Array | None, sensor: Sensor | None, cosine: Array, rng: np.random.Generator
+) -> Array:
+    """Intensities of tape on the scale of the recording, saturated at normal incidence."""
+    # A cloud without intensity gets the scale of a byte, and its own returns 0.
+    top = 255.0 if recorded is None else float(recorded.max(initial=0.0))
+    if sensor is None:
+        # 8-bit sensors have the weakest tape at 200 of 255 (Xue et al. 2019, Table I).
+        least = 0.8 * top
+    else:
+        scale = 1.0
+        if recorded is not None and top <= 1.0 < sensor.threshold:
+            scale = 1.0 / sensor.intensity_max
+        least = scale * sensor.threshold
+        top = scale * saturation(sensor)
+    # As `NoiseModel.intensity_noise`.
+    loss = 0.15 * np.abs(rng.normal(size=len(cosine)))
+    strength = np.clip((RETRO_GRAZING + RETRO_INCIDENCE * cosine) * (1 - loss), 0, 1)
+    bright = least + (top - least) * strength
+    return np.asarray(np.round(bright) if top > 1.0 else bright)

@@ -1,9 +1,12 @@
-"""What a LiDAR at a given pose records of a scene."""
+"""What a LiDAR at a given pose records of a scene, and what the site does to it.
+
+Things move, ground is wet, a mast sways.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +14,9 @@ import numpy as np
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.sensors import Sensor
 from .devices import TYPICAL, Device, NoiseModel, draw_device
-from .environment import Mover, Sway, draw_sway, is_ground, wet_loss
-from .footprint import Materials, report
-from .intensity import Echoes, intensities, with_glow
-from .raycast import Surface, cast
+from .raycast import Box, Cylinder, Rectangle, Surface, cast
+from .returns import Echoes, Materials, intensities, report, with_glow
+from .scenes import BARK, UP
 
 SWEEP_SECONDS = 0.1
 """Time of one sweep: LiDARs run at 10 Hz by default."""
@@ -26,9 +28,6 @@ GOLDEN = (np.sqrt(5.0) - 1) / 2
 SILVER = np.sqrt(2.0) - 1
 """Steps of a rosette in azimuth and elevation, as parts of the field of view: multiples of two
 independent irrational numbers never repeat and cover it evenly."""
-
-ROSETTE_STARTS = 10**6
-"""A rosette starts at a random one of so many places of its sequence (chosen: many sweeps)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,7 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
         ring = np.tile(np.arange(len(sensor.elevations)), count)
         time = np.repeat(np.arange(count) * (SWEEP_SECONDS / count), len(sensor.elevations))
     else:
-        number = rng.integers(0, ROSETTE_STARTS) + np.arange(sensor.points)
+        number = rng.integers(0, 10**6) + np.arange(sensor.points)
         low, high = np.sin(sensor.elevation_span)
         azimuth = 2 * np.pi * ((number * GOLDEN) % 1.0)
         up = low + (high - low) * ((number * SILVER) % 1.0)
@@ -81,13 +80,6 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
         ring = np.zeros(sensor.points, dtype=np.int64)
         time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
     return Sweep(rays, ring.astype(np.int64), time)
-
-
-GROWTH_RANGE = 10.0
-"""Range at which `NoiseModel.noise_growth` is stated, metres."""
-
-DARKEST = 0.05
-"""Least brightness that noise grows by (chosen: a darker surface hardly returns)."""
 
 
 class Sources(NamedTuple):
@@ -218,8 +210,9 @@ def _echoes(
     retro, reflectance = materials.retro[surface], materials.reflectance[surface]
     sigma = np.full(len(beam), noise.range_noise * sensor.range_noise)
     if noise.noise_growth:
-        brightness = np.where(retro, 1.0, np.maximum(reflectance * cosine, DARKEST))
-        sigma *= np.sqrt(1 + (noise.noise_growth * true / GROWTH_RANGE) ** 2 / brightness)
+        brightness = np.where(retro, 1.0, np.maximum(reflectance * cosine, 0.05))
+        # Growth is stated at 10 m; a surface darker than 0.05 hardly returns.
+        sigma *= np.sqrt(1 + (noise.noise_growth * true / 10.0) ** 2 / brightness)
     ranges = device.ranges(true, rings[beam], cosine, retro)
     ranges += sigma * sources.returns.normal(size=len(beam))
     intensity = intensities(
@@ -231,3 +224,143 @@ def _echoes(
             echoes, retro, world, noise.blooming, sensor, len(surfaces), sources.glow
         )
     return echoes
+
+
+WALK = 0.8, 1.6
+"""Least and greatest speed of a person, m/s: walking."""
+
+DELAY = 1.0, 5.0
+"""Least and greatest time between the target's recording and the source's, s (chosen)."""
+
+KEPT_FREE = 1.0
+"""Nothing comes closer to a LiDAR than this, metres: it would be all that the LiDAR sees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """A surface that moves in a straight line.
+
+    Attributes
+    ----------
+    surface
+        Where it is at time 0.
+    velocity
+        (3,) m/s.
+    """
+
+    surface: Box | Cylinder
+    velocity: Array
+
+    def at(self, time: float) -> Surface:
+        """Give the surface at a time, s."""
+        return replace(self.surface, centre=self.surface.centre + time * self.velocity)
+
+
+def draw_movers(
+    count: int,
+    reach: tuple[float, float],
+    lidars: Sequence[Array],
+    until: float,
+    rng: np.random.Generator,
+) -> list[Mover]:
+    """Draw people who walk and plants that the wind moves.
+
+    Parameters
+    ----------
+    count
+        How many.
+    reach
+        Half extents in x and y in which they start, metres.
+    lidars
+        (3,) positions to keep away from, metres.
+    until
+        Time to which they keep away, s.
+    rng
+        Source of the draws.
+    """
+    movers = []
+    times = np.arange(0.0, until, 0.2)
+    for _ in range(count):
+        person = rng.uniform() < 0.5
+        for _ in range(200):
+            start = rng.uniform(-1, 1, 2) * reach
+            # A plant in the wind drifts.
+            between = WALK if person else (0.05, 0.3)
+            heading, speed = rng.uniform(0, 2 * np.pi), rng.uniform(*between)
+            velocity = speed * np.array([np.cos(heading), np.sin(heading), 0.0])
+            path = start + times[:, None] * velocity[:2]
+            if all(np.linalg.norm(path - at[:2], axis=1).min() > KEPT_FREE for at in lidars):
+                height, radius = rng.uniform(0.8, 1.9), rng.uniform(0.15, 0.35)
+                centre = np.r_[start, height / 2]
+                body: Box | Cylinder = Cylinder(centre, UP, radius, height, BARK)
+                if person:
+                    along, side = velocity / speed, np.cross(UP, velocity / speed)
+                    half = np.array([0.12, 0.22, 0.85])
+                    body = Box(
+                        np.r_[start, half[2]], np.stack([along, side, UP], axis=1), half, BARK
+                    )
+                movers.append(Mover(body, velocity))
+                break
+    return movers
+
+
+def is_ground(surface: Surface, origin: Array) -> bool:
+    """Whether a surface is level ground below a LiDAR at an origin (3,)."""
+    return (
+        isinstance(surface, Rectangle)
+        and not surface.material.retro
+        and abs(float(np.cross(surface.u, surface.v) @ UP)) > 1 - 1e-9
+        and float((origin - surface.centre) @ UP) > 0
+    )
+
+
+def wet_loss(wet: float, reflectance: Array, cosine: Array) -> Array:
+    """Chance (N,) that a return from wet ground is lost: the share `wet` where it is dark."""
+    # From the brightness of asphalt at normal incidence on, none are lost.
+    return wet * np.clip(1 - reflectance * cosine / 0.2, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sway:
+    """Oscillation of a mast about a level axis; over whole periods its mean is the pose itself.
+
+    Attributes
+    ----------
+    axis
+        (3,) unit vector in the world.
+    amplitude
+        Rad.
+    phase
+        At time 0, rad.
+    frequency
+        Hz.
+    foot
+        (3,) where the axis is, in the world, metres; None where it goes through the LiDAR.
+    """
+
+    axis: Array
+    amplitude: float
+    phase: float
+    frequency: float = 1.0
+    foot: Array | None = None
+
+    def origin(self, rest: Array, time: float) -> Array:
+        """(3,) where the beams of a LiDAR that rests at a point (3,) start at a time, s."""
+        if self.foot is None:
+            return rest
+        return np.asarray(self.foot + self.turn((rest - self.foot)[None], np.array([time]))[0])
+
+    def turn(self, rays: Array, times: Array) -> Array:
+        """Turn rays (N, 3) of the world as the mast stands at times (N,), s."""
+        phase = 2 * np.pi * self.frequency * times + self.phase
+        angle = self.amplitude * np.sin(phase)[:, None]
+        along = (rays @ self.axis)[:, None] * self.axis
+        return np.asarray(
+            along + np.cos(angle) * (rays - along) + np.sin(angle) * np.cross(self.axis, rays)
+        )
+
+
+def draw_sway(amplitude: float, rng: np.random.Generator) -> Sway:
+    """Draw the level axis and the phase of a mast's oscillation of an amplitude in rad."""
+    heading, phase = rng.uniform(0, 2 * np.pi, 2)
+    return Sway(np.array([np.cos(heading), np.sin(heading), 0.0]), amplitude, float(phase))

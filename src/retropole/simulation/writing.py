@@ -14,8 +14,8 @@ import numpy as np
 
 from ..base.files import write_together
 from ..io.pcd import pcd_of
+from .pairs import SimulatedPair
 from .raycast import Cylinder
-from .recording import SimulatedPair
 from .sites import SimulatedSite
 
 

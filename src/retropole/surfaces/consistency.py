@@ -24,8 +24,7 @@ from scipy import fft
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.sampling import every_nth
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
 from .averaging import averaged
 from .disambiguation import SCORING_VOXEL

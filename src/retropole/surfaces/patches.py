@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..alignment.certainty import chi2_limit
 from ..alignment.solver import ROUNDING
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.sampling import every_nth
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RING, band_of, by_error
 from .averaging import averaged

@@ -28,7 +28,7 @@ import numpy as np
 
 from ..alignment.certainty import root_of
 from ..base.datatypes import Array, PointCloud
-from ..base.sway import Sway, stated_sway
+from ..base.systematic import Sway, stated_sway
 from .static import MAX_TURN, MIN_FRAMES, turned_by
 from .sweeps import Observed, Timed, numbered, observe, timed, without
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.sampling import every_nth
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from .averaging import averaged
 from .registration import CORES, voxel_downsample
 

@@ -34,10 +34,9 @@ from ..hypotheses.similarity import (
     find_fit,
     find_mirror,
 )
-from ..io.beam_origin import with_beam_origin
+from ..io.beams import guess_sensors, with_beam_origin
 from ..io.coordinates import FARTHEST_HALF, NEAREST_HALF, oddity_of
-from ..io.recognition import guess_sensors
-from ..io.units import METRES, NAMES, Unit
+from ..io.fields import METRES, NAMES, Unit
 from ..surfaces.scans import find_poles
 
 EXPLAINED = {

@@ -13,9 +13,9 @@ import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame, read_frames
-from retropole.io.captures import packets, walk
 from retropole.io.live import Source
 from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
+from retropole.io.packets import packets, walk
 from tests.io.files import required
 from tests.paths import SHARED
 

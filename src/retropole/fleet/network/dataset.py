@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ...api import se3
 from ...base.errors import ReadError, UsageError, quoting, said
-from ...base.relative import RelativePose
+from ...base.se3 import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
 from ..dataset import AT_RANGE, Row, document_of, partitions_in, read_rows

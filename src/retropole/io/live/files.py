@@ -20,13 +20,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol
 
 import numpy as np
 
-from ...base.errors import ReadError, UsageError
+from ...base.errors import ReadError, UsageError, naming, readable, reported
 from ...base.files import check_is_file
 from ...base.quantities import counted
 from .. import READERS, open_recording
-from ..bag_files import MAX_TOPICS, check_extra, open_database, topics_in
-from ..bag_mcap import entries_of
-from ..failures import naming, readable, reported
+from ..bags import MAX_TOPICS, check_extra, entries_of, open_database, topics_in
 from ..recordings import CLOUDS, Frame, holds_clouds, time_of_recording
 from ..ros import MAX_LISTED, frame_of
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within

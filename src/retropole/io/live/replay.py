@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from ...base.errors import UsageError
 from .. import open_recording
-from ..bag_files import opened
+from ..bags import opened
 from ..packets import PACKETS
 from ..recordings import Frame, Recording
 from ..ros import NANOSECONDS, frame_of

@@ -19,9 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.errors import MissingExtraError, UsageError, said, shortened
+from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
-from ..failures import naming, reported
 from ..fields import frame_from_columns
 from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
 from ..recordings import Frame, is_unix

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.base import se3
+from retropole.base import projection, se3, world
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Frame, Geodetic, Sighting, Site, SurveyedPole
 from retropole.base.errors import MissingExtraError, UsageError
-from retropole.world import geodesy, world
-from retropole.world.projection import grid_at, projected
+from retropole.base.projection import grid_at, projected
 
 UTM = 25832
 POLES = np.array(
@@ -55,7 +54,7 @@ def test_a_local_frame_needs_no_projection(monkeypatch: pytest.MonkeyPatch) -> N
     assert ENU.geodetic is not None
     np.testing.assert_allclose(found.geodetic[0], ENU.geodetic.array, rtol=0, atol=1e-15)
     assert found.datum == ""
-    back = geodesy.local_of(found.geodetic, ENU.geodetic.array)
+    back = projection.local_of(found.geodetic, ENU.geodetic.array)
     np.testing.assert_allclose(back, places, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(world.to_frame(ENU, places), places)
 
@@ -146,8 +145,8 @@ def test_lengths_of_the_site_are_those_on_the_ground() -> None:
     places = world.geodetic(frame, local)
     grid = grid_at(UTM, places.mean(axis=0))
     # GRS 80, the ellipsoid of ETRS 89.
-    grs80 = geodesy.Ellipsoid(6_378_137.0, 1 / 298.257222101)
-    ground = np.linalg.norm(np.diff(geodesy.geocentric_of(places, grs80), axis=0), axis=1)
+    grs80 = projection.Ellipsoid(6_378_137.0, 1 / 298.257222101)
+    ground = np.linalg.norm(np.diff(projection.geocentric_of(places, grs80), axis=0), axis=1)
     lengths = np.linalg.norm(np.diff(local, axis=0), axis=1)
     np.testing.assert_allclose(lengths, ground, rtol=0, atol=1e-7)
     in_grid = np.linalg.norm(np.diff(POLES[:, :2], axis=0), axis=1)
@@ -183,7 +182,7 @@ def test_another_datum_is_moved_to_wgs84_and_said() -> None:
     origin = Geodetic(*np.radians([48.14, 11.57, 0.0]))
     frame = Frame("f", surveyed=True, epsg=31468, geodetic=origin)
     found = world.on_wgs84(frame, np.zeros((1, 3)))
-    away = geodesy.local_of(found.geodetic, world.geodetic(frame, np.zeros((1, 3)))[0])
+    away = projection.local_of(found.geodetic, world.geodetic(frame, np.zeros((1, 3)))[0])
     assert 100 < np.linalg.norm(away[0, :2]) < 200
     assert "DHDN to WGS 84" in found.datum
     assert found.accuracy is not None

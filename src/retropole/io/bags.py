@@ -2,26 +2,31 @@
 
 .db3 is SQLite, and a database is a program too: a view or a computed column may run for ever and
 make GiB of nothing. So only tables of plain columns are read, messages are of bounded length, and
-the steps of SQLite are counted.
+the steps of SQLite are counted. The records of an MCAP are decoded by mcap; what a chunk unpacks to
+is bounded here, since mcap unpacks whatever there is. rosbags reads ROS 1 bags; of an MCAP it reads
+no messages of ROS 1, and it bounds neither what a chunk unpacks to nor what SQLite computes.
 """
 
 from __future__ import annotations
 
 import bz2
+import heapq
+import io
 import re
 import sqlite3
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path, PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from ..base.errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError, naming, reported
 from ..base.files import check_is_file
-from .bag_mcap import open_mcap
-from .failures import naming, reported
 from .recordings import MAX_MESSAGES, Bag, counted_topics
-from .unpacking import LARGEST_RECORD, allowance, unpack_file, unpacked
+from .unpacking import LARGEST_RECORD, Spend, allowance, opened_within, unpack_file, unpacked
+
+if TYPE_CHECKING:
+    from mcap.summary import Summary
 
 REPAIR = (
     "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
@@ -31,23 +36,16 @@ REPAIR = (
 METADATA = "metadata.yaml"
 """File that makes a folder a ROS 2 bag."""
 
-MAX_METADATA, DEEPEST_METADATA = 2**20, 20
-"""Bytes, and levels, of the metadata of a bag; those of 100 topics have 1e5 and 6."""
-
-INDEX_ENTRY = 12
-"""Bytes of a message in the index of a ROS 1 bag."""
+MAX_METADATA = 2**20
+"""Bytes of the metadata of a bag; those of 100 topics have 1e5, and 6 levels."""
 
 TABLES = ("topics", "messages")
 
 MAX_TOPICS = 10_000
 """More are not read."""
 
-STEPS, STEPS_PER_BYTE, STEPS_COUNTED = 1_000_000, 5, 10_000
-"""Steps that SQLite may take: so many, and so many per byte of the file; and between two counts.
-To count and to sort the messages takes about 30 steps for each, which has 20 bytes at least."""
-
-LOCKED_FOR = 0.5
-"""Seconds to wait for a recorder that is writing to its database."""
+STEPS_COUNTED = 10_000
+"""Steps of SQLite between two counts."""
 
 
 def is_rosbag2(path: Path) -> bool:
@@ -114,9 +112,10 @@ def _ros1(path: Path) -> Iterator[Bag]:
             start = file.tell()
             super().read_index_data(pos, indexes)
             indexed += file.tell() - start
-            if indexed > min(size, MAX_MESSAGES * INDEX_ENTRY):
+            # In the index, a message takes 12 bytes.
+            if indexed > min(size, MAX_MESSAGES * 12):
                 raise ReadError(
-                    f"its index has more than {indexed // INDEX_ENTRY:,} messages; up to "
+                    f"its index has more than {indexed // 12:,} messages; up to "
                     f"{MAX_MESSAGES:,} are read, and no more than fit into its {size:,} bytes"
                 )
 
@@ -151,7 +150,8 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
     """
     # An address, since only that can say that the file does not change; as_uri quotes the path.
     address = f"{path.absolute().as_uri()}?mode={mode}"
-    with closing(sqlite3.connect(address, LOCKED_FOR, uri=True)) as database:
+    # Half a second to wait for a recorder that is writing.
+    with closing(sqlite3.connect(address, 0.5, uri=True)) as database:
         database.text_factory = lambda text: text.decode(errors="replace")
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, LARGEST_RECORD))
         database.execute("PRAGMA trusted_schema=OFF")
@@ -229,7 +229,8 @@ def _check_tables(database: sqlite3.Connection) -> None:
 @contextmanager
 def _counted_steps(size: int, database: sqlite3.Connection) -> Iterator[None]:
     """Stop SQLite where it takes more steps than a file of that size can need, and by Ctrl-C."""
-    left = (STEPS + STEPS_PER_BYTE * size) // STEPS_COUNTED
+    # To count and to sort the messages takes about 30 steps for each, which has 20 bytes at least.
+    left = (1_000_000 + 5 * size) // STEPS_COUNTED
 
     def is_over() -> bool:
         nonlocal left
@@ -248,6 +249,184 @@ def _counted_steps(size: int, database: sqlite3.Connection) -> Iterator[None]:
             f"to read it takes more steps than a database of {size:,} bytes can need: it is "
             "damaged, or computes what it holds"
         ) from None
+
+
+FOOTER = 37
+"""Bytes of the last record and of the mark at the end of the file."""
+
+RECORD_COST = 512
+"""Bytes that a record is counted as besides its own: so much memory and time it takes."""
+
+MAX_WAITING = 2**28
+"""Bytes of messages that may wait to be sorted by time, where chunks overlap."""
+
+Entry = tuple[str, str, Any, str]
+"""Topic, type, message and encoding."""
+
+
+@contextmanager
+def open_mcap(path: Path) -> Iterator[Bag]:
+    """Open an MCAP file.
+
+    Raises
+    ------
+    ReadError
+        Where a chunk, or all of them, unpack to more than `unpacking` allows.
+    """
+    with opened_within(path) as file:
+        size = path.stat().st_size
+        index = _index(file)
+
+        def entries(name: str | None) -> Iterator[Entry]:
+            spend = allowance(size)
+            if index.chunk_indexes:
+                return _by_time(file, index, spend, name)
+            return _in_turn(file, spend)
+
+        if index.statistics:
+            own = index.statistics.channel_message_counts
+            topics = counted_topics(
+                (channel.topic, _kind_of(index, channel), own.get(number, 0))
+                for number, channel in index.channels.items()
+            )
+        else:
+            topics = counted_topics((topic, kind, 1) for topic, kind, *_ in entries(None))
+
+        def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
+            for topic, own, message, encoding in entries(name):
+                if (topic, own) == (name, kind):
+                    yield message.log_time, message.data, encoding
+
+        yield Bag(topics, messages)
+
+
+def _index(file: BinaryIO) -> Summary:
+    """Read the index at the end of a file; empty where it has none."""
+    from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+    from mcap.stream_reader import StreamReader
+    from mcap.summary import Summary
+
+    found = Summary()
+    if file.seek(0, io.SEEK_END) < FOOTER:
+        raise ValueError("it is too short")
+    file.seek(-FOOTER, io.SEEK_END)
+    footer = next(StreamReader(file, skip_magic=True, emit_chunks=True).records)
+    if not isinstance(footer, Footer):
+        raise ValueError("it does not end as such a file does")
+    if footer.summary_start == 0:
+        return found
+    file.seek(footer.summary_start)
+    for record in StreamReader(file, skip_magic=True, emit_chunks=True).records:
+        if isinstance(record, Channel):
+            found.channels[record.id] = record
+        elif isinstance(record, Schema):
+            found.schemas[record.id] = record
+        elif isinstance(record, ChunkIndex):
+            found.chunk_indexes.append(record)
+        elif isinstance(record, Statistics):
+            found.statistics = record
+    return found
+
+
+def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
+    """Give the messages as they stand: to sort those of a whole file would take its memory."""
+    from mcap.stream_reader import StreamReader
+    from mcap.summary import Summary
+
+    index = Summary()
+    file.seek(0)
+    for record in StreamReader(file, emit_chunks=True).records:
+        yield from entries_of(record, index, spend)
+
+
+def entries_of(record: Any, index: Summary, spend: Spend) -> Iterator[Entry]:
+    """Give the messages of a record, and keep in the index what it says of topics and types."""
+    from mcap.records import Channel, Message, Schema
+
+    for each in _parts(record, spend):
+        if isinstance(each, Schema):
+            index.schemas[each.id] = each
+        elif isinstance(each, Channel):
+            index.channels[each.id] = each
+        elif isinstance(each, Message):
+            yield _entry(index, each)
+
+
+def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> Iterator[Entry]:
+    """Give the messages of the chunks that may have a topic, in the order of their times."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk, Message
+
+    # Of a chunk, the time of its first message stands for all that it holds.
+    waiting: list[tuple[int, int, int, Any]] = [
+        (chunk.message_start_time, chunk.chunk_start_offset, -1, None)
+        for chunk in index.chunk_indexes
+        if name is None
+        or not chunk.message_index_offsets
+        or any(index.channels[n].topic == name for n in chunk.message_index_offsets)
+    ]
+    heapq.heapify(waiting)
+    held = 0
+    while waiting:
+        _, start, _, message = heapq.heappop(waiting)
+        if message is not None:
+            held -= len(message.data) + RECORD_COST
+            yield _entry(index, message)
+            continue
+        file.seek(start + 9)
+        chunk = Chunk.read(ReadDataStream(file))
+        for number, record in enumerate(_parts(chunk, spend)):
+            if not isinstance(record, Message):
+                continue
+            if name is not None and index.channels[record.channel_id].topic != name:
+                continue
+            held += len(record.data) + RECORD_COST
+            if held > MAX_WAITING:
+                raise ReadError(
+                    f"more than {MAX_WAITING:,} bytes of messages lie in chunks that overlap in "
+                    "time; 'mcap sort' puts them in order"
+                )
+            heapq.heappush(waiting, (record.log_time, start, number, record))
+
+
+def _entry(index: Summary, message: Any) -> Entry:
+    channel = index.channels[message.channel_id]
+    return channel.topic, _kind_of(index, channel), message, channel.message_encoding
+
+
+def _parts(record: Any, spend: Spend) -> Iterator[Any]:
+    """Give the records of a chunk one by one; any other record as it is."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Chunk, Message, Schema
+
+    if not isinstance(record, Chunk):
+        spend(RECORD_COST)
+        yield record
+        return
+    data = unpacked(record.compression, record.data, spend)
+    stream = ReadDataStream(io.BytesIO(data))
+    readers: dict[int, Callable[[Any], Any]] = {
+        Opcode.CHANNEL: Channel.read,
+        Opcode.SCHEMA: Schema.read,
+    }
+    while stream.count < len(data):
+        spend(RECORD_COST)
+        code, length = stream.read1(), stream.read8()
+        if code == Opcode.MESSAGE:
+            yield Message.read(stream, length)
+        elif code in readers:
+            yield readers[code](stream)
+        else:
+            stream.read(length)
+
+
+def _kind_of(index: Summary, channel: Any) -> str:
+    """Name the type of a channel as ROS 2 does; ROS 1 has no ``msg`` in it."""
+    schema = index.schemas.get(channel.schema_id)
+    name: str = schema.name if schema else ""
+    package, slash, kind = name.partition("/")
+    return f"{package}/msg/{kind}" if slash and "/" not in kind else name
 
 
 OPENERS = {".bag": _ros1, ".db3": _sqlite, ".mcap": open_mcap}
@@ -314,12 +493,12 @@ def _metadata(path: Path) -> dict[str, Any]:
     for event in YAML(typ="safe").parse(text) if is_plain else ():
         depth += isinstance(event, CollectionStartEvent)
         depth -= isinstance(event, CollectionEndEvent)
-        is_plain &= depth <= DEEPEST_METADATA and not isinstance(event, AliasEvent)
+        is_plain &= depth <= 20 and not isinstance(event, AliasEvent)
         if not is_plain:
             break
     if not is_plain:
         raise ReadError(
-            f"{METADATA}: more than {MAX_METADATA:,} bytes or {DEEPEST_METADATA} levels, or an "
+            f"{METADATA}: more than {MAX_METADATA:,} bytes or 20 levels, or an "
             "alias, which the metadata of no bag have"
         )
     found: dict[str, Any] = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]

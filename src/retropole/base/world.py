@@ -35,12 +35,19 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import structs
 
-from ..base import se3
-from ..base.datatypes import Array
-from ..base.description import Frame, Geodetic, Site
-from ..base.errors import UsageError
-from .geodesy import enu_axes, geodetic_of_local, local_of
-from .projection import grid_at, project, projected, unproject
+from . import se3
+from .datatypes import Array
+from .description import Frame, Geodetic, Site
+from .errors import UsageError
+from .projection import (
+    enu_axes,
+    geodetic_of_local,
+    grid_at,
+    local_of,
+    project,
+    projected,
+    unproject,
+)
 
 LEVEL = np.sin(np.radians(1.0))
 """Sine of the least angle to the vertical at which an axis has a heading."""

@@ -9,8 +9,7 @@ import pytest
 
 from retropole.base.datatypes import PER_POINT, PointCloud
 from retropole.io import downsample, joined, read_cloud, read_recording, write_pcd
-from retropole.io.downsampling import BRIGHT_SHARE, FEWEST_FRAMES, read_within
-from retropole.io.recordings import Frame, Recording
+from retropole.io.recordings import BRIGHT_SHARE, FEWEST_FRAMES, Frame, Recording, read_within
 from tests.io.files import required
 
 RINGS = 16

@@ -1,1 +1,0 @@
-"""Frames of maps: geodetic coordinates, projections, and poses in them."""
