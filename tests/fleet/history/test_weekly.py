@@ -28,9 +28,9 @@ def test_a_site_that_stands_still_ends_with_0_and_one_that_drifts_with_4(tmp_pat
     for week in (*still.weeks, *drifting.weeks):
         # Whatever the time is given by, each week is a check of its own.
         assert week.said["appended"] == 1
-    # How far it has moved when it is told, and never before it had.
+    # As far as it had moved between the two checks that tell, and never before it had.
     (size,) = (event["size"] for event in drifting.weeks[1].events)
-    assert np.linalg.norm(np.array(size)[3:]) == pytest.approx(0.07, abs=0.015)
+    assert 0.02 < np.linalg.norm(np.array(size)[3:]) < 0.085
 
 
 def test_a_row_says_when_the_alarm_was_and_how_far_the_site_had_moved() -> None:

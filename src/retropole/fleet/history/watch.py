@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
@@ -243,7 +243,7 @@ class _Filter:
         return replace(self, **_no_changes(len(self.likelihood)))
 
 
-def _no_changes(filters: int) -> dict[str, Array]:
+def _no_changes(filters: int) -> dict[str, Any]:
     none = np.zeros((filters, 6, 0))
     empty = {"onset": np.zeros(0, int), "began": np.zeros(0), "is_trend": np.zeros(0, dtype=bool)}
     sums = {"information": none, "vector": none, "deviation": np.zeros((filters, 6, 6, 0))}
@@ -350,7 +350,7 @@ def _statistics(now: _Filter) -> Array:
     normal = np.einsum("ij,im,ik->mjk", V, A, V)
     alone = (pushed * np.linalg.solve(normal, pushed)).sum(axis=(1, 2))
     as_six = chdtri(6, np.maximum(chdtrc(3, alone), 1e-280))
-    return np.maximum((b**2 / A).sum(axis=0), as_six)
+    return np.asarray(np.maximum((b**2 / A).sum(axis=0), as_six))
 
 
 def _adopted(now: _Filter, m: int) -> _Filter:
