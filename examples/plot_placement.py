@@ -48,8 +48,7 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("placement"))
     parser.add_argument("--sensor", default="XT32", help="of both LiDARs")
     parser.add_argument("--draws", type=int, default=1, help="scans of each placement")
-    options = parser.parse_args()
-    figure = new_figure(9.0, 3.0)
+    options, figure = parser.parse_args(), new_figure(9.0, 3.0)
     for k, (name, placements) in enumerate(SWEEPS.items()):
         jobs = [(*p, n, options.sensor) for p in placements for n in range(options.draws)]
         cm = 100 * np.median(np.reshape([sigma_at_10_m(*j) for j in jobs], (-1, options.draws)), 1)
