@@ -14,8 +14,7 @@ from retropole.base.uncertainty.confirmation import UNUSABLE
 from retropole.export import FORMATS, Transform, inverted, read_transform, read_tree
 from retropole.export.recording import write_transforms
 from retropole.export.tree_formats import TREE_FORMATS
-from retropole.result import ReasonDoc, encode
-from retropole.result.verdict import verdict_line
+from retropole.result import ReasonDoc, encode, verdict_line
 from tests.report.made_up import made_up
 from tests.report.site.made_up import document_of, made_up_site
 

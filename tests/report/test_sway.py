@@ -6,7 +6,7 @@ import numpy as np
 from retropole.base.sway import Sway, stated_sway
 from retropole.report import render_report
 from retropole.report.text import describe_result
-from retropole.result.sway import SwayDoc
+from retropole.result import SwayDoc
 from tests.report.made_up import Page, made_up
 
 

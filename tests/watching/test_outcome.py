@@ -7,8 +7,7 @@ import pytest
 from retropole.base.sway import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
-from retropole.result import ReasonDoc, ResultDoc
-from retropole.result.sway import SwayDoc
+from retropole.result import ReasonDoc, ResultDoc, SwayDoc
 from retropole.watching.outcome import advice_after, keep_still, outcome_of
 from tests.report.made_up import made_up
 

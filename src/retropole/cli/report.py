@@ -68,8 +68,7 @@ def report(
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.stored import decode_any, loaded, placements_of
-    from ..api.stored_site import scans_of
+    from ..api.stored import decode_any, loaded, placements_of, scans_of
     from ..base.files import write_atomically
     from ..report import render_report, render_site
     from ..result import ResultDoc

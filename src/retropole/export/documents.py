@@ -21,10 +21,9 @@ from ..base.bounded import LARGEST
 from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError, said
 from ..base.se3 import rigid
-from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
+from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of, verdict_line
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, SiteDoc
-from ..result.verdict import verdict_line
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,

@@ -16,9 +16,8 @@ from ..base.datatypes import Array
 from ..base.description import Frame
 from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
-from ..result import refusal_of
+from ..result import refusal_of, verdict_line
 from ..result.site import LidarDoc, SiteDoc
-from ..result.verdict import verdict_line
 from ..world.projection import Grid, grid_at
 from ..world.world import geodetic, site_in_frame, to_frame
 from .transform import Found, Transform

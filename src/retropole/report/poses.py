@@ -13,8 +13,8 @@ from ..export import FORMATS, TREE_FORMATS, export_lines
 from ..export.documents import found_in_result
 from ..export.transform import NO_LIDARS
 from ..export.tree import tree_of
+from ..result import verdict_line
 from ..result.site import SiteDoc
-from ..result.verdict import verdict_line
 from . import listings
 from .certainty import number
 from .error_curve import ErrorCurve, curve_figure

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from ..base.quantities import round_below
 from ..base.sway import Sway
-from ..result.sway import SwayDoc
+from ..result import SwayDoc
 from .page import EMPTY, Html, fill, join
 from .subject import Subject
 
