@@ -50,7 +50,7 @@ _KEYS = {
     "T_parent_child": ("parent", "child"),
 }
 VERDICT = re.compile(r"verdict of the calibration: [a-z0-9_ ,;.%]{1,2000}")
-"""What `result.verdict.verdict_line` writes: safe in a comment of any format."""
+"""What `result.verdict_line` writes: safe in a comment of any format."""
 
 _YAML_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*")
 _YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
