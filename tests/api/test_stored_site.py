@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace as changed
 
 import retropole as rp
-from retropole.api.stored_site import MOST_NOTES, scans_of
+from retropole.api.stored import MOST_NOTES, scans_of
 from retropole.io import read_cloud, write_pcd
 from retropole.simulation.writing import write_site
 from tests.adjustment.adjusting import made

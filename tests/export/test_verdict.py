@@ -13,8 +13,7 @@ from msgspec.structs import replace
 from retropole.base.uncertainty.confirmation import UNUSABLE
 from retropole.export import FORMATS, TREE_FORMATS, Transform, inverted, read_transform, read_tree
 from retropole.export.recording import write_transforms
-from retropole.result import ReasonDoc, encode
-from retropole.result.verdict import verdict_line
+from retropole.result import ReasonDoc, encode, verdict_line
 from tests.report.made_up import made_up
 from tests.report.site.made_up import document_of, made_up_site
 

@@ -14,8 +14,7 @@ from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
 from retropole.planning.live_advice import Advice, advice_after, advise, keep_still, outcome_of
 from retropole.planning.live_poles import Looked, Tracked, View, word_on
-from retropole.result import ReasonDoc, ResultDoc
-from retropole.result.sway import SwayDoc
+from retropole.result import ReasonDoc, ResultDoc, SwayDoc
 from tests.conftest import PoleMaker
 from tests.report.made_up import made_up
 

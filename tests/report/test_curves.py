@@ -18,7 +18,7 @@ from retropole.report import render_report
 from retropole.report.curves import RANGES, curve_figure, curve_sentence, error_curve
 from retropole.report.subject import of_pair
 from retropole.report.text import describe_result
-from retropole.result.sway import SwayDoc
+from retropole.result import SwayDoc
 from tests.report.made_up import Page, made_up
 
 RESULT = made_up("ok", 300).result

@@ -29,8 +29,7 @@ from ..verdict.statement import state_site_refusal
 from .inputs import Input, Listener
 from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
-from .stored import loaded
-from .stored_site import StoredScans, scans_of
+from .stored import StoredScans, loaded, scans_of
 from .travelling import named_from
 
 if TYPE_CHECKING:

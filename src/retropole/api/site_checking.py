@@ -12,7 +12,7 @@ from ..base.quantities import step_of
 from ..io import sha256_of
 from ..monitoring.movement import CheckResult, Status
 from ..monitoring.tolerance import Asked
-from ..result import refusal_of
+from ..result import RunConfig, refusal_of
 from ..result.decoding import decode_site
 from ..result.folder import SITE_RESULT_FILE
 from ..result.site import SiteDoc
@@ -20,7 +20,6 @@ from .checking import check_pair, read_stored
 from .inputs import SILENT, Input, InputPair, Listener, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
 from .site_inputs import site_file_in
-from .site_pairs import pair_config, shared_placements, stored_pairs
 from .stored import loaded
 
 
@@ -201,3 +200,35 @@ class _Recordings:
                 place = site.parent / table.recordings[placement]
                 self._read[at] = read_input(place, table.reading(file.max_points), listener)
         return self._read[at]
+
+
+def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
+    """Take the options of a check of two LiDARs: of the poles from the result, else of the file."""
+    return RunConfig(
+        radius_m=stored.radius_m,
+        radius_sigma_m=stored.radius_sigma_m,
+        sensor_target=target.sensor,
+        sensor_source=source.sensor,
+        threshold_target=target.threshold,
+        threshold_source=source.threshold,
+        target_topic=target.topic,
+        source_topic=source.topic,
+        unit=target.unit,
+        unit_source=source.unit,
+    )
+
+
+def shared_placements(target: LidarTable, source: LidarTable) -> list[int]:
+    """Give the indices of the placements that both recorded."""
+    both = zip(target.recordings, source.recordings, strict=False)
+    return [n for n, recordings in enumerate(both) if all(recordings)]
+
+
+def stored_pairs(document: SiteDoc) -> list[tuple[str, str]]:
+    """Name the pairs that shared poles when the site was calibrated."""
+    names = [lidar.name for lidar in document.lidars]
+    return [
+        (names[each.lidars[0]], names[each.lidars[1]])
+        for each in document.pairs
+        if each.shared_poles and each.refusal is None
+    ]

@@ -96,8 +96,7 @@ def page_of(
     of_site: Mapping[str, str] | None = None,
 ) -> tuple[str, str, Sequence[str]]:
     """Make the report of a result document: the page, what its file is called, and notes on it."""
-    from ..api.stored import decode_any, loaded, placements_of
-    from ..api.stored_site import scans_of
+    from ..api.stored import decode_any, loaded, placements_of, scans_of
     from ..report import render_report, render_site
     from ..result import ResultDoc
     from ..result.folder import REPORT_FILE, SITE_REPORT_FILE

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
+from .check import site_check
 from .common import (
     BY_SITE_FILE,
     Group,
@@ -20,7 +21,6 @@ from .common import (
 )
 from .options import CLOUD, FILE, verdict_options
 from .out import out_folder
-from .site_check import site_check
 
 
 @click.group(cls=Group)

@@ -25,10 +25,9 @@ from ..base.description import Frame, Geodetic
 from ..base.errors import MissingExtraError, ReadError, said
 from ..base.se3 import rigid
 from ..base.world import OnWgs84, heading, on_wgs84, pose_in_frame
-from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, plain, refusal_of
+from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, plain, refusal_of, verdict_line
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, LidarDoc, SiteDoc
-from ..result.verdict import verdict_line
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
@@ -55,7 +54,7 @@ _KEYS = {
     "T_parent_child": ("parent", "child"),
 }
 VERDICT = re.compile(r"verdict of the calibration: [a-z0-9_ ,;.%]{1,2000}")
-"""What `result.verdict.verdict_line` writes: safe in a comment of any format."""
+"""What `result.verdict_line` writes: safe in a comment of any format."""
 
 _YAML_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*")
 _YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}

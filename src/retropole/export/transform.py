@@ -64,7 +64,8 @@ class Transform:
         What parent and child are in the calibration: ``("target", "source")``, or the other way
         round after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
     verdict
-        Of the calibration that it is from, on one line (`result.verdict`); empty where not known.
+        Of the calibration that it is from, on one line (`result.verdict_line`);
+        empty where not known.
 
     Raises
     ------

@@ -18,9 +18,8 @@ from ..base.errors import UsageError, printable
 from ..base.projection import Grid, grid_at
 from ..base.se3 import joint_of, relative
 from ..base.world import geodetic, site_in_frame, to_frame
-from ..result import refusal_of
+from ..result import refusal_of, verdict_line
 from ..result.site import LidarDoc, SiteDoc
-from ..result.verdict import verdict_line
 from .transform import Found, Transform
 
 MAP, SITE = "map", "site"

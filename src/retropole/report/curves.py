@@ -11,8 +11,7 @@ import numpy as np
 from ..base.quantities import MILLIMETRES_BELOW, error, round_below
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import CONFIDENCE, Need, displacement_bounds
-from ..result.sway import SwayDoc
-from ..result.verdict import chance_wrong
+from ..result import SwayDoc, chance_wrong
 from .listings import BUDGET_RANGE, worst_lidar
 from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject

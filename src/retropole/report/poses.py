@@ -16,9 +16,8 @@ from ..export import FORMATS, TREE_FORMATS, export_lines
 from ..export.documents import found_in_result
 from ..export.transform import NO_LIDARS
 from ..export.tree import tree_of
-from ..result import BudgetEntry, ResultDoc
+from ..result import BudgetEntry, ResultDoc, verdict_line
 from ..result.site import LidarDoc, SiteDoc
-from ..result.verdict import verdict_line
 from . import listings
 from .curves import ErrorCurve, curve_figure
 from .listings import (

@@ -17,7 +17,7 @@ from ..base.errors import UsageError, shortened
 from ..base.quantities import counted
 from ..base.uncertainty.confirmation import UNUSABLE
 from ..hypotheses.choice import hypothesis_name
-from ..result import ResultDoc
+from ..result import ResultDoc, chance_wrong
 from ..result.site import (
     FoundDoc,
     LidarDoc,
@@ -26,7 +26,6 @@ from ..result.site import (
     found_document,
     recording_document,
 )
-from ..result.verdict import chance_wrong
 
 __all__ = ["LIDARS", "Subject", "hypothesis_name", "input_names", "of_pair", "of_site"]
 

@@ -30,16 +30,16 @@ from ..base.bounded import (
 from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
+from ..base.systematic import Sway
 from ..base.uncertainty import BudgetEntry as BudgetEntry
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
-from ..base.uncertainty.confirmation import Confirmation
+from ..base.uncertainty.confirmation import UNUSABLE, Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..base.version import __version__
 from .options import DEFAULT_CONFIG as DEFAULT_CONFIG
 from .options import Reading as Reading
 from .options import RunConfig as RunConfig
-from .sway import SwayDoc, sway_documents
 
 Input = TypeVar("Input", bound="InputDoc")
 Made = TypeVar("Made", bound=msgspec.Struct)
@@ -55,6 +55,42 @@ class ReasonDoc(msgspec.Struct, frozen=True):
     code: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,59}\Z")]
     message: Text
     values: dict[Text, Number | Whole | Text]
+
+
+class SwayDoc(msgspec.Struct, frozen=True, eq=False):
+    """How a LiDAR swayed while it recorded a placement: their indices, those of a pair 0 and 1."""
+
+    lidar: Count
+    placement: Count
+    sway: Sway
+
+
+def sway_documents(scans: Sequence[Sequence[Scan | None]]) -> list[SwayDoc]:
+    """List what swayed of the scans of each LiDAR, one for each placement."""
+    return [
+        SwayDoc(i, p, scan.sway)
+        for i, row in enumerate(scans)
+        for p, scan in enumerate(row)
+        if scan is not None and scan.sway is not None
+    ]
+
+
+def chance_wrong(reasons: Sequence[ReasonDoc]) -> float:
+    """Give the largest chance of a wrong pose that a warning states; 0 where none does."""
+    stated = (each.values.get("probability_wrong") for each in reasons)
+    return max((float(each) for each in stated if isinstance(each, int | float)), default=0.0)
+
+
+def verdict_line(status: str, reasons: Sequence[ReasonDoc]) -> str:
+    """Write a verdict on one line that is safe in a comment of any format.
+
+    ``verdict of the calibration: warn, not_confirmed; chance of a wrong pose 41.1 %``.
+    """
+    codes = "".join(f", {code}" for code in dict.fromkeys(each.code for each in reasons))
+    wrong = chance_wrong(reasons)
+    doubt = f"; chance of a wrong pose {100 * wrong:.1f} %" if wrong else ""
+    advice = "; do not use it yet" if wrong > UNUSABLE else ""
+    return f"verdict of the calibration: {status}{codes}{doubt}{advice}"
 
 
 class PoleDoc(msgspec.Struct, frozen=True, eq=False):

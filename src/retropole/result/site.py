@@ -46,16 +46,17 @@ from . import (
     InputDoc,
     PoleDoc,
     ReasonDoc,
+    SwayDoc,
     document_of,
     finite,
     made_now,
     pole_documents,
     reason_document,
+    sway_documents,
     with_threshold,
 )
 from .contents import RejectedDoc, rejected_documents
 from .options import Frames, MaxPoints, Reading, slice_of
-from .sway import SwayDoc, sway_documents
 
 SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
 SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"

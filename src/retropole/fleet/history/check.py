@@ -15,8 +15,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from ...api.site_checking import pair_config, shared_placements, stored_pairs
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
-from ...api.site_pairs import pair_config, shared_placements, stored_pairs
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
