@@ -250,7 +250,7 @@ def _counts(overview: Overview) -> Html:
         first, count = waiting[0], len(acting | {each.site.id for each in overview.changed})
         needs = "needs" if count == 1 else "need"
         said = f"{quantities.counted(count, 'site')} {needs} action"
-        to_do = fill("fleet-to-do", said=said, name=first.name, title=first.title)
+        to_do = fill("fleet-to-do", said=said, name=first[0], title=first[1])
     sites = quantities.counted(every, "site")
     return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
