@@ -87,11 +87,12 @@ class View:
 
 
 def view_of(document: PolePlanDoc, picture: PlanPicture) -> View:
-    """Choose units per metre and height so that all LiDARs and poles are in it."""
+    """Choose units per metre and height: LiDARs, poles, and all ground for poles are in it."""
     poles = [pole for each in document.placements for pole in each.poles]
     feet = np.array([pole.foot_m for pole in poles]).reshape(-1, 3)
     tops = feet + document.length_m * np.array([pole.direction for pole in poles]).reshape(-1, 3)
-    points = np.concatenate([picture.lidars[:, :2, 3], feet[:, :2], tops[:, :2]])
+    there = [picture.lidars[:, :3, 3], picture.feet, feet, tops]
+    points = np.concatenate([each[:, :2] for each in there])
     low, high = points.min(axis=0), points.max(axis=0)
     down, across = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / across, (HEIGHTS[1] - 2 * MARGIN) / down))
