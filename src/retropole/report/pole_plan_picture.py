@@ -26,6 +26,9 @@ HEIGHTS = 300.0, 620.0
 MARGIN = 46.0
 """Around all that stands there: room for names."""
 
+SURROUNDED = 2.5
+"""What is drawn around LiDARs and poles, metres: enough to know the place again."""
+
 LEAST_SPAN = 4.0
 """A place is drawn as at least so wide, metres."""
 
@@ -87,13 +90,13 @@ class View:
 
 
 def view_of(document: PolePlanDoc, picture: PlanPicture) -> View:
-    """Choose units per metre and height: LiDARs, poles, and all ground for poles are in it."""
+    """Choose units per metre and height: LiDARs, poles and what is near are in it."""
     poles = [pole for each in document.placements for pole in each.poles]
     feet = np.array([pole.foot_m for pole in poles]).reshape(-1, 3)
     tops = feet + document.length_m * np.array([pole.direction for pole in poles]).reshape(-1, 3)
-    there = [picture.lidars[:, :3, 3], picture.feet, feet, tops]
+    there = [picture.lidars[:, :3, 3], feet, tops]
     points = np.concatenate([each[:, :2] for each in there])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = points.min(axis=0) - SURROUNDED, points.max(axis=0) + SURROUNDED
     down, across = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / across, (HEIGHTS[1] - 2 * MARGIN) / down))
     height = float(np.clip(scale * down + 2 * MARGIN, *HEIGHTS))
