@@ -50,12 +50,10 @@ from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
 from retropole.pipeline_of_sites import calibrate_site
-from retropole.planning.candidates import Candidates, leaning, who_sees
 from retropole.planning.choice import error_of, errors_of, rules_of
-from retropole.planning.information import divergences_of, network_of
-from retropole.planning.place import survey
+from retropole.planning.place import Candidates, leaning, survey, who_sees
 from retropole.planning.planner import ROUNDS, Planned, design_of, plan, worst_at
-from retropole.planning.prediction import Surfaces
+from retropole.planning.prediction import Surfaces, divergences_of, network_of
 from retropole.planning.stations import bare_scan, stand, stand_drawn
 from retropole.simulation import (
     FIELD,

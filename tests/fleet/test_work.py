@@ -106,7 +106,7 @@ def test_any_error_is_a_row(
 def test_what_changes_while_it_is_read_is_no_answer(
     sites: dict[str, FleetSite], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("retropole.fleet.local.hash_of", lambda path: "0" * 64)
+    monkeypatch.setattr("retropole.fleet.work.hash_of", lambda path: "0" * 64)
     row = row_of(task_of(sites["small/1"]))
     assert (row.status, row.codes) == ("error", ["unreadable"])
     assert "changed while it was read" in row.messages[0]

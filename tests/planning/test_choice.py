@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from retropole.alignment.unknowns import Unknowns
-from retropole.planning.candidates import Candidates
 from retropole.planning.choice import (
     Design,
     Rules,
@@ -17,6 +16,7 @@ from retropole.planning.choice import (
     held_twice,
     rules_of,
 )
+from retropole.planning.place import Candidates
 from tests.planning.places import planned
 
 pytestmark = pytest.mark.full

@@ -6,15 +6,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retropole.adjustment.answer import SiteCalibration
+from retropole.base import se3
+from retropole.base.datatypes import Calibration
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
+from retropole.base.uncertainty import predicted_error
 from retropole.planning import planner
-from retropole.planning.candidates import FAR
-from retropole.planning.place import Area
-from retropole.planning.planner import plan, worst_at
+from retropole.planning.place import FAR, Area
+from retropole.planning.planner import plan, rehearse, worst_at
 from retropole.planning.stations import stand_drawn
 from retropole.result.pole_plan import LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
-from tests.planning.places import AREAS, planned, pose, stations
+from tests.planning.places import AREAS, BOXES, POSES, planned, pose, stations
 
 pytestmark = pytest.mark.full
 
@@ -106,3 +109,43 @@ def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> N
     for each in found.more:
         assert (each.what == "pole") <= (given["poles"] < MOST_POLES)
         assert (each.what == "placement") <= (given["placements"] < MOST_PLACEMENTS)
+
+
+def test_the_rehearsal_finds_the_poses_that_it_was_made_with() -> None:
+    found = planned()
+    answer = found.rehearsal
+    assert isinstance(answer, Calibration)
+    assert answer.status == "ok"
+    assert answer.T_target_source is not None
+    assert answer.covariance is not None
+    first, second = found.stations
+    truth = se3.inverse(first.T) @ second.T
+    step = se3.local(answer.T_target_source, truth)
+    assert step @ np.linalg.solve(answer.covariance, step) < 25
+    # What a calibration states there is what was predicted.
+    stated = predicted_error(answer.covariance, (30.0,))[0].sigma_m
+    assert worst_at(found.predicted, 30.0) == pytest.approx(stated, rel=0.4)
+
+
+def test_three_lidars_are_rehearsed_as_a_site() -> None:
+    sensors = [find_sensor("VLP-16")] * 3
+    poses = (*POSES, pose(1.0, 0.5, 1.9, 60.0))
+    three = stand_drawn(("front", "rear", "side"), sensors, poses, BOXES)
+    standing = [planned().candidates.pole(k) for k in planned().numbers]
+    answer = rehearse(three, [standing], planned().candidates.radius)
+    assert isinstance(answer, SiteCalibration)
+    assert answer.status != "refused"
+    truth = [se3.inverse(three[0].T) @ each.T for each in three]
+    for found, expected in zip(answer.lidars, truth, strict=True):
+        apart = se3.difference(found.T_site_lidar, expected)
+        assert apart.translation < 0.05
+        assert apart.rotation < np.radians(0.5)
+
+
+def test_placements_are_rehearsed_as_recordings_of_their_own() -> None:
+    """The place was recorded once: that is no reason to refuse a second placement of the poles."""
+    found = planned()
+    poles = [found.candidates.pole(k) for k in found.numbers]
+    answer = rehearse(found.stations, [poles, poles], found.candidates.radius)
+    assert isinstance(answer, Calibration)
+    assert answer.status == "ok", answer.reasons

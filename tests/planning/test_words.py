@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from retropole.base import se3
 from retropole.base.errors import Reason
 from retropole.base.uncertainty.purpose import Need
-from retropole.planning.candidates import DIRECTIONS, LEANS, leaning
 from retropole.planning.comparison import NEAR
-from retropole.planning.place import OWN, Station
+from retropole.planning.place import DIRECTIONS, LEANS, OWN, Station, leaning
 from retropole.planning.planner import More
 from retropole.planning.words import (
     LEAN_STEP_DEG,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.uncertainty import RANGES, BudgetEntry, predicted_error
 from retropole.base.uncertainty.purpose import Need, displacement_bounds
-from retropole.report.pole_plan import PlanPicture
+from retropole.report.pole_plan_picture import PlanPicture
 from retropole.result import ReasonDoc
 from retropole.result.pole_plan import (
     MoreDoc,
@@ -29,30 +30,15 @@ LEAN = np.radians(20.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    rows: Array
-    rest: Array
-    roots: list[Array]
+class Yard(PlanPicture):
+    """A place with feet of poles: their axes, where each is, and those of each placement."""
 
-    def error(self, chosen: list[int]) -> float:
-        """Largest 1 σ of all LiDARs, metres."""
-        total = np.eye(self.rows.shape[2]) + sum(self.roots[k] @ self.roots[k].T for k in chosen)
-        inverse = np.linalg.inv(total)
-        squares = self.rest + np.einsum("lij,jk,lik->l", self.rows, inverse, self.rows)
-        return float(np.sqrt(squares.max()))
+    axis: Array
+    words: Sequence[str]
+    chosen: Sequence[Sequence[int]]
 
 
-def model(seed: int, count: int, lidars: int = 2) -> Model:
-    rng = np.random.default_rng(seed)
-    size = 12 + 6 * lidars
-    roots = [
-        rng.normal(size=(size, rng.integers(5, 9))) * rng.uniform(1, 300) for _ in range(count)
-    ]
-    rows = rng.normal(size=(lidars - 1, 6, size)) * 0.3
-    return Model(rows, np.full(lidars - 1, 1e-6), roots)
-
-
-def made_picture(placements: int = 1, lidars: int = 2) -> PlanPicture:
+def made_picture(placements: int = 1, lidars: int = 2) -> Yard:
     """A yard of 12 m with a wall, and a grid of feet, each upright or leaning to two sides."""
     rng = np.random.default_rng(0)
     grid = [(x, y) for x in (2.0, 3.5, 5.0, 6.5, 8.0) for y in (-3.0, -1.5, 0.0, 1.5, 3.0)]
@@ -61,39 +47,25 @@ def made_picture(placements: int = 1, lidars: int = 2) -> PlanPicture:
     axes = np.array([[0.0, 0.0, 1.0], [low, 0.0, high], [0.0, low, high]])
     foot = np.repeat(feet, 3, axis=0)
     axis = np.tile(axes, (len(feet), 1))
-    count = len(foot)
-    apart = np.linalg.norm(foot[:, None] - foot, axis=2)
-    angle = np.arccos(np.clip(axis @ axis.T, -1, 1))
     ground = np.c_[rng.uniform(-2, 12, 4000), rng.uniform(-6, 6, 4000), np.zeros(4000)]
     wall = np.c_[np.full(500, 10.0), rng.uniform(-6, 6, 500), rng.uniform(0.4, 3, 500)]
     T = [se3.from_rt(np.eye(3), np.array([0.0, 4.0 * k, 1.5])) for k in range(lidars)]
     towards = ("", "away from front", "to the left as seen from front")
     lean = ("upright", *(f"lean 20° {way}" for way in towards[1:]))
     words = [f"{np.hypot(x, y):.1f} m from front; {way}" for x, y in grid for way in lean]
-    names = ["front", "rear", *(f"side {k}" for k in range(2, lidars))]
-    sights = [SightDoc(lidar=n, returns=80, rings=12, distance_m=5.0) for n in names]
-    return PlanPicture(
+    return Yard(
         np.stack(T),
         [ground, wall],
         foot,
         axis,
-        np.ones((count, lidars), dtype=bool),
-        [sights] * count,
         words,
-        towards * len(grid),
-        (apart >= 1.0) & (angle >= np.radians(15.0)),
-        # One upright and one that leans, so far apart that all arrows lead somewhere.
+        # One upright and one that leans.
         [(33 + 3 * p, 46 + 3 * p) for p in range(placements)],
-        model(1, count, lidars),
-        model(2, count, lidars),
-        1.0,
-        float(np.radians(15.0)),
-        float(np.radians(10.0)),
     )
 
 
 def made_plan(
-    picture: PlanPicture, name: str = "rear", status: str = "ok", need: Need | None = None
+    picture: Yard, name: str = "rear", status: str = "ok", need: Need | None = None
 ) -> PolePlanDoc:
     names = ["front", name, *(f"side {k}" for k in range(2, len(picture.lidars)))]
     lidars = [
@@ -109,7 +81,7 @@ def made_plan(
             lean = float(np.arccos(picture.axis[k, 2]))
             pole = PlannedPoleDoc(
                 name=letter,
-                foot_m=picture.foot[k],
+                foot_m=picture.feet[k],
                 direction=picture.axis[k],
                 lean_rad=lean,
                 towards="",

@@ -24,6 +24,7 @@ from ..planning.planner import plan as plan_poles
 from ..planning.stations import bare_scan, stand, stand_drawn
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
+from ..report.pole_plan_picture import PlanPicture
 from ..result import DEFAULT_CONFIG, RunConfig, encode
 from ..result.folder import PLAN_FILE, PLAN_PAGE
 from ..result.pole_plan import (
@@ -38,7 +39,6 @@ from ..simulation.raycast import Material
 from ..simulation.scenes import box
 from .inputs import SILENT, CloudSource, Input, Listener, input_documents, read_input
 from .options import run_config
-from .plan_picture import picture_of
 from .site import load_site_result
 from .site_file import SiteFile, read_site_file
 from .site_inputs import site_file_in
@@ -110,8 +110,14 @@ class PolePlan:
         return "\n".join(["PolePlan:", *poles, *self.document.words])
 
     def page(self) -> str:
-        """Write the page: the picture, poles that can be dragged, and the card."""
-        return render_pole_plan(self.document, picture_of(self.planned))
+        """Write the page: the picture with the lengths to measure, the tables, and the card."""
+        stations = self.planned.stations
+        picture = PlanPicture(
+            lidars=np.stack([each.T for each in stations]),
+            points=[se3.apply(each.T, each.cloud.xyz) for each in stations],
+            feet=self.planned.candidates.foot,
+        )
+        return render_pole_plan(self.document, picture)
 
     def save(self, out: str | Path) -> tuple[Path, Path]:
         """Write ``plan.json`` and ``plan.html`` into a folder."""

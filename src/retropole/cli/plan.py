@@ -117,7 +117,7 @@ def plan(
     each; --pose then names an older result of the site. With --lidar instead, nothing was recorded
     yet: LiDARs over flat ground.
 
-    The folder gets plan.html, a page with a picture, poles that can be dragged and a card to print,
+    The folder gets plan.html, a page with a picture, the lengths to measure and a card to print,
     and plan.json, which 'calibrate --plan' and 'detect --plan' read.
 
     \b
@@ -137,7 +137,7 @@ def plan(
       130  interrupted
     """
     from ..api.planning import Wish
-    from ..report.pole_plan_text import describe_plan
+    from ..report.pole_plan import describe_plan
     from ..result import encode
 
     config = RunConfig(**options)

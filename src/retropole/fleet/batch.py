@@ -12,10 +12,9 @@ from typing import TypeVar
 
 from ..api import quantities
 from . import TIME_LIMIT
-from .alone import alone_in
 from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
-from .storage import absolute, is_url
+from .storage import absolute, alone_in, is_url
 from .work import Outcome, Task, lost, task_of
 
 Key = TypeVar("Key")

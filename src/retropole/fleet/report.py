@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os.path
 import posixpath
 from collections import Counter
@@ -13,21 +14,115 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..api import quantities
-from ..api.pages import EMPTY, Html, fill, fill_page, join, share_styles, table
+from ..api import explain, quantities
+from ..api.pages import (
+    EMPTY,
+    Html,
+    fill,
+    fill_page,
+    folded,
+    inline,
+    join,
+    share_styles,
+    table,
+)
 from ..base.errors import printable
 from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
-from .dataset import AT_RANGE, FLEET_SCHEMA
-from .overview import Overview, Seen
-from .pictures import fleet_map, histogram
+from .dataset import AT_RANGE, FLEET_SCHEMA, Status
+from .overview import STATUSES, Overview, Seen
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
-from .to_do import CHANGED, FIRST, explained, listed, listed_changes
 
 WORST = 20
 """So many of the largest errors are listed."""
 
 EXAMPLES = 3
 """So many sites are named for each reason."""
+
+SHOWN = 20
+"""So many sites of a list are shown at once; the page unfolds the others."""
+
+MOST_FAILED = 500
+"""So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
+
+
+FIRST: dict[Status, tuple[str, str, str]] = {
+    "refused": ("refused", "Refused", "Sites that were refused"),
+    "error": ("errors", "Errors", "Sites that ended in an error"),
+    "warn": ("warned", "With a warning", "Sites with a warning"),
+}
+"""The parts of the page with what needs action, in their order: name, title, caption."""
+
+CHANGED = "changed", "Changed since the calibration", "Sites that changed since their calibration"
+"""Comes before all others: what is in use there is wrong."""
+
+MOVED = (
+    "Do not use its transform any more. See what is loose or was hit, then record the poles and "
+    "calibrate it again: `retropole fleet calibrate`."
+)
+DISAGREEING = (
+    "See whether something new stands in view, or a LiDAR sways. Then record and check it again: "
+    "`retropole fleet check`."
+)
+OUTDATED = (
+    "It was checked against another calibration than that of this dataset. Check it again: "
+    "`retropole fleet check`."
+)
+"""What to do next about a site that changed."""
+
+ERRORS = {
+    "unreadable": (
+        "A file is absent, damaged or no recording",
+        "`retropole info FILE` says what a recording holds.",
+    ),
+    "usage": (
+        "An option or a line of the list is invalid",
+        "Correct what the message names in the list, or in the site file.",
+    ),
+    "missing_extra": (
+        "A recording needs an extra",
+        "Install on every worker what the message names, then `--retry`.",
+    ),
+    "time_limit": (
+        "It took longer than its time limit",
+        "Read fewer frames, or give it longer: `--retry --time-limit SECONDS`.",
+    ),
+    "out_of_memory": (
+        "It took more memory than its worker has",
+        "Start fewer `--workers`, or set a smaller `max_points` in the list; then `--retry`.",
+    ),
+    "killed": (
+        "Its process crashed or was ended, again and again",
+        "`--retry` with fewer `--workers`; if that ends so too, a recording is damaged.",
+    ),
+    "worker_lost": ("Its workers died, again and again", "Look at the workers, then `--retry`."),
+    "system": (
+        "The worker's disk or system failed",
+        "Make room, or mend what the message names, then `--retry`.",
+    ),
+    "internal": (
+        "A fault of this program",
+        "Report it, with the message and the files of one such site.",
+    ),
+}
+"""What the code of a row that ended in an error means, in short, and what to do about it."""
+
+EARTH = 6_371_009.0
+"""Mean radius of the Earth, m (IUGG, Moritz 2000): a map of a city to 0.3 %."""
+
+WIDTH, HEIGHTS = 520, (200.0, 560.0)
+"""Of a picture in its own units; the least and the greatest height of the map."""
+
+MARGIN = 44
+"""Around what is drawn."""
+
+LEAST_SPAN = 200.0
+"""A map shows at least so much, m."""
+
+FLAT_BELOW = 500e3
+"""So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
+
+MOST_NAMED = 20_000
+"""So many sites, the worst first, say their names in the map: a page of 2 MB."""
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
@@ -50,8 +145,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     """
     link = cache(link)
     every = (
-        (CHANGED.name, CHANGED.title, listed_changes(overview, link)),
-        *((one.name, one.title, listed(overview, status, link)) for status, one in FIRST.items()),
+        (*CHANGED[:2], _listed_changes(overview, link)),
+        *((*each[:2], _listed(overview, status, link)) for status, each in FIRST.items()),
         ("map", "Map", fleet_map(overview.sites, link)),
         ("reasons", "Reasons", _reasons(overview)),
         ("far", "Errors at 30 m", _far(overview)),
@@ -155,7 +250,7 @@ def _counts(overview: Overview) -> Html:
         first, count = waiting[0], len(acting | {each.site.id for each in overview.changed})
         needs = "needs" if count == 1 else "need"
         said = f"{quantities.counted(count, 'site')} {needs} action"
-        to_do = fill("fleet-to-do", said=said, name=first.name, title=first.title)
+        to_do = fill("fleet-to-do", said=said, name=first[0], title=first[1])
     sites = quantities.counted(every, "site")
     return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
@@ -176,7 +271,7 @@ def _far(overview: Overview) -> Html:
         for what, level in {"least": 0.0, **inner, "largest": 1.0}.items()
     ]
     listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
-    return fill("fleet-far", histogram=histogram(errors), table=listed)
+    return fill("fleet-far", table=listed)
 
 
 def _worst(overview: Overview, link: Callable[[Seen], str]) -> Html:
@@ -207,7 +302,7 @@ def _reasons(overview: Overview) -> Html:
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
         more = ", …" if len(sites) > EXAMPLES else ""
-        said, to_do = explained(code)
+        said, to_do = _explained(code)
         found = ", ".join(named) + more
         rows.append((printable(code), said, to_do, found, f"{len(sites):,}"))
         commonest = Counter(site.status for site in sites).most_common(1)[0][0]
@@ -229,3 +324,182 @@ def _dataset(overview: Overview) -> Html:
             rows.append((f"time of one site, {what}", value))
         rows.append(("of all together", quantities.duration(sum(seconds))))
     return table("What this page shows", ("what", "value"), rows, (1,))
+
+
+def _listed(overview: Overview, status: Status, link: Callable[[Seen], str]) -> Html:
+    """List the sites of a status, with what to do next."""
+    sites = [site for site in overview.sites if site.status == status]
+    if not sites:
+        return EMPTY
+    shown = sites[:MOST_FAILED]
+    rows = [(*_said(site), _next(site)) for site in shown]
+    links = [link(site) for site in shown]
+    parts = [fill("fleet-again")] if status == "error" else []
+    parts.append(_table(FIRST[status][2], ("codes", "what is wrong"), rows, links))
+    if more_than := len(sites) - len(shown):
+        parts.append(fill("fleet-more", count=f"{more_than:,}", status=status))
+    return join(parts)
+
+
+def _table(
+    caption: str, said: tuple[str, str], rows: Sequence[Sequence[object]], links: Sequence[str]
+) -> Html:
+    """Lay out a list of sites, of a long one the first at once, the rest folded away."""
+    header = ("site", *said, "what to do next")
+    first = table(caption, header, rows[:SHOWN], (1, 2, 3), links=links[:SHOWN])
+    if not (rest := rows[SHOWN:]):
+        return first
+    more = table(f"{caption}: the rest", header, rest, (1, 2, 3), links=links[SHOWN:])
+    return join((first, folded(f"{len(rest):,} more", more)))
+
+
+def _listed_changes(overview: Overview, link: Callable[[Seen], str]) -> Html:
+    """List what changed since it was calibrated, with what to do next."""
+    rows = []
+    for each in overview.changed:
+        events = each.change.changes
+        is_moved = any(event.kind != "unsettled" for event in events)
+        to_do = (MOVED if is_moved else DISAGREEING) if each.is_current else OUTDATED
+        kinds = ", ".join(dict.fromkeys(event.kind for event in events))
+        words = "; ".join(map(each.change.words, events))
+        rows.append((printable(each.change.id), kinds, words, inline(to_do)))
+    links = [link(each.site) for each in overview.changed]
+    return _table(CHANGED[2], ("kind", "what changed"), rows, links) if rows else EMPTY
+
+
+def _said(site: Seen) -> tuple[str, str, str]:
+    """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
+    meant = "; ".join(_explained(code)[0] for code in site.codes)
+    words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
+    return printable(words[0]), printable(words[1]), printable(words[2])
+
+
+def _next(site: Seen) -> Html:
+    """Say what to do next about the first code of a site."""
+    known = explain(site.codes[0]) if site.codes else None
+    if known is not None and known.advice:
+        return inline(known.advice[0])
+    return _explained(site.codes[0])[1] if site.codes else inline(quantities.UNKNOWN)
+
+
+def _explained(code: str) -> tuple[str, Html]:
+    """Say what a code means, and what to do about it."""
+    known = explain(code)
+    if known is not None:
+        return known.title, inline(" ".join(known.advice))
+    title, to_do = ERRORS.get(code, (quantities.UNKNOWN, quantities.UNKNOWN))
+    return title, inline(to_do)
+
+
+def _shape(status: Status, r: float) -> str:
+    """Draw what marks a status beside its colour, from its middle: dot, triangle, square, cross."""
+    if status == "ok":
+        return "h.01"
+    if status == "warn":
+        return f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z"
+    if status == "refused":
+        return f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z"
+    return f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
+
+
+def fleet_map(sites: Sequence[Seen], link: Callable[[Seen], str] = lambda site: "") -> Html:
+    """Draw where the sites are whose place is known: a figure, or a sentence where none is.
+
+    Those that need action lead to their reports, where there are any.
+    """
+    placed = [s for s in sites if s.latitude_rad is not None and s.longitude_rad is not None]
+    if not placed:
+        return fill("fleet-no-map")
+    view = _View(placed)
+    size = next(r for r, most in ((6.0, 50), (4.0, 1000), (2.5, math.inf)) if len(placed) <= most)
+    named, marks, keys = MOST_NAMED, list[Html](), list[Html]()
+    # The worst are drawn last, on top, and are the first to be named.
+    for status in reversed(STATUSES):
+        if of_status := [site for site in placed if site.status == status]:
+            marks.append(_marks(status, of_status, view, size, named, link))
+            shape, count = _shape(status, 5.0), f"{len(of_status):,}"
+            keys.append(fill("fleet-key", status=status, shape=shape, count=count))
+            named = max(0, named - len(of_status))
+    return fill(
+        "fleet-map",
+        width=WIDTH,
+        height=round(view.height),
+        marks=join((*reversed(marks), view.scale_bar())),
+        legend=join(reversed(keys)),
+        said=_map_said(len(placed), len(sites), view),
+    )
+
+
+class _View:
+    """From latitude and longitude to the picture: north is at the top, to scale in the middle."""
+
+    def __init__(self, placed: Sequence[Seen]) -> None:
+        longitudes = [site.longitude_rad or 0.0 for site in placed]
+        # Longitudes count from their mean direction, so that a fleet may lie across 180°.
+        self._from = math.atan2(sum(map(math.sin, longitudes)), sum(map(math.cos, longitudes)))
+        x = [self._east(each) for each in longitudes]
+        y = [site.latitude_rad or 0.0 for site in placed]
+        self._x, self._y = (min(x) + max(x)) / 2, (min(y) + max(y)) / 2
+        self._narrow = max(math.cos(self._y), 0.01)
+        self.metres = (EARTH * self._narrow * (max(x) - min(x)), EARTH * (max(y) - min(y)))
+        spans = [max(each, LEAST_SPAN) for each in self.metres]
+        self._scale = min((WIDTH - 2 * MARGIN) / spans[0], (HEIGHTS[1] - 2 * MARGIN) / spans[1])
+        self.height = min(max(self._scale * spans[1] + 2 * MARGIN, HEIGHTS[0]), HEIGHTS[1])
+
+    def _east(self, longitude: float) -> float:
+        return (longitude - self._from + math.pi) % (2 * math.pi) - math.pi
+
+    def place(self, site: Seen) -> tuple[float, float]:
+        """Give where a site is in the picture."""
+        assert site.latitude_rad is not None
+        assert site.longitude_rad is not None
+        scale = self._scale * EARTH
+        return (
+            WIDTH / 2 + scale * self._narrow * (self._east(site.longitude_rad) - self._x),
+            self.height / 2 - scale * (site.latitude_rad - self._y),
+        )
+
+    def scale_bar(self) -> Html:
+        """Draw a round length."""
+        metres = quantities.round_below(0.25 * WIDTH / self._scale)
+        size, unit = (metres, "m") if metres < 1000 else (metres / 1000, "km")
+        said = f"{quantities.large(size)} {unit}"
+        y, above, length = self.height - 19, self.height - 24, metres * self._scale
+        return fill("fleet-scale", y=y, above=above, length=length, size=said)
+
+
+def _marks(
+    status: Status,
+    sites: Sequence[Seen],
+    view: _View,
+    size: float,
+    named: int,
+    link: Callable[[Seen], str],
+) -> Html:
+    """Draw sites of one status; those beyond the named ones only where there is none yet."""
+    shape = _shape(status, size)
+    drawn = []
+    for site in sites[:named]:
+        x, y = view.place(site)
+        name = f"{site.id}: {status}"
+        if site.sigma_30m_m is not None:
+            name += f", {quantities.error(site.sigma_30m_m)} at 30 m"
+        mark = fill("fleet-named", x=x, y=y, shape=shape, name=name)
+        # What is ok is not in the way of who steps from link to link.
+        to = "" if status == "ok" else link(site)
+        drawn.append(fill("fleet-link", to=to, name=name, mark=mark) if to else mark)
+    for at in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
+        drawn.append(fill("fleet-mark", x=at[0], y=at[1], shape=shape))
+    return fill("fleet-marks", status=status, size=round(10 * size), marks=join(drawn))
+
+
+def _map_said(placed: int, sites: int, view: _View) -> str:
+    """Say what the map shows, also for those who do not see it."""
+    said = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    if max(view.metres) > FLAT_BELOW:
+        said.append("The scale holds in the middle.")
+    if sites > placed:
+        said.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
+    if placed > MOST_NAMED:
+        said.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
+    return " ".join(said)

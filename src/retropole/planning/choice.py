@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from ..adjustment.descent import inverse_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
-from .candidates import Candidates, leans_of
+from .place import Candidates, leans_of
 
 UNSURE = 0.3, 3.0
 """1 σ of a pose that nothing is known of, rad and m: poles are compared before they hold it."""

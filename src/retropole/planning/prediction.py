@@ -1,4 +1,9 @@
-"""The error to expect of poles that stand so: by the code that states it afterwards."""
+"""What poles tell of the poses, and the error to expect: by the code that states it afterwards.
+
+At the poses as they are known the returns of a pole have an information (`alignment.network`), with
+its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
+LiDARs in units of what they are drawn to.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +16,146 @@ from ..adjustment.descent import RefinementProblem, ScenePair, minimise, scene_p
 from ..adjustment.places import parts_of
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
-from ..alignment.network import PoleFactor, factor_of
+from ..alignment.expansion import MAX_ROUNDS, WIDEST
+from ..alignment.maximum import Sight
+from ..alignment.network import Network, PoleFactor, bands_of, factor_of, observe
+from ..alignment.observations import BESIDE, beams_of
+from ..alignment.posterior import JointState, Posterior
+from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
-from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray
+from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud, Pole
 from ..base.se3 import joint_of, relative
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import BudgetEntry
 from ..extraction.sensor_pattern import error_sizes
+from ..simulation.raycast import Cylinder
+from ..simulation.recorded import DIVERGENCE, in_sensor_frame, range_noise
 from ..surfaces.patches import surface_patches
-from .candidates import Candidates
-from .information import network_of
-from .place import Station
+from .place import Candidates, Station, beams_met
+
+LATERAL_NOISE = 0.3
+"""Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
+
+LEAST = 0.01
+"""What a pole says of a direction counts from this part of what is known of it beforehand."""
+
+
+def divergences_of(stations: Sequence[Station]) -> list[float]:
+    """Full angle of each LiDAR's beams, rad."""
+    return [DIVERGENCE if s.sensor is None else s.sensor.divergence for s in stations]
+
+
+def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
+    """Give what a LiDAR would record of a pole that stands in the frame of the place.
+
+    The returns on it, in the LiDAR's own frame, and the cloud around them.
+    """
+    (own,) = in_sensor_frame([pole], station.T)
+    beams = station.beams
+    met = beams_met(own, beams, divergence)
+    # The same pole is recorded with the same noise: returns without any would be taken for exact.
+    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
+    xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
+    away = float(np.linalg.norm(own.centre))
+    reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
+    near = beams.directions @ (own.centre / away) > np.sqrt(1 - (reach / away) ** 2)
+    near &= np.isfinite(beams.ranges)
+    near[met.beam] = False
+    around = beams.ranges[near, None] * beams.directions[near]
+    cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
+    rings = len(np.unique(beams.rings[met.beam]))
+    index = np.arange(len(xyz))
+    length = float(np.ptp(xyz @ own.axis)) if len(xyz) else 0.0
+    found = Pole(xyz.mean(axis=0), own.axis, xyz, length, pole.radius / 2, rings, index)
+    return found, cloud
+
+
+def network_of(
+    stations: Sequence[Station],
+    candidates: Candidates,
+    seen: BoolArray,
+    placement: IntArray,
+    scene_bands: Sequence[IntArray],
+    rounds: int = MAX_ROUNDS,
+) -> Network:
+    """Expand what all LiDARs would record of some poles about the poses as they are known.
+
+    Parameters
+    ----------
+    stations
+        The LiDARs; the first one's pose is the datum.
+    candidates, seen
+        The poles, and (C, L) which LiDAR sees which.
+    placement
+        (C,) which each stands in.
+    scene_bands
+        Bands of elevation that each LiDAR has other returns in.
+    rounds
+        As `network.observe` has it.
+    """
+    widths = divergences_of(stations)
+    sights = []
+    for i, station in enumerate(stations):
+        for k in np.flatnonzero(seen[:, i]).tolist():
+            found = seen_by(station, candidates.pole(k), widths[i])
+            beams = beams_of([found], station.sensor)
+            sights.append(Sight(i, beams, np.array([k])))
+    noise = np.array([range_noise(s.sensor) for s in stations])
+    log_noise = np.log(noise[:, None] * np.array([1.0, LATERAL_NOISE]))
+    count = len(stations)
+    state = JointState(
+        np.stack([each.T for each in stations]),
+        np.zeros(count),
+        candidates.radius,
+        candidates.centre,
+        candidates.axis,
+        np.zeros((0, 3)),
+    )
+    none = np.zeros((0, 0))
+    at = Posterior(state, log_noise, 0.0, none[0:0], none, none, none, 0.0)
+    free = np.repeat(np.arange(count) > 0, POSE)
+    bands = bands_of(sights, scene_bands)
+    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, rounds)
+
+
+def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:
+    """Eliminate the axis of each of so many poles: root (P, R) of its information, and its place.
+
+    Every pole has a placement of its own in the network; `known` (K,) is the precision of all
+    unknowns before.
+    """
+    kept = network.unknowns.kept
+    own: list[list[int]] = [[] for _ in range(count)]
+    for number, one in enumerate(network.observations):
+        assert one.placement is not None
+        own[one.placement].append(number)
+    found = []
+    for numbers in own:
+        parts = [network.observations[number] for number in numbers]
+        place = np.unique(np.concatenate([one.place for one in parts]))
+        information = np.zeros((len(place),) * 2)
+        for one in parts:
+            at = np.searchsorted(place, one.place)
+            information[np.ix_(at, at)] += one.information
+        shared = int(np.searchsorted(place, kept))
+        axis = information[shared:, shared:] + np.eye(len(place) - shared) * WIDEST**-2
+        gone = np.linalg.solve(axis, information[shared:, :shared])
+        left = information[:shared, :shared] - information[:shared, shared:] @ gone
+        scale = np.sqrt(known[place[:shared]])
+        size, way = np.linalg.eigh(left / np.outer(scale, scale))
+        large = size > LEAST
+        root = scale[:, None] * way[:, large] * np.sqrt(size[large])
+        found.append((place[:shared], root))
+    return found
+
+
+def prior_of(unknowns: Unknowns, known: Array) -> Array:
+    """(E,) precision of the errors, counted whole as in what is stated; `known` is 1 σ of groups.
+
+    What is considered and not estimated (`error_sizes.CONSIDERED`) counts as if it were estimated.
+    """
+    return np.asarray(known[unknowns.groups().label] ** -2.0)
+
 
 KNOWN = np.radians(2.0), 0.3
 """1 σ of a pose that the place gave, before the surfaces settle it, rad and m."""

@@ -35,11 +35,9 @@ from ..result.pole_plan import (
     TapeDoc,
     below,
 )
-from .candidates import beams_met
-from .information import divergences_of
-from .place import Station
-from .planner import Planned
-from .rehearsal import Rehearsal
+from .place import Station, beams_met
+from .planner import Planned, Rehearsal
+from .prediction import divergences_of
 from .stations import UPWARD
 
 LEAN_STEP_DEG, PLACE_STEP_DEG = 5, 1

@@ -1,12 +1,16 @@
-"""The page of a plan: where to stand the poles, the poles to drag, and a card to take along."""
+"""A plan of poles for a person: as one page with a card to take along, and as lines of text."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 
 from ..base.quantities import UNKNOWN, counted, error, percent
-from ..base.uncertainty import source_words
+from ..base.uncertainty import ErrorAtRange, predicted_error, source_words
 from ..result.pole_plan import PlannedPlacementDoc, PolePlanDoc, PredictedDoc
+from .layout import legible, wrapped
+from .layout import table as text_table
 from .listings import Listing, columns
 from .page import (
     EMPTY,
@@ -20,13 +24,9 @@ from .page import (
     share_styles,
     table,
 )
-from .pole_plan_data import plan_data, stated, stated_alone
 from .pole_plan_picture import WIDTH, PlanPicture, View, drawn, recorded, view_of
 from .render import HEADING
 from .verdict import verdict_box
-from .view import embed_json
-
-__all__ = ["PlanPicture", "render_pole_plan"]
 
 LISTED_SOURCES = 4
 """So many sources of error are listed, the largest first."""
@@ -45,9 +45,9 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
     document
         The plan.
     picture
-        What its picture is drawn from, and what predicts the error where poles are moved.
+        What its picture is drawn from.
     """
-    view = view_of(picture, document.length_m)
+    view = view_of(document, picture)
     parts = join(
         (
             _place(document, picture, view),
@@ -74,7 +74,7 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
         "certificate_button": fill("plan-card-button"),
         "verdict": _verdict(document),
         **{"links": links, "parts": parts},
-        "data": embed_json(plan_data(document, picture, view)),
+        "data": "null",
     }
     return fill_page(
         "report.html",
@@ -110,32 +110,26 @@ def _verdict(document: PolePlanDoc) -> Html:
 
 
 def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
-    """Write the picture, and beside it what the poles give where they stand now."""
-    several = len(document.placements) > 1
-    rows, number = [], 0
-    for p, placement in enumerate(document.placements):
-        for pole in placement.poles:
-            where = _where(pole.words)
-            rows.append(fill("plan-row", number=number, name=pole.name, words=where, kind=p % 4))
-            number += 1
-    first = document.lidars[0].name
+    """Write the picture, and beside it where each pole stands."""
+    rows = [
+        fill("plan-row", name=pole.name, words=_where(pole.words), kind=p % 4)
+        for p, placement in enumerate(document.placements)
+        for pole in placement.poles
+    ]
     said = (
-        f"Seen from above; up is ahead of {first}, along its x axis. Arrows: x axes of the LiDARs. "
-        "Letters: feet of the poles, with the way each leans."
+        f"Seen from above; up is ahead of {document.lidars[0].name}, along its x axis. Arrows: x "
+        "axes of the LiDARs. Letters: feet of the poles, with the way each leans."
     )
+    if len(document.placements) == 1:
+        said += " Lines: lengths to measure."
     if sum(map(len, picture.points)):
         said += " Grey: what was recorded, darker where it stands higher than 0.3\u00a0m."
-    places = [
-        fill("plan-place", place=p, name=f"Placement {p + 1}")
-        for p in range(len(document.placements))
-    ]
     return fill(
         "plan-section",
         width=f"{WIDTH:g}",
         height=f"{view.height:.0f}",
         marks=drawn(document, picture, view),
         said=said,
-        placements=fill("plan-places", buttons=join(places)) if several else EMPTY,
         range=f"{document.range_m:g}",
         together=error(max(stated(document))),
         alone=error(max(stated_alone(document))),
@@ -170,17 +164,11 @@ def _poles(document: PolePlanDoc) -> Html:
     )
 
 
-def _lengths(placement: PlannedPlacementDoc, p: int, piece: str) -> Html:
-    """List what to measure with a tape; the page's code writes what moved poles ask for."""
+def _lengths(placement: PlannedPlacementDoc, piece: str) -> Html:
+    """List what to measure with a tape."""
     return join(
-        fill(
-            piece,
-            key=f"{p}-{n}",
-            start=each.start,
-            end=each.end,
-            metres=f"{each.metres:.2f}",
-        )
-        for n, each in enumerate(placement.tape)
+        fill(piece, start=each.start, end=each.end, metres=f"{each.metres:.2f}")
+        for each in placement.tape
     )
 
 
@@ -190,7 +178,7 @@ def _tape(document: PolePlanDoc) -> Html:
         title = f"Placement {p + 1}" if len(document.placements) > 1 else ""
         heading = fill("plan-heading", text=title) if title else EMPTY
         parts.append(
-            fill("plan-tape-of", heading=heading, items=_lengths(placement, p, "plan-length"))
+            fill("plan-tape-of", heading=heading, items=_lengths(placement, "plan-length"))
         )
     return fill("plan-tape", parts=join(parts))
 
@@ -270,11 +258,9 @@ def _recordings(document: PolePlanDoc) -> Html:
 def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Html:
     """Write the sheet for one placement: the picture, the poles, and what to measure."""
     placement = document.placements[p]
-    before = sum(len(each.poles) for each in document.placements[:p])
     several = len(document.placements) > 1
     poles = [
-        fill("plan-card-pole", number=before + n, name=pole.name, words=_where(pole.words))
-        for n, pole in enumerate(placement.poles)
+        fill("plan-card-pole", name=pole.name, words=_where(pole.words)) for pole in placement.poles
     ]
     size = f"{document.length_m:g} m long, {2e3 * document.radius_m:.0f} mm thick"
     millimetres = min(CARD_MM[0] / WIDTH, CARD_MM[1] / view.height)
@@ -291,7 +277,58 @@ def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Ht
         marks=drawn(document, picture, view, p),
         poles=join(poles),
         first=document.lidars[0].name,
-        lengths=_lengths(placement, p, "plan-card-length"),
+        lengths=_lengths(placement, "plan-card-length"),
         range=f"{document.range_m:g}",
         together=error(max(stated(document))),
     )
+
+
+def stated(document: PolePlanDoc) -> list[float]:
+    """1 σ of each LiDAR but the first at the plan's range, metres."""
+    at = (document.range_m,)
+    return [predicted_error(np.array(p.covariance), at)[0].sigma_m for p in document.predicted]
+
+
+def stated_alone(document: PolePlanDoc) -> list[float]:
+    """The same by the poles alone."""
+    return [_at_range(each.alone, document.range_m) for each in document.predicted]
+
+
+def _at_range(errors: Sequence[ErrorAtRange], at: float) -> float:
+    """1 σ at a range, of that at others: its square grows with the square of the range."""
+    squares = np.array([[each.range_m**2, each.sigma_m**2] for each in errors])
+    growth, own = np.polyfit(squares[:, 0], squares[:, 1], 1, w=1 / squares[:, 1])
+    return float(np.sqrt(max(growth * at**2 + own, 0.0)))
+
+
+def describe_plan(document: PolePlanDoc) -> str:
+    """Say where the poles should stand and what to expect."""
+    document = legible(document)
+    lines: list[str] = []
+    several = len(document.placements) > 1
+    for k, placement in enumerate(document.placements, 1):
+        if several:
+            lines.append(f"placement {k}")
+        for pole in placement.poles:
+            lines += wrapped(f"{pole.words[0].upper()}{pole.words[1:]}", "    ")
+            seen = ", ".join(
+                f"{each.lidar} {each.returns} returns"
+                + ("" if each.rings is None else f" on {each.rings} rings")
+                for each in pole.seen
+            )
+            lines += wrapped(f"    seen by {seen}", "    ")
+        tape = "; ".join(f"{t.start} to {t.end} {t.metres:.2f} m" for t in placement.tape)
+        lines += wrapped(f"Tape measure: {tape}", "    ")
+    lines.append("")
+    # Of a plan whose poles were moved by hand the words alone have an error.
+    ranges = [each.range_m for one in document.predicted[:1] for each in one.predicted_error]
+    header = ["error to expect, 1 σ", *(f"{each:g} m" for each in ranges)]
+    rows = []
+    for each in document.predicted:
+        rows.append([each.lidar, *(error(one.sigma_m) for one in each.predicted_error)])
+        rows.append(["  95 % below", *(error(b).removeprefix("± ") for b in each.bounds_m)])
+        rows.append(["  by the poles alone", *(error(one.sigma_m) for one in each.alone)])
+    lines += [text_table(header, rows), ""] if rows else []
+    for sentence in document.words:
+        lines += wrapped(sentence, "  ")
+    return "\n".join(lines)

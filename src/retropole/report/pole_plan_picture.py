@@ -7,13 +7,12 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray
 from ..base.quantities import large, round_below
-from ..result.pole_plan import PolePlanDoc, SightDoc
+from ..result.pole_plan import PlannedPlacementDoc, PolePlanDoc, below
 from .page import Html, fill, join
 from .subject import colour_class
 from .svg import Labels, short
@@ -26,6 +25,9 @@ HEIGHTS = 300.0, 620.0
 
 MARGIN = 46.0
 """Around all that stands there: room for names."""
+
+SURROUNDED = 2.5
+"""What is drawn around LiDARs and poles, metres: enough to know the place again."""
 
 LEAST_SPAN = 4.0
 """A place is drawn as at least so wide, metres."""
@@ -43,29 +45,9 @@ LEAST_STROKE = 25.0
 """A leaning pole is drawn as at least so long in the picture: its foot covers less."""
 
 
-class Compressed(Protocol):
-    """What predicts the error under any set of poles; see `planning.compressed`.
-
-    The root mean square error at the range of each LiDAR but the first is
-    ``√(rest + Σ_j rows_j (I + Σ_k roots_k roots_kᵀ)⁻¹ rows_jᵀ)``.
-    """
-
-    @property
-    def rows(self) -> Array:
-        """(L - 1, 6, m) metres."""
-
-    @property
-    def rest(self) -> Array:
-        """(L - 1,) m²."""
-
-    @property
-    def roots(self) -> Sequence[Array]:
-        """Of each pole (m, r)."""
-
-
 @dataclass(frozen=True, eq=False)
 class PlanPicture:
-    """What the page of a plan is drawn from, and predicts with; in the frame of the place.
+    """What the page of a plan is drawn from, in the frame of the place.
 
     Attributes
     ----------
@@ -73,41 +55,13 @@ class PlanPicture:
         (L, 4, 4) where the beams of each LiDAR start, and its axes.
     points
         Of each LiDAR (N, 3) what it recorded, metres; empty where the place was drawn.
-    foot, axis
-        (C, 3) of each pole that could stand, metres, and unit vector upwards.
-    seen
-        (C, L) which LiDAR sees which.
-    sights
-        Of each, what the LiDARs that see it will have of it.
-    words, towards
-        Of each, where it is and how it leans: ``4.2 m from front, 30° left of the line to rear;
-        upright``; and where to it leans alone, empty if upright.
-    pairs
-        (C, C) which two may stand in one placement, whatever their leans.
-    chosen
-        For each placement the numbers of the plan's own.
-    together, alone
-        What predicts the error with the surfaces, and by the poles alone.
-    spacing, angle, lean
-        Least distance of the feet of two poles, metres; least angle between their axes, and least
-        difference of the leans of two or three that stand together, rad.
+    feet
+        (C, 3) where poles could stand, metres: they follow the ground.
     """
 
     lidars: Array
     points: Sequence[Array]
-    foot: Array
-    axis: Array
-    seen: BoolArray
-    sights: Sequence[Sequence[SightDoc]]
-    words: Sequence[str]
-    towards: Sequence[str]
-    pairs: BoolArray
-    chosen: Sequence[Sequence[int]]
-    together: Compressed
-    alone: Compressed
-    spacing: float
-    angle: float
-    lean: float
+    feet: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +89,14 @@ class View:
         return np.asarray(-self.scale * steps[:, 1::-1])
 
 
-def view_of(picture: PlanPicture, length: float) -> View:
-    """Choose units per metre and height so that all LiDARs, and poles of a length, are in it."""
-    tops = picture.foot + length * picture.axis
-    points = np.concatenate([picture.lidars[:, :2, 3], picture.foot[:, :2], tops[:, :2]])
-    low, high = points.min(axis=0), points.max(axis=0)
+def view_of(document: PolePlanDoc, picture: PlanPicture) -> View:
+    """Choose units per metre and height: LiDARs, poles and what is near are in it."""
+    poles = [pole for each in document.placements for pole in each.poles]
+    feet = np.array([pole.foot_m for pole in poles]).reshape(-1, 3)
+    tops = feet + document.length_m * np.array([pole.direction for pole in poles]).reshape(-1, 3)
+    there = [picture.lidars[:, :3, 3], feet, tops]
+    points = np.concatenate([each[:, :2] for each in there])
+    low, high = points.min(axis=0) - SURROUNDED, points.max(axis=0) + SURROUNDED
     down, across = np.maximum(high - low, LEAST_SPAN)
     scale = float(min((WIDTH - 2 * MARGIN) / across, (HEIGHTS[1] - 2 * MARGIN) / down))
     height = float(np.clip(scale * down + 2 * MARGIN, *HEIGHTS))
@@ -154,8 +111,8 @@ def recorded(picture: PlanPicture, view: View) -> Html:
     inside = np.all((at >= 0) & (at < shape[::-1]), axis=1)
     points, at = points[inside], at[inside]
     # The feet stand on the ground: the plane through them follows a slope.
-    level = np.c_[picture.foot[:, :2], np.ones(len(picture.foot))]
-    plane = np.linalg.lstsq(level, picture.foot[:, 2], rcond=None)[0]
+    level = np.c_[picture.feet[:, :2], np.ones(len(picture.feet))]
+    plane = np.linalg.lstsq(level, picture.feet[:, 2], rcond=None)[0]
     stands = points[:, 2] > points[:, :2] @ plane[:2] + plane[2] + ABOVE
     layers = []
     for name, chosen in (("ground", ~stands), ("standing", stands)):
@@ -188,7 +145,7 @@ def drawn(
 ) -> Html:
     """Draw the place from above, with the poles of one placement, or of all.
 
-    Poles are marked so that the page's code can move them.
+    The lengths to measure are drawn where the poles of one placement are alone in the picture.
     """
     labels = Labels(WIDTH, view.height)
     lidars = view.of(picture.lidars[:, :3, 3])
@@ -200,7 +157,8 @@ def drawn(
         labels.keep_free(x, y, 8.0)
         labels.keep_free(x + dx, y + dy, 6.0)
         labels.keep_free(x + dx / 2, y + dy / 2, 6.0)
-    poles = _poles(document, picture, view, placement, labels)
+    shown = document.placements if placement is None else [document.placements[placement]]
+    poles = _poles(document, view, placement or 0, shown, labels)
     marks = []
     for k, ((x, y), (dx, dy)) in enumerate(zip(lidars.tolist(), arrows.tolist(), strict=True)):
         turn = float(np.degrees(np.arctan2(dy, dx)))
@@ -211,34 +169,44 @@ def drawn(
     metres = round_below(0.28 * (WIDTH - 2 * MARGIN) / view.scale)
     y = view.height - 14.0
     bar = fill("scale", y=y, above=y - 10.0, length=metres * view.scale, m=large(metres))
-    bar = fill("plan-bar", metres=f"{metres:g}", bar=bar)
-    return join([fill("plan-backdrop"), fill("plan-spots"), *marks, bar, *poles])
+    tape = _tape(document, view, shown[0], labels) if len(shown) == 1 else []
+    return join([fill("plan-backdrop"), *tape, *marks, bar, *poles])
 
 
 def _poles(
     document: PolePlanDoc,
-    picture: PlanPicture,
     view: View,
-    placement: int | None,
+    first: int,
+    placements: Sequence[PlannedPlacementDoc],
     labels: Labels,
 ) -> list[Html]:
-    """Draw each pole where it stands in the plan, above the ring that stays there."""
-    ghosts, poles, number = [], [], 0
-    for p, (own, numbers) in enumerate(zip(document.placements, picture.chosen, strict=True)):
-        for pole, k in zip(own.poles, numbers, strict=True):
-            if placement in (None, p):
-                ((x, y),) = view.of(picture.foot[[k]]).tolist()
-                dx, dy = _stroke(view.way(document.length_m * picture.axis[[k]])[0])
-                labels.keep_free(x, y, 12.0)
-                for part in (0.5, 1.0):
-                    labels.keep_free(x + part * dx, y + part * dy, 6.0)
-                ghosts.append(fill("plan-ghost", x=x, y=y))
-                place = {"x": x, "y": y, "dx": dx, "dy": dy}
-                poles.append(
-                    fill("plan-pole", number=number, place=p, name=pole.name, kind=p % 4, **place)
-                )
-            number += 1
-    return [*ghosts, *poles]
+    """Draw each pole where it stands; of the placements the first has a number."""
+    poles = []
+    for p, placement in enumerate(placements, first):
+        for pole in placement.poles:
+            ((x, y),) = view.of(pole.foot_m[None]).tolist()
+            dx, dy = _stroke(view.way(document.length_m * pole.direction[None])[0])
+            labels.keep_free(x, y, 12.0)
+            for part in (0.5, 1.0):
+                labels.keep_free(x + part * dx, y + part * dy, 6.0)
+            poles.append(fill("plan-pole", name=pole.name, kind=p % 4, x=x, y=y, dx=dx, dy=dy))
+    return poles
+
+
+def _tape(
+    document: PolePlanDoc, view: View, placement: PlannedPlacementDoc, labels: Labels
+) -> list[Html]:
+    """Draw the lengths to measure, each with its metres."""
+    at = {below(each.name): each.T_place_lidar[:3, 3] for each in document.lidars}
+    at |= {pole.name: pole.foot_m for pole in placement.poles}
+    marks = []
+    for each in placement.tape:
+        if each.start in at and each.end in at:
+            (x, y), (u, v) = view.of(np.array([at[each.start], at[each.end]])).tolist()
+            marks.append(fill("plan-tape-line", x=x, y=y, dx=u - x, dy=v - y))
+            middle = (x + u) / 2, (y + v) / 2
+            marks.append(labels.place(f"{each.metres:.2f} m", *middle, 4.0, "soft"))
+    return marks
 
 
 def _stroke(way: Array) -> tuple[float, float]:

@@ -24,10 +24,9 @@ from ...result.decoding import decode_site
 from ...result.folder import RESULT_FILE, SITE_RESULT_FILE, result_file
 from ...result.site import SiteDoc
 from ..dataset import Row
-from ..local import LocalFiles, local_files
 from ..sites import ROLES, FleetSite
 from ..storage import below, exists, folder_of, is_url, read_bytes, written
-from ..work import Check, Hashed, code_of
+from ..work import Check, Hashed, LocalFiles, code_of, local_files
 from .store import CheckRow, flat
 
 
