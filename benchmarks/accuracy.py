@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 

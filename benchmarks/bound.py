@@ -40,7 +40,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.base.systematic import sizes_of
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import SimulatedPair
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

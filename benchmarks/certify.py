@@ -20,7 +20,7 @@ import numpy as np
 
 from again import record_again
 from retropole.base.datatypes import Placement
-from retropole.certify.certification import FieldTest, certify
+from retropole.checking.certification import FieldTest, certify
 from retropole.simulation import (
     FIELD,
     TYPICAL,

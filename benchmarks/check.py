@@ -36,9 +36,9 @@ from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.sensors import Sensor
 from retropole.base.systematic import ErrorModel, sizes_of
 from retropole.base.uncertainty import Uncertainty
-from retropole.monitoring.drift import check, search_covariance
-from retropole.monitoring.movement import CheckResult
-from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from retropole.checking.drift import check, search_covariance
+from retropole.checking.movement import CheckResult
+from retropole.checking.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, SimulationError, simulate_pair
 from semireal import PAIRS, Loaded, load

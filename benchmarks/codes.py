@@ -35,7 +35,7 @@ from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from hard_arrangements import draw_pair
 from retropole.base import se3
 from retropole.base.reasons import is_note
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
 

@@ -28,7 +28,7 @@ from retropole.base.datatypes import Array
 from retropole.base.sensors import Sensor
 from retropole.base.systematic import sizes_of
 from retropole.base.uncertainty import predicted_error
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, TYPICAL, NoiseModel, SimulationError, simulate_pair
 

@@ -48,11 +48,11 @@ from again import record_again
 from fleet_bound import bound_table
 from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
+from retropole.checking.drift import check
+from retropole.checking.movement import BOUND_SIGMAS, FALSE_ALARM, upper_limit
+from retropole.checking.tolerance import DEFAULT_TOLERANCE
 from retropole.fleet.history.store import CheckRow, flat, observed
 from retropole.fleet.history.watch import YEAR, Observed, Watched, watch
-from retropole.monitoring.drift import check
-from retropole.monitoring.movement import BOUND_SIGMAS, FALSE_ALARM, upper_limit
-from retropole.monitoring.tolerance import DEFAULT_TOLERANCE
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, simulate_pair
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from retropole.base.datatypes import PointCloud
-from retropole.evaluation.methods import OURS
+from retropole.checking.methods import OURS
 from retropole.io.recordings import MAX_POINTS, downsample
 from retropole.simulation import SimulationError, simulate_pair
 from rivals import METHODS, installed, peak_megabytes, quiet, timed

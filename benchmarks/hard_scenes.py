@@ -30,7 +30,7 @@ from threadpoolctl import threadpool_limits
 from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from hard_arrangements import DIFFICULTIES, SENSORS, Scene, draw_pair
 from retropole.base import se3
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
 
 FIRST_STATED_SEED = 1000

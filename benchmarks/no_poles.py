@@ -30,8 +30,8 @@ from deception import interval
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.errors import Refusal
-from retropole.evaluation.methods import missing_extra
-from retropole.evaluation.rivals import FUNCTIONS
+from retropole.checking.methods import missing_extra
+from retropole.checking.rivals import FUNCTIONS
 from retropole.pipeline import calibrate
 from semireal import PAIRS, distance, load
 from wrong_files import recordings

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from again import place_again
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import TYPICAL, NoiseModel, simulate_pair
 from sweeps import first_sweeps

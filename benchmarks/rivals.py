@@ -35,10 +35,10 @@ import numpy as np
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.methods import OURS as OWN
-from retropole.evaluation.methods import RIVALS, missing_extra
-from retropole.evaluation.metrics import Errors, errors_of
-from retropole.evaluation.rivals import FUNCTIONS, fpfh_ransac, kiss_matcher
+from retropole.checking.methods import OURS as OWN
+from retropole.checking.methods import RIVALS, missing_extra
+from retropole.checking.metrics import Errors, errors_of
+from retropole.checking.rivals import FUNCTIONS, fpfh_ransac, kiss_matcher
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 from retropole.surfaces.consistency import consistency, standing_in

@@ -19,7 +19,7 @@ from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
 from retropole.base import se3
 from retropole.base.datatypes import Calibration
-from retropole.evaluation.metrics import RQE_POINTS, rqe
+from retropole.checking.metrics import RQE_POINTS, rqe
 from retropole.extraction.poles import extract_poles
 from retropole.hypotheses.correspondence import match_poles
 from retropole.pipeline import calibrate

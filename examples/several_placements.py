@@ -10,7 +10,7 @@ import numpy as np
 
 import retropole as rp
 from retropole.base.files import write_atomically
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import place_again, simulate_pair
 
 parser = argparse.ArgumentParser(description=__doc__)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import retropole as rp
 from retropole.base.files import write_atomically
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.export import export_lines
 
 parser = argparse.ArgumentParser(description=__doc__)

@@ -19,11 +19,10 @@ LAYERS = (
     # which poses there may be, the poses of all LiDARs, what follows from them.
     *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
     # The field test.
-    "certify",
     # The method and its answer.
     *("pipeline", "pipeline_of_sites", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report", "evaluation", "monitoring"),
+    *("simulation", "planning", "checking", "export", "report"),
     "api",
     *("fleet", "cli", "__main__"),
 )
@@ -41,7 +40,7 @@ DOORS = {
     "cli": {"api", "base", "fleet", "report", "result"},
     # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
     "report": {
-        *("base", "result", "export", "certify"),
+        *("base", "result", "export", "checking"),
         *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
     # A recording is written in the frames that one is read in, a tree in the frames of a site.

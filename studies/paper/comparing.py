@@ -9,8 +9,8 @@ import numpy as np
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.metrics import EVALUATION_VOXEL, KERNEL_WIDTH, Alignment, e_rt, evaluate
-from retropole.evaluation.rivals import gicp, icp
+from retropole.checking.metrics import EVALUATION_VOXEL, KERNEL_WIDTH, Alignment, e_rt, evaluate
+from retropole.checking.rivals import gicp, icp
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair

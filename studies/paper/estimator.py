@@ -14,7 +14,7 @@ from retropole.alignment.point_to_line import LineAlignment, Lines, align_each, 
 from retropole.base.datatypes import Array, IntArray, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.systematic import Sizes
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.scenes import PAPER_NOISE, PAPER_POLE_LENGTH
 from studies.paper.exhibit import Exhibit

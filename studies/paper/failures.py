@@ -14,7 +14,7 @@ from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.quantities import counted
 from retropole.base.sensors import Sensor
-from retropole.evaluation.metrics import Errors, errors_of
+from retropole.checking.metrics import Errors, errors_of
 from retropole.extraction.clustering import clusters
 from retropole.pipeline import calibrate
 from retropole.report.figures import GREEN, GREY, RED

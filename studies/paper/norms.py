@@ -12,7 +12,7 @@ import numpy as np
 
 from retropole.alignment.point_to_line import Lines, align_each, point_line_residuals
 from retropole.base.datatypes import Array
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import EXACT, simulate_pair
 from studies.paper.estimator import NOISE_KINDS, align_poles, poles_of
 from studies.paper.exhibit import Cell, Exhibit

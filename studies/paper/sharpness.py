@@ -10,7 +10,7 @@ import numpy as np
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.evaluation.metrics import EVALUATION_VOXEL, KERNEL_WIDTH, e_rt, rqe
+from retropole.checking.metrics import EVALUATION_VOXEL, KERNEL_WIDTH, e_rt, rqe
 from retropole.report.figures import BLUE, ORANGE
 from retropole.simulation import SimulatedPair
 from retropole.surfaces.registration import voxel_downsample

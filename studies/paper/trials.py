@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from retropole.base.datatypes import Array
-from retropole.evaluation.metrics import errors_of
+from retropole.checking.metrics import errors_of
 from retropole.report.figures import BLUE, ORANGE
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record

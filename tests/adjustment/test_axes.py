@@ -9,7 +9,7 @@ from retropole.adjustment.axes import OwnAxes, find_axes
 from retropole.base import se3
 from retropole.base.datatypes import Scan
 from retropole.simulation import SimulatedPair
-from tests.certify.certifying import RADIUS, found_in, four_poles
+from tests.checking.certifying import RADIUS, found_in, four_poles
 
 pytestmark = pytest.mark.full
 

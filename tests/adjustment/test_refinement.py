@@ -17,7 +17,7 @@ from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud

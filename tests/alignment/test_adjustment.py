@@ -16,7 +16,7 @@ from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS
 from retropole.base.systematic import Sizes
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
 from studies.paper.estimator import NO_ERRORS

@@ -18,7 +18,7 @@ import numpy as np
 import retropole
 from retropole.base.datatypes import PoseEstimate
 from retropole.io import only_returns
-from retropole.monitoring.drift import check
+from retropole.checking.drift import check
 from retropole.simulation import simulate_pair
 
 pair = simulate_pair(

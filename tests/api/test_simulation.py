@@ -5,7 +5,7 @@ import pytest
 
 import retropole as rp
 from retropole.api.simulation import simulate_site
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from tests.api.clouds import pair
 
 pytestmark = pytest.mark.full

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from retropole.evaluation.methods import ALL_METHODS, OURS, RIVALS, missing_extra
+from retropole.checking.methods import ALL_METHODS, OURS, RIVALS, missing_extra
 from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 
@@ -186,7 +186,7 @@ def test_the_list_of_methods_loads_none_of_them() -> None:
         "small_gicp",
         "scipy.optimize",
         "retropole.pipeline",
-        "retropole.evaluation.comparison",
+        "retropole.checking.comparison",
     ]
     done = subprocess.run(
         [sys.executable, "-c", code % heavy], capture_output=True, text=True, check=True

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.hypotheses.placements import NOTHING, Share, Tried, merge_clouds, with_what_was_tried
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair

@@ -2,7 +2,7 @@
 
 import json
 
-from retropole.certify.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
+from retropole.checking.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 from retropole.result import encode
 from retropole.result.certification import field_test_document
 

@@ -9,7 +9,7 @@ from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import BoolArray, Placement, PointCloud, Scan
 from retropole.base.errors import Reason, Refusal
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.io.recordings import time_of_recording
 from retropole.pipeline import calibrate

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..base.datatypes import Placement
 from ..base.errors import UsageError
-from ..certify import certification
+from ..checking import certification
 from ..result import RunConfig
 from ..result.certification import FieldTestDoc, field_test_document
 from .inputs import SILENT, CloudSource, Listener, input_documents, read_placements

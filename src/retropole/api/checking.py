@@ -16,15 +16,15 @@ from ..base.files import read_document
 from ..base.reasons import prefixed
 from ..base.sensors import name_from
 from ..base.uncertainty import Uncertainty
+from ..checking.drift import check, swap
+from ..checking.movement import FALSE_ALARM as FALSE_ALARM
+from ..checking.movement import CheckResult as CheckResult
+from ..checking.movement import Movement as Movement
+from ..checking.tolerance import Asked
 from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import topics_of
 from ..io.fields import Unit
-from ..monitoring.drift import check, swap
-from ..monitoring.movement import FALSE_ALARM as FALSE_ALARM
-from ..monitoring.movement import CheckResult as CheckResult
-from ..monitoring.movement import Movement as Movement
-from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
 from ..result.site import SiteDoc
@@ -179,7 +179,7 @@ def check_recordings(
     UsageError, ReadError, MissingExtraError
         Where one cannot be read.
     Refusal
-        As `monitoring.drift.check`.
+        As `checking.drift.check`.
     """
     known = stored.config
     config = replace_options(
@@ -219,7 +219,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
     Raises
     ------
     Refusal
-        As `monitoring.drift.check`.
+        As `checking.drift.check`.
     """
     own = (pair.target.sha256, pair.source.sha256) in stored.hashes
     answer = check(

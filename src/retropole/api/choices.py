@@ -4,9 +4,9 @@ Methods that `evaluate` runs, what a watch listens to, and the movements that a 
 where nothing else is asked for.
 """
 
-from ..evaluation.methods import ALL_METHODS as ALL_METHODS
-from ..evaluation.methods import OURS as OURS
-from ..evaluation.methods import RIVALS as RIVALS
+from ..checking.methods import ALL_METHODS as ALL_METHODS
+from ..checking.methods import OURS as OURS
+from ..checking.methods import RIVALS as RIVALS
+from ..checking.tolerance import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
+from ..checking.tolerance import WIDEST_TOLERANCE as WIDEST_TOLERANCE
 from ..io.live import SOURCE_KINDS as SOURCE_KINDS
-from ..monitoring.tolerance import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
-from ..monitoring.tolerance import WIDEST_TOLERANCE as WIDEST_TOLERANCE

@@ -12,16 +12,16 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError, readable, said
 from ..base.se3 import rigid
-from ..evaluation.comparison import Compared as Compared
-from ..evaluation.comparison import compare as compare_clouds
-from ..evaluation.metrics import KERNEL_WIDTH
-from ..evaluation.metrics import Alignment as Alignment
-from ..evaluation.metrics import Errors as Errors
-from ..evaluation.metrics import errors_of as errors_of
-from ..evaluation.metrics import evaluate as score
+from ..checking.comparison import Compared as Compared
+from ..checking.comparison import compare as compare_clouds
+from ..checking.drift import swap
+from ..checking.metrics import KERNEL_WIDTH
+from ..checking.metrics import Alignment as Alignment
+from ..checking.metrics import Errors as Errors
+from ..checking.metrics import errors_of as errors_of
+from ..checking.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
-from ..monitoring.drift import swap
 from ..result import ResultDoc, RunConfig
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
@@ -113,7 +113,7 @@ def compare(
     config
         The options: what is read, and radius, sensors and thresholds of our own method.
     methods, T_true, sigma, seed
-        As `evaluation.comparison.compare` takes them.
+        As `checking.comparison.compare` takes them.
     listener
         Told of each step as it starts, and of each cloud once it is read.
 

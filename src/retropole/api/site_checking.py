@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from ..base.errors import ReadError, Reason, Refusal, naming
 from ..base.quantities import step_of
+from ..checking.movement import CheckResult, Status
+from ..checking.tolerance import Asked
 from ..io import sha256_of
-from ..monitoring.movement import CheckResult, Status
-from ..monitoring.tolerance import Asked
 from ..result import RunConfig, refusal_of
 from ..result.decoding import decode_site
 from ..result.folder import SITE_RESULT_FILE

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..base.quantities import UNKNOWN, counted, percent
-from ..certify.certification import DistanceTest, Verdict
-from ..certify.distances import SpreadTest
+from ..checking.certification import DistanceTest, Verdict
+from ..checking.distances import SpreadTest
 from ..result.certification import FieldTestDoc, PairTestDoc
 from .layout import legible, wrapped
 from .layout import table as text_table

@@ -11,8 +11,8 @@ from typing import Literal
 import msgspec
 
 from ..base.bounded import Share, Size, Text
-from ..certify.certification import DistanceTest, FieldTest, PolesSeen, Verdict
-from ..certify.distances import SpreadTest
+from ..checking.certification import DistanceTest, FieldTest, PolesSeen, Verdict
+from ..checking.distances import SpreadTest
 from . import InputDoc, ReasonDoc, document_of, made_now
 
 FIELD_TEST_SCHEMA: Literal["retropole/field-test/1"] = "retropole/field-test/1"

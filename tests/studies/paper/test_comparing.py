@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.evaluation.metrics import KERNEL_WIDTH
+from retropole.checking.metrics import KERNEL_WIDTH
 from retropole.simulation import EXACT, simulate_pair
 from studies.paper.comparing import comparing_real
 from studies.paper.sharpness import KERNEL_WIDTHS, RELATIONS, sums_of

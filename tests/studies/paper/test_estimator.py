@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.evaluation.metrics import e_rt
+from retropole.checking.metrics import e_rt
 from retropole.simulation import EXACT, simulate_pair
 from studies.paper.estimator import (
     PAPER_E_RT,

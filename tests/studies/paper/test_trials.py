@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.evaluation.metrics import errors_of
+from retropole.checking.metrics import errors_of
 from studies.paper.estimator import poles_of, solve
 from studies.paper.trials import (
     MIN_RINGS,

@@ -7,7 +7,7 @@ from scipy.stats import f
 
 from retropole.alignment.posterior import State
 from retropole.base.datatypes import Array
-from retropole.certify.distances import (
+from retropole.checking.distances import (
     Spread,
     Targets,
     compare_spread,

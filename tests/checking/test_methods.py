@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from retropole.evaluation import methods
-from retropole.evaluation.methods import ALL_METHODS, OURS, RIVALS, missing_extra
+from retropole.checking import methods
+from retropole.checking.methods import ALL_METHODS, OURS, RIVALS, missing_extra
 
 
 def test_our_own_come_first_and_no_name_is_used_twice() -> None:
@@ -16,7 +16,7 @@ def test_our_own_come_first_and_no_name_is_used_twice() -> None:
 
 def test_listing_the_methods_loads_no_solver() -> None:
     heavy = ["numpy", "scipy", "small_gicp", "open3d", "kiss_matcher"]
-    code = "import sys, retropole.evaluation.methods; print([m for m in %r if m in sys.modules])"
+    code = "import sys, retropole.checking.methods; print([m for m in %r if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code % heavy], capture_output=True, text=True, check=True
     )

@@ -16,9 +16,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import UsageError
 from retropole.base.sensors import SENSORS
+from retropole.checking import drift
+from retropole.checking.drift import NEAR_TRANSLATION, check, swapped_clouds, swapped_sensors
 from retropole.hypotheses.evidence import MAX_CONFLICTING, count, scenes_of
-from retropole.monitoring import drift
-from retropole.monitoring.drift import NEAR_TRANSLATION, check, swapped_clouds, swapped_sensors
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.consistency import Standing

@@ -13,8 +13,8 @@ from _pytest.mark import ParameterSet
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.errors import MissingExtraError, Refusal
-from retropole.evaluation.methods import RIVALS, missing_extra
-from retropole.evaluation.rivals import (
+from retropole.checking.methods import RIVALS, missing_extra
+from retropole.checking.rivals import (
     ENOUGH_INLIERS,
     FUNCTIONS,
     KISS_VOXELS,

@@ -9,9 +9,9 @@ import pytest
 from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
-from retropole.monitoring.carrier import CarrierMotion, carrier_motion
-from retropole.monitoring.drift import check
-from retropole.monitoring.movement import CheckResult
+from retropole.checking.carrier import CarrierMotion, carrier_motion
+from retropole.checking.drift import check
+from retropole.checking.movement import CheckResult
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.surfaces import swaying

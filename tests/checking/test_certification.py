@@ -10,7 +10,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Pole
 from retropole.base.description import Site, SiteLidar
 from retropole.base.errors import Refusal
-from retropole.certify.certification import (
+from retropole.checking.certification import (
     ALPHA,
     FieldTest,
     PolesSeen,
@@ -20,9 +20,9 @@ from retropole.certify.certification import (
     correspond,
     quantile,
 )
-from retropole.certify.distances import Measured
+from retropole.checking.distances import Measured
 from retropole.simulation import SimulatedPair
-from tests.certify.certifying import RADIUS, found_in, four_poles
+from tests.checking.certifying import RADIUS, found_in, four_poles
 from tests.conftest import PoleMaker
 
 

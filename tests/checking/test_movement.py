@@ -6,8 +6,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, PoseEstimate
 from retropole.base.uncertainty import Uncertainty
-from retropole.export.transform import Transform, inverted
-from retropole.monitoring.movement import (
+from retropole.checking.movement import (
     CONFIDENCE,
     FALSE_ALARM,
     REPEATED,
@@ -20,7 +19,8 @@ from retropole.monitoring.movement import (
     step_covariance,
     upper_limit,
 )
-from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, Asked
+from retropole.checking.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, Asked
+from retropole.export.transform import Transform, inverted
 
 
 def covariance(

@@ -9,10 +9,10 @@ from scipy.spatial.distance import cdist
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
+from retropole.checking.metrics import KERNEL_WIDTH, e_rt, errors_of, evaluate, rqe
 from retropole.cli.evaluate import evaluate as command
-from retropole.evaluation.metrics import KERNEL_WIDTH, e_rt, errors_of, evaluate, rqe
 from retropole.simulation import simulate_pair
-from tests.evaluation.surfaces import floor_and_wall
+from tests.checking.surfaces import floor_and_wall
 
 
 def rotation(axis: int, angle: float) -> Array:

@@ -7,11 +7,11 @@ from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import UsageError
-from retropole.evaluation import comparison
-from retropole.evaluation.comparison import compare
-from retropole.evaluation.methods import RIVALS
-from retropole.evaluation.metrics import e_rt, evaluate
-from retropole.evaluation.rivals import FUNCTIONS
+from retropole.checking import comparison
+from retropole.checking.comparison import compare
+from retropole.checking.methods import RIVALS
+from retropole.checking.metrics import e_rt, evaluate
+from retropole.checking.rivals import FUNCTIONS
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 

@@ -1,1 +1,0 @@
-"""How good a transform is, and other methods on the same clouds."""

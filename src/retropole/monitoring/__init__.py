@@ -1,1 +1,0 @@
-"""Is an installed site still where it was?"""
