@@ -50,7 +50,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Site, SurveyedPole
 from retropole.base.errors import Reason
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import Blunder, axis_of, simulate_blunder

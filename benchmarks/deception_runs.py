@@ -25,10 +25,11 @@ from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, TYPICAL, Device, draw_device
 from retropole.simulation.pairs import DEFAULT_SENSORS
 from retropole.simulation.scenes import SURROUNDINGS
-from retropole.surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from retropole.surfaces.visibility import (
     OVERLAP_DISTANCE,
     OWN_VEHICLE,
+    SCORING_SAMPLE,
+    SCORING_VOXEL,
     cells_of,
     compare_views,
     view_of,

@@ -48,8 +48,7 @@ from retropole.base.datatypes import Array
 from retropole.base.description import Frame, Site, SiteLidar
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
-from retropole.pipeline import calibrate
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate, calibrate_site
 from retropole.planning.choice import error_of, errors_of, rules_of
 from retropole.planning.place import Candidates, leaning, survey, who_sees
 from retropole.planning.planner import ROUNDS, Planned, design_of, plan, worst_at

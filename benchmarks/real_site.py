@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from insertion import InsertedSite, insert_into_site
-from retropole import pipeline_of_sites as calibration
+from retropole import pipeline as calibration
 from retropole.adjustment.answer import LoopClosure, SiteCalibration
 from retropole.adjustment.closures import close_loops
 from retropole.adjustment.descent import End

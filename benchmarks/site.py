@@ -39,8 +39,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason
 from retropole.base.se3 import joint_of, relative
-from retropole.pipeline import calibrate
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate, calibrate_site
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import Blunder, simulate_blunder

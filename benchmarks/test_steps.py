@@ -26,7 +26,7 @@ from retropole.pipeline import calibrate
 from retropole.report import render_report
 from retropole.result import InputDoc, RunConfig, result_document
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.surfaces.disambiguation import score_hypotheses
+from retropole.surfaces.visibility import score_hypotheses
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -18,9 +18,8 @@ LAYERS = (
     # The steps, by what they return: poles, their pose, what two clouds have in common at a pose,
     # which poses there may be, the poses of all LiDARs, what follows from them.
     *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
-    # The field test.
     # The method and its answer.
-    *("pipeline", "pipeline_of_sites", "result"),
+    *("pipeline", "result"),
     # Around the method, and what people touch.
     *("simulation", "planning", "checking", "export", "report"),
     "api",
@@ -136,7 +135,7 @@ def test_modules_stay_small() -> None:
 
 def test_the_top_holds_the_method_alone() -> None:
     top = {path.name for path in PACKAGE.glob("*.py")}
-    assert top == {"__init__.py", "__main__.py", "pipeline.py", "pipeline_of_sites.py"}
+    assert top == {"__init__.py", "__main__.py", "pipeline.py"}
 
 
 def test_import_leaves_heavy_parts_alone() -> None:

@@ -9,8 +9,7 @@ from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.base.description import Site, SiteLidar
 from retropole.base.sensors import Sensor
-from retropole.pipeline import calibrate
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate, calibrate_site
 from retropole.result import encode
 from retropole.result.site import found_document
 from retropole.simulation import SimulatedPair, simulate_pair

@@ -10,7 +10,7 @@ from retropole.base import se3
 from retropole.base.description import Site, SiteLidar
 from retropole.base.sensors import find_sensor
 from retropole.io import read_cloud
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from tests.paths import SHARED
 
 pytestmark = pytest.mark.full

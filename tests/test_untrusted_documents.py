@@ -22,10 +22,9 @@ from retropole.cli import run
 from retropole.export import FORMATS, TREE_FORMATS, read_transform
 from retropole.report import render_report, render_site
 from retropole.report.pole_plan import describe_plan, render_pole_plan
-from retropole.result import encode
+from retropole.result import REPORT_FILE, encode
 from retropole.result.certification import FieldTestDoc, field_test_document
 from retropole.result.decoding import decode, decode_plan, decode_site, parsed
-from retropole.result.folder import REPORT_FILE
 from retropole.result.pole_plan import MovedDoc, MovedErrorDoc
 from tests.report.made_up import made_up
 from tests.report.plans import made_picture, made_plan

@@ -15,8 +15,8 @@ from retropole.extraction.poles import extract_poles
 from retropole.hypotheses.correspondence import match_poles
 from retropole.report.figures import BLUE, GREEN, ORANGE
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.surfaces.disambiguation import SCORING_VOXEL, score_hypotheses
 from retropole.surfaces.registration import Surface, as_surface, register, voxel_downsample
+from retropole.surfaces.visibility import SCORING_VOXEL, score_hypotheses
 from studies.paper.exhibit import Exhibit
 
 if TYPE_CHECKING:

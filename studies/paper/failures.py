@@ -15,15 +15,15 @@ from retropole.base.errors import Refusal
 from retropole.base.quantities import counted
 from retropole.base.sensors import Sensor
 from retropole.checking.metrics import Errors, errors_of
-from retropole.extraction.clustering import clusters
+from retropole.extraction.lines import clusters
 from retropole.pipeline import calibrate
 from retropole.report.figures import GREEN, GREY, RED
 from retropole.simulation import FIELD, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.raycast import Box, Material, Rectangle, Surface
 from retropole.simulation.returns import TAPE_REACH, saturation, tape_strength
-from retropole.surfaces.disambiguation import SCORING_VOXEL
 from retropole.surfaces.registration import as_surface, voxel_downsample
+from retropole.surfaces.visibility import SCORING_VOXEL
 from studies.paper.choosing import icp_of_any_reach
 from studies.paper.exhibit import Exhibit
 from studies.paper.starts import solve_starts

@@ -3,7 +3,7 @@
 import pytest
 
 from retropole.adjustment.answer import SiteCalibration
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite, Survey
 from tests.adjustment.adjusting import Steps, made, steps_of
 

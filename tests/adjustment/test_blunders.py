@@ -27,7 +27,7 @@ from retropole.base.datatypes import Array
 from retropole.base.description import Site
 from retropole.base.errors import Reason, Refusal
 from retropole.base.se3 import joint_of, relative
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite, Survey
 from tests.adjustment.adjusting import (
     Steps,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.closures import _edges, _loops, close_loops
-from retropole.adjustment.places import labels_of_places
+from retropole.adjustment.solved import labels_of_places
 from retropole.base import se3
 from tests.adjustment.adjusting import Steps
 

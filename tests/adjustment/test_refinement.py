@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.again import record_again
 from retropole.adjustment.agreement import check_agreement, check_contradiction, check_decisive
-from retropole.adjustment.places import Places
 from retropole.adjustment.refinement import MAX_SHARE, Refinement, leverage, refine
+from retropole.adjustment.solved import Places
 from retropole.alignment.adjustment import BeamAlignment
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate

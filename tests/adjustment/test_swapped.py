@@ -15,7 +15,7 @@ from retropole.adjustment.swapped import (
 from retropole.base.description import Site
 from retropole.base.errors import Refusal
 from retropole.hypotheses.scans import Views
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import Steps, made, made_wrong, with_lidar
 

@@ -11,8 +11,7 @@ from retropole.api.inputs import recording_hash
 from retropole.api.site import SiteResult
 from retropole.base.errors import ReadError, Refusal
 from retropole.io import sha256_of
-from retropole.result import encode
-from retropole.result.folder import SITE_RESULT_FILE
+from retropole.result import SITE_RESULT_FILE, encode
 from tests.export.sites import free, refused
 
 

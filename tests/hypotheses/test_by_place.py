@@ -36,7 +36,7 @@ from retropole.pipeline import calibrate
 from retropole.simulation import Cylinder, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.scenes import TAPE, rotated_by_180
-from retropole.surfaces.disambiguation import score_hypotheses
+from retropole.surfaces.visibility import score_hypotheses
 from tests.hypotheses.conftest import simulated_with_one_pole
 from tests.hypotheses.test_one_pole import MOVED, assert_near, found_in, poses_in
 from tests.tiers import first_of

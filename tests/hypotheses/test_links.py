@@ -29,8 +29,7 @@ from retropole.hypotheses.by_place import HELD
 from retropole.hypotheses.joint_choice import choose_poses
 from retropole.hypotheses.links import link_by_place
 from retropole.hypotheses.pairs import Pair
-from retropole.pipeline import calibrate
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate, calibrate_site
 from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from tests.adjustment.adjusting import Steps, between, made, off, reordered
 from tests.hypotheses.conftest import hypothesis_at

@@ -11,7 +11,6 @@ from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
 from retropole.hypotheses.scans import Views
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from retropole.surfaces.standing import (
     PUSHED,
     SAME_PLACE,
@@ -21,7 +20,7 @@ from retropole.surfaces.standing import (
     same_place,
     shows_same,
 )
-from retropole.surfaces.visibility import View, view_of
+from retropole.surfaces.visibility import SCORING_SAMPLE, SCORING_VOXEL, View, view_of
 from tests.adjustment.adjusting import Steps
 
 pytestmark = pytest.mark.full

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from retropole.adjustment.places import FLAT, SCATTER
+from retropole.adjustment.solved import FLAT, SCATTER
 from retropole.alignment.certainty import DEPTH, FLOOR, POLES, SWAY
 from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import Reason

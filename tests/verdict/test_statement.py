@@ -8,7 +8,7 @@ import pytest
 from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.errors import Reason
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite
 from retropole.verdict.statement import named
 from tests.adjustment.adjusting import between, reordered

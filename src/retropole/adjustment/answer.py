@@ -218,7 +218,7 @@ class WithoutPlacement(
 
 @dataclass(frozen=True, eq=False)
 class SiteCalibration:
-    """The answer of `pipeline_of_sites.calibrate_site`, or why there is none.
+    """The answer of `pipeline.calibrate_site`, or why there is none.
 
     Attributes
     ----------

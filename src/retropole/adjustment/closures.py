@@ -25,8 +25,7 @@ from ..base.datatypes import Array, IntArray
 from ..base.uncertainty import floor
 from .answer import LoopClosure
 from .descent import End, SceneTerm
-from .places import labels_of_places, moved_by, places_of
-from .solved import Solved
+from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60
 """So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""

@@ -50,7 +50,7 @@ from ..surfaces.patch_pairs import (
 )
 from ..surfaces.patches import Patches, surface_patches
 from .descent import FEW, End, RefinementProblem, approach, converge, scene_pairs, support_of
-from .places import Places, parts_of, places_of_poses
+from .solved import Places, parts_of, places_of_poses
 
 MAX_SHARE = 0.3
 """Most of the information along any direction that one place may hold without a word."""

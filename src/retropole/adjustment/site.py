@@ -42,11 +42,10 @@ from .answer import Test
 from .axes import maximise_from_lines
 from .datum import Datum, check_hanging, check_poles_left, of_lidar, without_poles
 from .descent import End, RefinementProblem, ScenePair, minimise
-from .places import parts_of
 from .refinement import Refinement
 from .shared import SharedPole, extent_of, sights_of
 from .snooping import all_tests, find_outlying
-from .solved import Solved, solve_all
+from .solved import Solved, parts_of, solve_all
 
 POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""

@@ -25,8 +25,7 @@ from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import topics_of
 from ..io.fields import Unit
-from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
-from ..result.folder import result_file
+from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig, result_file
 from ..result.site import SiteDoc
 from .inputs import SILENT, InputPair, Listener, read_pair
 from .stored import are_swapped, hashes_of

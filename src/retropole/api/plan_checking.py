@@ -9,9 +9,8 @@ from ..base.errors import UsageError, printable
 from ..base.quantities import counted, error
 from ..base.uncertainty import predicted_error
 from ..planning.comparison import against_plan
-from ..result import PoleDoc, pole_documents
+from ..result import PLAN_FILE, PoleDoc, pole_documents
 from ..result.decoding import decode_plan
-from ..result.folder import PLAN_FILE
 from ..result.pole_plan import PolePlanDoc
 from .result import CalibrationResult
 from .stored import loaded

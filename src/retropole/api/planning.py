@@ -25,8 +25,7 @@ from ..planning.stations import bare_scan, stand, stand_drawn
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..report.pole_plan_picture import PlanPicture
-from ..result import DEFAULT_CONFIG, RunConfig, encode
-from ..result.folder import PLAN_FILE, PLAN_PAGE
+from ..result import DEFAULT_CONFIG, PLAN_FILE, PLAN_PAGE, RunConfig, encode
 from ..result.pole_plan import (
     FEWEST_POLES,
     LONGEST,

@@ -21,8 +21,16 @@ from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..report import render_report
 from ..report.listings import largest_error, radius_words, scene_words
-from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
-from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
+from ..result import (
+    REPORT_FILE,
+    RESULT_FILE,
+    ErrorAtRange,
+    ReasonDoc,
+    ResultDoc,
+    encode,
+    refusal_of,
+    result_file,
+)
 from ..surfaces.consistency import contradicting_points, standing_in
 from .stored import StoredInputs, decode_pair, loaded, placements_of
 from .travelling import AnyDoc, named_from

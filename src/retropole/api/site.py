@@ -18,12 +18,11 @@ from ..base.files import write_atomically
 from ..base.quantities import error as in_words
 from ..base.se3 import RelativePose, joint_of, relative
 from ..hypotheses.scans import SiteScans
-from ..pipeline_of_sites import calibrate_site as find_poses
+from ..pipeline import calibrate_site as find_poses
 from ..report import render_site
 from ..report.listings import pose_rows
-from ..result import refusal_of
+from ..result import SITE_REPORT_FILE, SITE_RESULT_FILE, refusal_of
 from ..result.decoding import decode_site
-from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
 from ..verdict.statement import state_site_refusal
 from .inputs import Input, Listener

@@ -12,9 +12,8 @@ from ..base.quantities import step_of
 from ..checking.movement import CheckResult, Status
 from ..checking.tolerance import Asked
 from ..io import sha256_of
-from ..result import RunConfig, refusal_of
+from ..result import SITE_RESULT_FILE, RunConfig, refusal_of
 from ..result.decoding import decode_site
-from ..result.folder import SITE_RESULT_FILE
 from ..result.site import SiteDoc
 from .checking import check_pair, read_stored
 from .inputs import SILENT, Input, InputPair, Listener, read_input

@@ -22,9 +22,8 @@ from ..export import Transform
 from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
-from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
+from ..result import DEFAULT_CONFIG, SITE_REPORT_FILE, InputDoc, PoleDoc, ResultDoc, any_result_file
 from ..result.decoding import decode
-from ..result.folder import SITE_REPORT_FILE, any_result_file
 from ..result.site import SITE_SCHEMA, SiteDoc
 from .inputs import SILENT, Listener, read_input, recording_hash
 from .travelling import with_sensors_from

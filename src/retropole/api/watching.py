@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from threading import Thread
 from typing import TypeVar
 
 import numpy as np
@@ -46,12 +47,10 @@ from ..planning.live_poles import (
     take,
 )
 from ..report.field_test import render_field_test
-from ..result import RunConfig, encode, pole_documents
-from ..result.folder import CERTIFICATE
+from ..result import CERTIFICATE, RunConfig, encode, pole_documents
 from ..result.pole_plan import PolePlanDoc
 from ..result.watching import Phase, WatchDoc
 from . import certification
-from .background import in_background
 from .calibration import calibrate_with
 from .checking import CheckResult, Stored, check_recordings
 from .result import CalibrationResult
@@ -522,3 +521,17 @@ def checked_words(checked: CheckResult) -> str:
     words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
     said = " ".join(reason.message for reason in checked.reasons[:1])
     return words.get(checked.status, f"Cannot tell: {said}")
+
+
+def in_background(work: Callable[[], T]) -> Future[T]:
+    """Begin work that Ctrl-C does not wait for."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    Thread(target=run, daemon=True).start()
+    return future

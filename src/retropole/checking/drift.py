@@ -38,9 +38,8 @@ from ..hypotheses.placements import left_in
 from ..hypotheses.prior import RotationPrior
 from ..pipeline import calibrate
 from ..surfaces.consistency import Standing
-from ..surfaces.disambiguation import SCORING_VOXEL
 from ..surfaces.registration import MIN_CLOUD_POINTS
-from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
+from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare_views, view_of
 from ..verdict.preference import preferences
 from .carrier import CarrierMotion, carrier_motion
 from .movement import FALSE_ALARM, ROTATION, TRANSLATION, CheckResult, Method, compare_poses

@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from ..result import RunConfig
-from ..result.folder import REPORT_FILE, RESULT_FILE
+from ..result import REPORT_FILE, RESULT_FILE, RunConfig
 from .common import command_line, listening, result_told, say
 from .options import CLOUD, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
 from .out import out_folder

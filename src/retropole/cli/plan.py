@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from ..result import RunConfig
-from ..result.folder import PLAN_FILE, PLAN_PAGE
+from ..result import PLAN_FILE, PLAN_PAGE, RunConfig
 from ..result.pole_plan import (
     FEWEST_POLES,
     LONGEST,

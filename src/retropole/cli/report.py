@@ -70,7 +70,7 @@ def report(
       130  interrupted
     """
     from ..base.files import write_atomically
-    from ..result.folder import result_file
+    from ..result import result_file
 
     file = result_file(result)
     beside = nullcontext() if out else alone_beside(file)
@@ -98,8 +98,7 @@ def page_of(
     """Make the report of a result document: the page, what its file is called, and notes on it."""
     from ..api.stored import decode_any, loaded, placements_of, scans_of
     from ..report import render_report, render_site
-    from ..result import ResultDoc
-    from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
+    from ..result import REPORT_FILE, SITE_REPORT_FILE, ResultDoc
 
     document = loaded(file, decode_any)
     if isinstance(document, ResultDoc):

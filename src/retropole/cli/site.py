@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
+from ..result import SITE_REPORT_FILE, SITE_RESULT_FILE
 from .check import site_check
 from .common import (
     BY_SITE_FILE,

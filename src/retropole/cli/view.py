@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..result import RunConfig
-from ..result.folder import result_file
+from ..result import RunConfig, result_file
 from .common import listening, say, show_written
 from .options import CLOUD, FILE, run_option, run_options
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..api.choices import SOURCE_KINDS
-from ..result import RunConfig
-from ..result.folder import CERTIFICATE, REPORT_FILE, RESULT_FILE
+from ..result import CERTIFICATE, REPORT_FILE, RESULT_FILE, RunConfig
 from .common import (
     EXIT_INTERRUPTED,
     EXIT_MOVED,

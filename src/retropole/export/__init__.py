@@ -19,8 +19,7 @@ from ..base.errors import ReadError, UsageError, naming, printable, said
 from ..base.files import read_document
 from ..base.quantities import error
 from ..base.se3 import rigid
-from ..result import ReasonDoc, ResultDoc
-from ..result.folder import any_result_file
+from ..result import ReasonDoc, ResultDoc, any_result_file
 from ..result.site import SiteDoc
 from .documents import (
     read_json,

@@ -29,15 +29,17 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .certainty import MAX_SURE_RMS, too_thick_for_radius
-from .clustering import LINK, MANY, clusters
 from .lines import (
     HALF,
+    LINK,
     LITTLE,
+    MANY,
     MIN_LINE_POINTS,
     MOST,
     SEARCH_ROOM,
     TUBE,
     Line,
+    clusters,
     fit_line,
     in_canonical_order,
     propose_lines,

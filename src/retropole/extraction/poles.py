@@ -41,16 +41,19 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .certainty import doubt_of
-from .clustering import LINK, MANY, clusters, on_surface
 from .extent import check_coordinates
 from .lines import (
     HALF,
+    LINK,
+    MANY,
     MIN_LINE_POINTS,
     SEARCH_ROOM,
     TUBE,
     Line,
+    clusters,
     fit_line,
     in_canonical_order,
+    on_surface,
     propose_lines,
 )
 from .sensor_pattern import Beams, beams_by, check_sensor

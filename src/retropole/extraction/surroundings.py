@@ -33,12 +33,12 @@ from .acceptance_shape import (
     THICK_RMS,
     Failure,
 )
-from .clustering import MANY
 from .lines import (
     FIT_ROOM,
     FIT_ROUNDS,
     HALF,
     LITTLE,
+    MANY,
     MIN_LINE_POINTS,
     MOST,
     SEARCH_ROOM,

@@ -27,7 +27,7 @@ from ..api.pages import (
     table,
 )
 from ..base.errors import printable
-from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
+from ..result import REPORT_FILE, SITE_REPORT_FILE
 from .dataset import AT_RANGE, FLEET_SCHEMA, Status
 from .overview import STATUSES, Overview, Seen
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes

@@ -22,8 +22,7 @@ import msgspec
 from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
 from ..base.files import LARGEST_DOCUMENT
 from ..base.version import __version__
-from ..result import ResultDoc
-from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
+from ..result import RESULT_FILE, SITE_RESULT_FILE, ResultDoc
 from ..result.site import SiteDoc
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
 from .history.store import CheckRow

@@ -17,7 +17,7 @@ from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.consistency import Standing
-from ..surfaces.disambiguation import score_hypotheses
+from ..surfaces.visibility import score_hypotheses
 from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .correspondence import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, PointCloud, Pole
-from ..surfaces.disambiguation import SCORING_VOXEL
 from ..surfaces.registration import (
     MIN_CLOUD_POINTS,
     Surface,
@@ -25,7 +24,7 @@ from ..surfaces.registration import (
     surface_of,
     voxel_downsample,
 )
-from ..surfaces.visibility import tree_of
+from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .correspondence import EXACT_RMS, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25

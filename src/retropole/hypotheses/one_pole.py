@@ -27,9 +27,8 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Placement, Pole, Scan
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import Standing, is_ground_on_ground
-from ..surfaces.disambiguation import SCORING_VOXEL
 from ..surfaces.registration import prepare, voxel_downsample
-from ..surfaces.visibility import tree_of
+from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .candidate_confirmation import FACING_SIDES
 from .correspondence import EXTENSION_RMS, extended, same_pose
 from .icp_refinement import registered

@@ -12,11 +12,10 @@ from ..base.datatypes import Array, PointCloud, Pole, Scan
 from ..base.description import Site, SiteLidar
 from ..base.errors import Refusal
 from ..surfaces.averaging import averaged
-from ..surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..surfaces.patches import Patches, surface_patches
 from ..surfaces.scans import find_poles
 from ..surfaces.static import check_static, check_still
-from ..surfaces.visibility import View, view_of
+from ..surfaces.visibility import SCORING_SAMPLE, SCORING_VOXEL, View, view_of
 from .placements import merge_clouds
 
 Recording = tuple[int, int]

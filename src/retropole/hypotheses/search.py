@@ -14,7 +14,7 @@ from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Refusal
 from ..base.timing import Step
 from ..extraction.candidates import with_candidates, with_dimmer_candidates
-from ..surfaces import disambiguation
+from ..surfaces import visibility
 from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
 from .by_place import STAND_TWO, choose_by_place, has_rival
@@ -267,7 +267,7 @@ def match_poles(
 def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
     """Score every match of a placement by the scene."""
     target, source = matched.placement.target.cloud, matched.placement.source.cloud
-    hypotheses = disambiguation.score_hypotheses(target, source, matched.matches)
+    hypotheses = visibility.score_hypotheses(target, source, matched.matches)
     return PlacementHypotheses(matched.placement, hypotheses, matched.tried)
 
 

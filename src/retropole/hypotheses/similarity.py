@@ -26,9 +26,15 @@ from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import Standing, consistency, standing_in
-from ..surfaces.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..surfaces.registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
-from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
+from ..surfaces.visibility import (
+    OVERLAP_DISTANCE,
+    SCORING_SAMPLE,
+    SCORING_VOXEL,
+    View,
+    compare_views,
+    view_of,
+)
 from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs, match_poles, pair_starts
 from .evidence import MIN_TOTAL
 

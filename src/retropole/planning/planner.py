@@ -22,8 +22,7 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
-from ..pipeline import calibrate
-from ..pipeline_of_sites import calibrate_site
+from ..pipeline import calibrate, calibrate_site
 from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import in_sensor_frame, range_noise, with_poles

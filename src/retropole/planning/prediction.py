@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..adjustment.descent import RefinementProblem, ScenePair, minimise, scene_pairs
-from ..adjustment.places import parts_of
+from ..adjustment.solved import parts_of
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.expansion import MAX_ROUNDS, WIDEST

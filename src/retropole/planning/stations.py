@@ -21,10 +21,9 @@ from ..simulation.recorded import recorded_beams
 from ..simulation.scanning import scan
 from ..simulation.scenes import ASPHALT, ground
 from ..surfaces.consistency import OTHER_GROUND, Standing, standing_in
-from ..surfaces.disambiguation import SCORING_VOXEL
 from ..surfaces.registration import prepare, voxel_downsample
 from ..surfaces.scans import find_poles
-from ..surfaces.visibility import tree_of
+from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)

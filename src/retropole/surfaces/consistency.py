@@ -27,10 +27,9 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
 from .averaging import averaged
-from .disambiguation import SCORING_VOXEL
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
-from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of
+from .visibility import OWN_VEHICLE, SCORING_VOXEL, RangeImage, cells_of, range_image, tree_of
 
 VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,

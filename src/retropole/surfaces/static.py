@@ -20,10 +20,15 @@ from ..base import quantities, se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, Placement, PointCloud, Pole
 from ..base.errors import Reason, Refusal
 from ..io.recordings import time_of_recording
-from .disambiguation import ICP_CORRESPONDENCE_DISTANCE, SCORING_VOXEL
 from .registration import SAMPLE, Registration, Surface, prepare, register, surface_of
 from .sweeps import numbered, order_of
-from .visibility import cells_of, nearest_by_frame, range_margin
+from .visibility import (
+    ICP_CORRESPONDENCE_DISTANCE,
+    SCORING_VOXEL,
+    cells_of,
+    nearest_by_frame,
+    range_margin,
+)
 
 MAX_APART = 60.0
 """Recordings that lie further apart than this were made at other times, seconds. Clocks that are

@@ -20,8 +20,8 @@ from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_sit
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
+from ...result import RESULT_FILE, SITE_RESULT_FILE, result_file
 from ...result.decoding import decode_site
-from ...result.folder import RESULT_FILE, SITE_RESULT_FILE, result_file
 from ...result.site import SiteDoc
 from ..dataset import Row
 from ..sites import ROLES, FleetSite

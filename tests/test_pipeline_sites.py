@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from retropole import pipeline_of_sites as calibration
+from retropole import pipeline as calibration
 from retropole.adjustment.answer import SiteCalibration
 from retropole.adjustment.datum import Datum
 from retropole.adjustment.site import Adjusted, Recorded, adjust
@@ -16,7 +16,7 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
 from retropole.base.se3 import RelativePose
 from retropole.base.uncertainty import predicted_error
-from retropole.pipeline_of_sites import calibrate_site
+from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import between, made, off, poses_of, reordered, with_lidar
 from tests.numeric import numeric_jacobian
