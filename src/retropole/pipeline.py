@@ -375,7 +375,7 @@ def calibrate_two(
     -------
     SiteCalibration or None
         None where no placement shows both, and where several placements do not agree: what does not
-        fit is left out of a site.
+        fit is left out of a site, or named.
     """
     if site.reference == 1:
         other = replace(site, lidars=site.lidars[::-1], reference=0)
@@ -385,6 +385,11 @@ def calibrate_two(
     numbers = [p for p, (first, second) in enumerate(both) if first and second]
     if not numbers:
         return None
+    if len(numbers) > 1:
+        try:
+            check_places(site, views_of(scans))
+        except Refusal:
+            return None
     first, second = site.lidars
     answered = calibrate_placements(
         [Placement(a, b) for a, b in both if a and b],

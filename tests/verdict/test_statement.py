@@ -11,7 +11,7 @@ from retropole.base.errors import Reason
 from retropole.pipeline import calibrate_site
 from retropole.simulation.sites import SimulatedSite
 from retropole.verdict.statement import named
-from tests.adjustment.adjusting import between, reordered
+from tests.adjustment.adjusting import between, made, reordered, with_lidar
 
 pytestmark = pytest.mark.full
 
@@ -67,6 +67,17 @@ def test_a_placement_that_one_alone_recorded_changes_nothing(
     np.testing.assert_array_equal(other.lidars[1].T_site_lidar, of_two.lidars[1].T_site_lidar)
     assert {pole.placement for pole in other.poles} == {1}
     assert {test.placement for test in other.tests} <= {1, None}
+
+
+def test_a_lidar_that_moved_between_placements_is_named() -> None:
+    site = made(seed=1, lidars=2, placements=2).as_site()
+    first, second = site.lidars[1].clouds
+    assert second is not None
+    A = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, np.radians(3.0)])), np.array([0.2, 0.0, 0.0]))
+    found = calibrate_site(with_lidar(site, 1, clouds=(first, second.transformed(A))))
+    assert found.status == "refused"
+    assert found.reasons[0].code == "lidar_moved"
+    assert found.reasons[0].values["lidar"] == site.lidars[1].name
 
 
 def test_poles_stand_where_the_clouds_have_them(of_two: SiteCalibration) -> None:
