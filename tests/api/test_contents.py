@@ -12,7 +12,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.base.sensors import SENSORS, auto_threshold
 from retropole.io import read_cloud, write_pcd
 from retropole.io.beams import guess_sensors
-from retropole.report.contents_text import describe_info
+from retropole.report.text import describe_info
 from retropole.simulation import simulate_pair
 from tests.io.files import required
 from tests.paths import SHARED

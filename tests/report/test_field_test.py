@@ -9,7 +9,7 @@ from retropole.base.errors import Reason
 from retropole.checking.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 from retropole.checking.distances import Spread, SpreadTest
 from retropole.report.field_test import describe_field_test, field_test_section, render_field_test
-from retropole.report.layout import LINES, WIDTH
+from retropole.report.text import LINES, WIDTH
 from retropole.result.certification import FieldTestDoc, field_test_document
 
 

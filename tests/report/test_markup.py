@@ -14,9 +14,9 @@ from msgspec.structs import replace
 from retropole.base.errors import escaped
 from retropole.report import render_report, render_site
 from retropole.report.field_test import render_field_test
-from retropole.report.layout import legible
 from retropole.report.listings import number
 from retropole.report.page import NO_BREAK, PIECE, asset, inline, plus_minus, share_styles, table
+from retropole.report.text import legible
 from tests.report.hostile import everywhere, hostile_pair, hostile_site
 from tests.report.made_up import AS_SHOWN, HOSTILE, Page
 from tests.report.pages import STATUSES

@@ -14,15 +14,18 @@ from retropole.base.reasons import plain, reasons
 from retropole.base.sensors import LITTLE
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
-from retropole.report.layout import LINES, WIDTH
 from retropole.report.listings import pose_rows
 from retropole.report.subject import recorded_by
 from retropole.report.text import (
+    LINES,
+    WIDTH,
     describe_detection,
     describe_result,
     describe_site,
     reason_lines,
+    table,
     transform_lines,
+    wrapped,
 )
 from retropole.result import (
     ErrorAtRange,
@@ -313,3 +316,15 @@ def test_names_steer_no_terminal() -> None:
     lidar = replace(document.lidars[0], name="\x1b[31mred")
     document = replace(document, lidars=[lidar, *document.lidars[1:]])
     assert "\x1b" not in describe_site(document, WRITTEN)
+
+
+def test_tables_line_up() -> None:
+    lines = table(("name", "x"), [["a", "1.0"], ["longer", "-22.5"]]).splitlines()
+    assert len({len(line) for line in lines}) == 1
+
+
+def test_a_value_stays_with_its_unit() -> None:
+    for width in range(60, 80):
+        for line in wrapped("x" * width + " ± 40 mm at 60 m, 3 σ, 28.2 % of 12 s", "  "):
+            assert not re.match(r" *(mm|m|σ|%|s|40)\b", line)
+            assert not line.endswith("±")

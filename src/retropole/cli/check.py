@@ -183,8 +183,7 @@ def in_words(answer: CheckResult) -> str:
     from ..api.checking import FALSE_ALARM
     from ..base.errors import printable
     from ..base.quantities import value_and_error
-    from ..report.layout import wrapped
-    from ..report.text import reason_lines
+    from ..report.text import reason_lines, wrapped
 
     verdict = answer.status.replace("_", " ")
     if answer.status == "same" and answer.tolerance is not None:
@@ -295,8 +294,7 @@ def site_json_line(answer: SiteCheck) -> str:
 def site_in_words(answer: SiteCheck) -> str:
     """Write the answer as a person reads it: the LiDARs, a line for each pair, and reasons."""
     from ..base.errors import printable
-    from ..report.layout import table, wrapped
-    from ..report.text import reason_lines
+    from ..report.text import reason_lines, table, wrapped
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     said = []

@@ -258,7 +258,7 @@ def _document(each: Compared) -> dict[str, Any]:
 def in_words(found: Sequence[Compared], target: Path, source: Path) -> str:
     """Write the findings as tables no wider than a screen, and why a method does not answer."""
     from ..base.errors import printable
-    from ..report.layout import table, wrapped
+    from ..report.text import table, wrapped
 
     verdicts, poses, errors = [], [], []
     for each in found:

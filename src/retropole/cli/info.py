@@ -40,7 +40,7 @@ def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
     from ..base.datatypes import Scan
     from ..base.files import write_atomically
     from ..report import render_recordings
-    from ..report.contents_text import describe_cloud, describe_info
+    from ..report.text import describe_cloud, describe_info
     from ..result import encode
 
     how = RunConfig(**options).of_target

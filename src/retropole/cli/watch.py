@@ -172,7 +172,7 @@ def watch(
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
     from ..api.watching import Source, Watch, Wish, check_publishing, names_of, open_sources
-    from ..report.layout import legible
+    from ..report.text import legible
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:

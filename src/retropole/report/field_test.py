@@ -8,13 +8,12 @@ from ..base.quantities import UNKNOWN, counted, percent
 from ..checking.certification import DistanceTest, Verdict
 from ..checking.distances import SpreadTest
 from ..result.certification import FieldTestDoc, PairTestDoc
-from .layout import legible, wrapped
-from .layout import table as text_table
 from .listings import Listing, columns
 from .page import EMPTY, Html, fill, fill_each, join, table
 from .render import render_page
 from .subject import LIDARS
-from .text import reason_lines
+from .text import legible, reason_lines, wrapped
+from .text import table as text_table
 from .verdict import reason_item, verdict_box
 
 LISTED = 16

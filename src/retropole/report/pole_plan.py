@@ -9,8 +9,6 @@ import numpy as np
 from ..base.quantities import UNKNOWN, counted, error, percent
 from ..base.uncertainty import ErrorAtRange, predicted_error, source_words
 from ..result.pole_plan import PlannedPlacementDoc, PolePlanDoc, PredictedDoc
-from .layout import legible, wrapped
-from .layout import table as text_table
 from .listings import Listing, columns
 from .page import (
     EMPTY,
@@ -26,6 +24,8 @@ from .page import (
 )
 from .pole_plan_picture import WIDTH, PlanPicture, View, drawn, recorded, view_of
 from .render import HEADING
+from .text import legible, wrapped
+from .text import table as text_table
 from .verdict import verdict_box
 
 LISTED_SOURCES = 4

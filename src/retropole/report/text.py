@@ -1,9 +1,17 @@
-"""A result in words, for a terminal: pure functions from documents to text."""
+"""A result, or what a recording holds, in words for a terminal: from documents to text.
+
+Tables, and lines that are broken at the width of the screen; nothing that steers a terminal.
+"""
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from ..base import se3
@@ -13,11 +21,10 @@ from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
 from ..base.sensors import LITTLE
 from ..result import InputDoc, ReasonDoc, ResultDoc
-from ..result.contents import DetectionDoc
+from ..result.contents import CloudDoc, DetectionDoc, InfoDoc, IntensityDoc
 from ..result.site import SiteDoc
 from . import listings
 from .hypotheses import describe_standing, margin_words, tried_words
-from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import (
     POLE_COLUMNS,
     Listing,
@@ -30,6 +37,58 @@ from .listings import (
 )
 from .subject import Subject, of_pair, recorded_by
 from .verdict import instead_words
+
+WIDTH, LINES = 80, 40
+"""Columns and lines of a screen. No path and no command is cut: they are copied."""
+
+VALUE_SPACE = re.compile(r"(?<=±) | (?=±)|(?<=\d) (?=(?:mm|cm|m|s|deg|σ|%)(?!\w))")
+"""Spaces at which no line is broken: a value stays with its error and its unit."""
+
+
+def legible(value: Any) -> Any:
+    """Write every text of a document so that it steers no terminal and stays on its line."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, msgspec.Struct):
+        fields = {name: legible(getattr(value, name)) for name in value.__struct_fields__}
+        return msgspec.structs.replace(value, **fields)
+    if isinstance(value, dict):
+        return {legible(key): legible(each) for key, each in value.items()}
+    return type(value)(map(legible, value)) if isinstance(value, list | tuple) else value
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows under a header, each column as wide as it needs, numbers to the right.
+
+    A name of the header may have several lines, one for each word where a screen is too narrow.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+    longest = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    broken = [
+        name if len(name) <= most else name.replace(" ", "\n")
+        for name, most in zip(header, longest, strict=True)
+    ]
+    for names in (header, broken):
+        heads = zip_longest(*(name.split("\n") for name in names), fillvalue="")
+        whole = [*map(list, heads), *cells]
+        widths = [max(len(row[k]) for row in whole) for k in range(len(header))]
+        if sum(widths) + 2 * len(widths) <= WIDTH:
+            break
+    lines = []
+    for first, *others in whole:
+        right = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
+        lines.append("  " + "  ".join([first.ljust(widths[0]), *right]).rstrip())
+    return "\n".join(lines)
+
+
+def wrapped(line: str, indent: str) -> list[str]:
+    """Break a line of words at the width of a screen; what follows the first is indented."""
+    kept = VALUE_SPACE.sub("\N{NO-BREAK SPACE}", line)
+    lines = textwrap.wrap(
+        kept, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return [each.replace("\N{NO-BREAK SPACE}", " ") for each in lines]
+
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
@@ -304,3 +363,94 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     if written:
         parts.append("written: " + ", ".join(written))
     return "\n".join(parts)
+
+
+BAR = 40
+"""Characters of the longest bar of a histogram."""
+
+
+def describe_info(document: InfoDoc) -> str:
+    """Write what is in a recording as a person reads it."""
+    document = legible(document)
+    parts = [document.path]
+    if document.topics:
+        rows = [[topic.name, topic.type, str(topic.messages)] for topic in document.topics]
+        parts.append(table(("topic", "type", "messages"), rows))
+    for cloud in document.clouds:
+        parts += ["", *_cloud_lines(cloud)]
+    return "\n".join(parts)
+
+
+def describe_cloud(cloud: CloudDoc) -> str:
+    """Write what is in the frames of a file, or of one topic of a bag."""
+    return "\n".join(_cloud_lines(legible(cloud)))
+
+
+def _cloud_lines(cloud: CloudDoc) -> list[str]:
+    read = "" if cloud.frames_read == cloud.frames else f" ({cloud.frames_read} read"
+    if read:
+        read += f", every {cloud.step}th)" if cloud.step > 1 else ")"
+    rate = "unknown" if cloud.rate_hz is None else f"{cloud.rate_hz:.2f} Hz"
+    duration = "" if cloud.duration_s is None else f", {cloud.duration_s:.1f} s"
+    fields = ", ".join(f"{name} {kind}" for name, kind in cloud.fields.items())
+    near, middle, far = cloud.range_m
+    lines = [
+        *([f"topic      {cloud.topic}"] if cloud.topic else []),
+        *([f"frame_id   {cloud.frame_id}"] if cloud.frame_id else []),
+        f"frames     {cloud.frames}{read}",
+        f"rate       {rate}{duration}",
+        f"fields     {fields}",
+        f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
+        f"{cloud.points / cloud.frames_read:,.0f} a frame",
+        *(f"note       {note}" for note in cloud.notes),
+        f"rings      {'none' if cloud.rings is None else cloud.rings}"
+        + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
+        *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),
+        f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
+        *_odd_lines(cloud),
+        f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
+    ]
+    if cloud.intensity is None:
+        return [*lines, "intensity  none: tape cannot be told from the rest"]
+    return lines + _intensity_lines(cloud.intensity)
+
+
+def _odd_lines(cloud: CloudDoc) -> list[str]:
+    """Say what is odd about the coordinates, and what to do about it."""
+    if not cloud.odd_coordinates:
+        return []
+    options = " or ".join(f"--unit {unit}" for unit in cloud.units)
+    advice = (
+        f"read them with {options}, here and in every command"
+        if options
+        else "give the cloud in metres and in the LiDAR's own frame, or subtract the LiDAR's "
+        "place from all points"
+    )
+    return [f"           {cloud.odd_coordinates}", f"           what to do: {advice}"]
+
+
+def _beams_line(origin: list[float]) -> str:
+    x, y, z = origin
+    return f"beams      start at ({x:.3f}, {y:.3f}, {z:.3f}) m, as the rings tell"
+
+
+def _intensity_lines(intensity: IntensityDoc) -> list[str]:
+    values = f"median {intensity.median:.4g}, 95 % below {intensity.p95:.4g}"
+    lines = [f"intensity  {values}, largest {intensity.max:.4g}"]
+    if intensity.threshold is None:
+        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
+    lines += [
+        f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
+        f"{counted(intensity.retro_points, 'point')}",
+        "",
+        "  intensity from     points  (bars on a logarithmic scale)",
+    ]
+    # Few returns are tape: on an even scale their bars would not be seen.
+    longest = np.log1p(max(intensity.counts))
+    edges = intensity.bin_edges
+    marked = np.searchsorted(edges[1:-1], intensity.threshold, side="right")
+    for k, count in enumerate(intensity.counts):
+        bar = "█" * round(BAR * float(np.log1p(count) / longest))
+        mark = "  ← threshold" if k == marked else ""
+        lines.append(f"  {edges[k]:14.4g} {count:10,}  {bar}{mark}".rstrip())
+    return lines
