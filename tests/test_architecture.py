@@ -19,9 +19,9 @@ LAYERS = (
     # which poses there may be, the poses of all LiDARs, what follows from them.
     *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
     # The method and its answer.
-    *("pipeline", "result"),
+    *("pipeline", "checking", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "checking", "export", "report"),
+    *("simulation", "planning", "export", "report"),
     "api",
     *("fleet", "cli", "__main__"),
 )
