@@ -14,7 +14,7 @@ that all others are answered as without.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -65,7 +65,7 @@ def link_by_candidates(
         if any(set(lidars) <= set(group) for group in groups):
             continue
         tried += 1
-        linked = _linked(scans, lidars, radius)
+        linked = _linked(scans, lidars, radius, by_place=False)
         if linked is not None:
             scans, found[lidars] = linked
     return scans, tuple(found.values())
@@ -127,23 +127,31 @@ def _candidates(scan: Scan) -> int:
 
 
 def _linked(
-    scans: SiteScans, lidars: tuple[int, int], radius: float
+    scans: SiteScans, lidars: tuple[int, int], radius: float, *, by_place: bool
 ) -> tuple[SiteScans, Pair] | None:
-    """Link two LiDARs, placement by placement; None where no candidate poles are confirmed."""
+    """Link two LiDARs by the first placement that does; None where none does.
+
+    By candidate poles that are confirmed, or `by_place`, whose answer is the same in all of them.
+    """
     i, j = lidars
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
         if target is None or source is None:
             continue
-        placement = Placement(target, source)
-        chosen = choose_with_candidates(
-            [placement], radius, lambda step: nullcontext(), by_place=False
+        both = [Placement(target, source)]
+        chosen = (
+            choose_about_one_pole(both, radius, _untimed)
+            if by_place
+            else choose_with_candidates(both, radius, _untimed, by_place=False)
         )
-        if chosen.refusal is None:
-            return (
-                with_chosen_poles(scans, lidars, p, chosen),
-                _pair(lidars, p, chosen, by_place=False),
-            )
+        if chosen is None or chosen.refusal is not None or (by_place and not _is_confirmed(chosen)):
+            continue
+        linked = with_chosen_poles(scans, lidars, p, chosen)
+        return linked, _pair(lidars, p, chosen, by_place=by_place)
     return None
+
+
+def _untimed(step: str) -> AbstractContextManager[None]:
+    return nullcontext()
 
 
 def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen, *, by_place: bool) -> Pair:
@@ -204,28 +212,10 @@ def link_by_place(
     """
     found = {pair.lidars: pair for pair in pairs}
     for lidars in list(between_groups(scans, pairs, by_two=False))[:MOST_TRIED]:
-        linked = _linked_by_place(scans, lidars, radius)
+        linked = _linked(scans, lidars, radius, by_place=True)
         if linked is not None:
             scans, found[lidars] = linked
     return scans, tuple(found.values())
-
-
-def _linked_by_place(
-    scans: SiteScans, lidars: tuple[int, int], radius: float
-) -> tuple[SiteScans, Pair] | None:
-    """Link two LiDARs by the first placement whose place tells: it is the same in all of them."""
-    i, j = lidars
-    for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
-        if target is None or source is None:
-            continue
-        placement = Placement(target, source)
-        chosen = choose_about_one_pole([placement], radius, lambda step: nullcontext())
-        if chosen is not None and chosen.refusal is None and _is_confirmed(chosen):
-            return (
-                with_chosen_poles(scans, lidars, p, chosen),
-                _pair(lidars, p, chosen, by_place=True),
-            )
-    return None
 
 
 def _is_confirmed(chosen: Chosen) -> bool:
