@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from again import place_again, record_again
+from again import record_again
 from insertion import insert_poles
 from retropole.adjustment.refinement import refine
 from retropole.base import se3
@@ -40,7 +40,7 @@ from retropole.checking.drift import check, search_covariance
 from retropole.checking.movement import CheckResult
 from retropole.checking.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
-from retropole.simulation import NOISE_MODELS, SimulationError, simulate_pair
+from retropole.simulation import NOISE_MODELS, SimulationError, place_again, simulate_pair
 from semireal import PAIRS, Loaded, load
 
 SCENES = ("corridor", "street", "harbor")

@@ -11,10 +11,9 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from again import place_again
 from retropole.checking.metrics import e_rt
 from retropole.pipeline import calibrate
-from retropole.simulation import TYPICAL, NoiseModel, simulate_pair
+from retropole.simulation import TYPICAL, NoiseModel, place_again, simulate_pair
 from sweeps import first_sweeps
 
 ONLY_NOISE = NoiseModel(2.0, 0.0, 0.02, True, 0.0, 0.0, 0.15)

@@ -27,13 +27,19 @@ from typing import Any
 import numpy as np
 from msgspec import Struct, structs
 
-from again import place_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.pipeline import calibrate, calibrate_site
-from retropole.simulation import FIELD, TYPICAL, SimulatedPair, SimulationError, simulate_pair
+from retropole.simulation import (
+    FIELD,
+    TYPICAL,
+    SimulatedPair,
+    SimulationError,
+    place_again,
+    simulate_pair,
+)
 from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import simulate_blunder
 

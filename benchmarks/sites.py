@@ -18,12 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from again import place_again
 from retropole.base import se3
 from retropole.base.sensors import SENSORS, find_sensor
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
-from retropole.simulation import FIELD, simulate_pair
+from retropole.simulation import FIELD, place_again, simulate_pair
 
 RANGE = 30.0
 """Where errors are compared, m."""

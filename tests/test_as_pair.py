@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.base.description import Site, SiteLidar
 from retropole.base.sensors import Sensor
 from retropole.pipeline import calibrate, calibrate_site
 from retropole.result import encode
 from retropole.result.site import found_document
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, place_again, simulate_pair
 
 RECORDINGS = (
     "street",

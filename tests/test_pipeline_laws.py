@@ -17,13 +17,12 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, note, settings
 from hypothesis import strategies as st
 
-from benchmarks.again import place_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.sensors import find_sensor
 from retropole.io import only_returns
 from retropole.pipeline import calibrate
-from retropole.simulation import FIELD, SimulatedPair, simulate_pair
+from retropole.simulation import FIELD, SimulatedPair, place_again, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
 

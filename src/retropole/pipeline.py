@@ -274,8 +274,11 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
 
 
-LEFT_OUT = "placements_disagree", "poles_inconsistent"
-"""Refusals of two LiDARs after which a recording or a pole may be left out."""
+LEFT_OUT = {
+    *("placements_disagree", "poles_inconsistent"),
+    *("too_few_poles", "parallel_poles", "no_match"),
+}
+"""Refusals of two LiDARs of several placements after which one, or a pole, may be left out."""
 
 
 def calibrate_site(

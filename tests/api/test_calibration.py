@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 import retropole as rp
-from benchmarks.again import place_again
 from retropole.api.options import run_config
 from retropole.base import se3
 from retropole.result import ResultDoc, encode
+from retropole.simulation import place_again
 from tests.api.clouds import calibrated, cloud_of, pair, table_of, tables
 
 

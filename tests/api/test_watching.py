@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from benchmarks.again import place_again, record_again
+from benchmarks.again import record_again
 from retropole.api import watching
 from retropole.api.calibration import calibrate_with
 from retropole.api.checking import read_stored
@@ -25,7 +25,7 @@ from retropole.export.recording import Published
 from retropole.io import Frame, read_frames
 from retropole.result import InputDoc, RunConfig
 from retropole.result.watching import WatchDoc
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, place_again, simulate_pair
 from tests.report.made_up import made_up
 
 pytest.importorskip("mcap")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.again import place_again, record_again
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Pole
 from retropole.base.description import Site, SiteLidar
@@ -21,7 +21,7 @@ from retropole.checking.certification import (
     quantile,
 )
 from retropole.checking.distances import Measured
-from retropole.simulation import SimulatedPair
+from retropole.simulation import SimulatedPair, place_again
 from tests.checking.certifying import RADIUS, found_in, four_poles
 from tests.conftest import PoleMaker
 

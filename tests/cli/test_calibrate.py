@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from benchmarks.again import place_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.io import write_pcd
-from retropole.simulation import simulate_pair
+from retropole.simulation import place_again, simulate_pair
 from retropole.simulation.writing import write_pair
 from tests.cli.commands import retropole_here, transform_of
 

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.again import place_again
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.checking.metrics import e_rt
 from retropole.hypotheses.placements import NOTHING, Share, Tried, merge_clouds, with_what_was_tried
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, place_again, simulate_pair
 
 
 def placements(scene: str, seed: int, count: int = 3) -> list[SimulatedPair]:

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from benchmarks.again import place_again, record_again
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.sensors import find_sensor
@@ -16,6 +16,7 @@ from retropole.simulation import (
     NoiseModel,
     SimulatedPair,
     draw_device,
+    place_again,
     simulate_pair,
 )
 from retropole.simulation.devices import MAX_SLANT

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from benchmarks.again import place_again, record_again
+from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.errors import UsageError
 from retropole.cli.simulate import simulate
@@ -18,6 +18,7 @@ from retropole.simulation import (
     NoiseModel,
     SimulatedPair,
     SimulationError,
+    place_again,
     simulate_pair,
 )
 from retropole.simulation.pairs import MIN_RETURNS

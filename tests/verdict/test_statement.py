@@ -69,6 +69,19 @@ def test_a_placement_that_one_alone_recorded_changes_nothing(
     assert {test.placement for test in other.tests} <= {1, None}
 
 
+def test_a_placement_without_tape_is_left_aside() -> None:
+    site = made(seed=1, lidars=2, placements=2).as_site()
+    first, second = site.lidars[1].clouds
+    assert second is not None
+    assert second.intensity is not None
+    dim = replace(second, intensity=np.minimum(second.intensity, 20.0))
+    found = calibrate_site(with_lidar(site, 1, clouds=(first, dim)))
+    alone = calibrate_site(reordered(site, (0, 1), (0,)))
+    assert found.status in ("ok", "warn")
+    step = se3.local(alone.lidars[1].T_site_lidar, found.lidars[1].T_site_lidar)
+    assert np.abs(step / np.sqrt(np.diag(alone.lidars[1].covariance))).max() < 2.0
+
+
 def test_a_lidar_that_moved_between_placements_is_named() -> None:
     site = made(seed=1, lidars=2, placements=2).as_site()
     first, second = site.lidars[1].clouds

@@ -1,7 +1,7 @@
 """Simulated pairs and sites whose true poses are known."""
 
 from .devices import EXACT, FIELD, NOISE_MODELS, TYPICAL, Device, NoiseModel, draw_device
-from .pairs import SCENES, SimulatedPair, SimulationError, simulate_pair
+from .pairs import SCENES, SimulatedPair, SimulationError, place_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .scanning import LabelledScan, scan
 from .sites import SITES, SimulatedSite, Survey, simulate_site
@@ -27,6 +27,7 @@ __all__ = [
     "Surface",
     "Survey",
     "draw_device",
+    "place_again",
     "scan",
     "simulate_pair",
     "simulate_site",

@@ -387,3 +387,48 @@ def record_every_pole(
         f"{MAX_RECORDINGS} recordings gave none in which both LiDARs see every pole: "
         "the noise hides it"
     )
+
+
+def place_again(
+    pair: SimulatedPair,
+    rng: np.random.Generator,
+    *,
+    noise: NoiseModel | None = None,
+    frames: int = 1,
+) -> SimulatedPair:
+    """Put the poles of a pair in other places, with the same LiDARs and surroundings.
+
+    Parameters
+    ----------
+    pair
+        From `simulate_pair`; its poles are taken away.
+    rng
+        As there.
+    noise
+        As there, but the LiDARs are the pair's and keep their systematic errors; None takes the
+        pair's.
+    frames
+        How many sweeps each LiDAR records.
+
+    Raises
+    ------
+    SimulationError
+        No arrangement was found in `MAX_DRAWS` draws in which both LiDARs see every pole.
+    """
+    count, radius = len(pair.poles), pair.poles[0].radius
+    angles = MIN_POLE_ANGLE, MAX_POLE_ANGLE
+    poses = pair.T_world_target, pair.T_world_source
+    recorders = Recorders(pair.sensors, pair.devices, noise or pair.noise, frames)
+    (for_recording,) = rng.spawn(1)
+    for _ in range(MAX_DRAWS):
+        standing = (
+            draw_poles(rng, count, pair.clear, angles, radius)
+            if min(pair.clear) > 0
+            else draw_paper_poles(rng, radius)
+        )
+        if standing is None:
+            continue
+        at = Arrangement(pair.surroundings, standing, poses, pair.clear)
+        if are_in_view(at, recorders, rng):
+            return record_every_pole(at, recorders, for_recording)
+    raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")

@@ -82,7 +82,7 @@
   /** Pose of a LiDAR, with a pair's source where a hypothesis has it. */
   const poseOf = (lidar, T) => (pair ? [IDENTITY, T][lidar] : scene.lidars[lidar].T || IDENTITY);
 
-  /** From where on a point is bright, of 1: between two steps of what the page holds; of all other pages nothing is. */
+  /** From where on a point is bright, of 1: between two steps of the intensities that are embedded; of all other pages nothing is. */
   function limitOf({ threshold, decoded: { levels } }) {
     return levels ? (Math.ceil((65535 * (threshold - levels.low)) / (levels.high - levels.low) - 1e-6) - 0.5) / 65535 : 2;
   }
