@@ -274,11 +274,8 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
 
 
-LEFT_OUT = {
-    *("placements_disagree", "poles_inconsistent"),
-    *("too_few_poles", "parallel_poles", "no_match"),
-}
-"""Refusals of two LiDARs of several placements after which one, or a pole, may be left out."""
+MOVED = "placements_disagree", "poles_inconsistent", "poles_scene_contradict", "scene_contradicts"
+"""Refusals of two LiDARs after which the tests of a site may name what to leave out."""
 
 
 def calibrate_site(
@@ -308,10 +305,9 @@ def calibrate_site(
     with threadpool_limits(1, user_api="blas"):
         with step("extract"):
             scans = find_scans(site)
-        if is_pair(site):
-            answer = calibrate_two(site, scans, seconds, progress)
-            if answer is not None:
-                return answer
+        of_two = calibrate_two(site, scans, seconds, progress) if is_pair(site) else None
+        if of_two is not None and not (of_two.reasons and of_two.reasons[0].code in MOVED):
+            return of_two
         try:
             with step("match"):
                 views = views_of(scans)
@@ -360,6 +356,8 @@ def calibrate_site(
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
             return state_site_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
+        if of_two is not None and not blunders:
+            return of_two
         with step("state"):
             unusable = list_unusable(site, scans)
             found = [*unusable, *adjusted.datum.unmet, *blunders, *unchecked, *unconfirmed]
@@ -377,8 +375,7 @@ def calibrate_two(
     Returns
     -------
     SiteCalibration or None
-        None where no placement shows both, and where several placements do not agree: what does not
-        fit is left out of a site, or named.
+        None where no placement shows both, and where one of them does not show one place in all.
     """
     if site.reference == 1:
         other = replace(site, lidars=site.lidars[::-1], reference=0)
@@ -386,6 +383,9 @@ def calibrate_two(
         return None if answer is None else exchanged(answer, site)
     both = list(zip(*scans.by_lidar, strict=True))
     numbers = [p for p, (first, second) in enumerate(both) if first and second]
+    # One that shows no two poles is done without where others do.
+    of_poles = [p for p in numbers if min(len(scan.poles) for scan in both[p] if scan) > 1]
+    numbers = of_poles or numbers
     if not numbers:
         return None
     if len(numbers) > 1:
@@ -395,7 +395,7 @@ def calibrate_two(
             return None
     first, second = site.lidars
     answered = calibrate_placements(
-        [Placement(a, b) for a, b in both if a and b],
+        [Placement(a, b) for a, b in (both[p] for p in numbers) if a and b],
         seconds,
         radius=site.radius,
         radius_sigma=site.radius_sigma,
@@ -404,9 +404,6 @@ def calibrate_two(
         check=check_recordings,
         progress=progress,
     )
-    reasons = answered.calibration.reasons
-    if len(numbers) > 1 and reasons and reasons[0].code in LEFT_OUT:
-        return None
     return state_answer_of_two(site, scans, numbers, answered, seconds)
 
 
