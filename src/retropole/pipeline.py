@@ -274,7 +274,10 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
 
 
-MOVED = "placements_disagree", "poles_inconsistent", "poles_scene_contradict", "scene_contradicts"
+MOVED = {
+    *("placements_disagree", "poles_inconsistent", "degenerate_poles"),
+    *("poles_scene_contradict", "scene_contradicts"),
+}
 """Refusals of two LiDARs after which the tests of a site may name what to leave out."""
 
 

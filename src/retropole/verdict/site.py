@@ -168,7 +168,7 @@ def weaknesses(
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
     yield from radius_denied(adjusted)
-    yield from _poor_fit(site, adjusted)
+    yield from poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
     if not adjusted.converged:
@@ -250,11 +250,14 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
         )
 
 
-def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
-    """Say which observation fits worst, where one fits poorly and none was left out for it."""
+def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterator[Reason]:
+    """Say which observation fits worst, where one fits poorly and none was left out for it.
+
+    Of two LiDARs alone (`of_two`) how scene and poles agree says more than the test of either.
+    """
     # A LiDAR's test takes those of all its poles along: it is told where none of them says more.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
-    worst = worst_test(single, POOR) or worst_test(adjusted.tests, POOR)
+    worst = worst_test(single, POOR) or worst_test(() if of_two else adjusted.tests, POOR)
     if worst is None:
         return
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}

@@ -28,7 +28,7 @@ from ..hypotheses.pairs import Pair
 from ..hypotheses.placements import PairedPlacement, has_no_poles
 from ..hypotheses.scans import SiteScans, poses_in_clouds
 from . import weaknesses
-from .site import fitness_of
+from .site import fitness_of, poor_fit
 from .site import weaknesses as weaknesses_of_site
 
 NAMED = re.compile(r"(?<![-\w])(the )?(?P<side>target|source)( LiDAR)?(?![-\w])")
@@ -206,6 +206,7 @@ def state_answer_of_two(
     assert answered.aligned is not None
     refined = answered.refined
     tested = adjusted_of_two(site, answered.paired, numbers, answered.aligned, refined)
+    reasons += poor_fit(site, tested, of_two=True)
     covariance = np.zeros((2 * POSE, 2 * POSE))
     covariance[POSE:, POSE:] = found.covariance
     budget = tuple(
@@ -236,6 +237,8 @@ def state_answer_of_two(
     )
     return replace(
         answer,
+        status="warn" if reasons or unusable else "ok",
+        reasons=(*reasons, *unusable),
         datum=tested.datum.words,
         lidars=(first, second),
         covariance=covariance,
