@@ -386,9 +386,6 @@ def calibrate_two(
         return None if answer is None else exchanged(answer, site)
     both = list(zip(*scans.by_lidar, strict=True))
     numbers = [p for p, (first, second) in enumerate(both) if first and second]
-    # One that shows no two poles is done without where others do.
-    of_poles = [p for p in numbers if min(len(scan.poles) for scan in both[p] if scan) > 1]
-    numbers = of_poles or numbers
     if not numbers:
         return None
     if len(numbers) > 1:
@@ -397,9 +394,9 @@ def calibrate_two(
         except Refusal:
             return None
     first, second = site.lidars
-    answered = calibrate_placements(
-        [Placement(a, b) for a, b in (both[p] for p in numbers) if a and b],
-        seconds,
+    calibrate_some = partial(
+        calibrate_placements,
+        seconds=seconds,
         radius=site.radius,
         radius_sigma=site.radius_sigma,
         thresholds=(first.threshold, second.threshold),
@@ -407,6 +404,14 @@ def calibrate_two(
         check=check_recordings,
         progress=progress,
     )
+    answered = calibrate_some([Placement(a, b) for a, b in both if a and b])
+    # A placement that shows no two poles is done without where others do.
+    of_poles = [p for p in numbers if min(len(scan.poles) for scan in both[p] if scan) > 1]
+    if answered.aligned is None and 0 < len(of_poles) < len(numbers):
+        numbers = of_poles
+        answered = calibrate_some(
+            [Placement(a, b) for a, b in (both[p] for p in numbers) if a and b]
+        )
     return state_answer_of_two(site, scans, numbers, answered, seconds)
 
 
