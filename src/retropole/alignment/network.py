@@ -86,8 +86,7 @@ class PoleFactor:
     def with_bands(self, bands: Sequence[IntArray]) -> PoleFactor:
         """Give the same with more bands of elevation of each LiDAR."""
         own = self.unknowns
-        union = (np.union1d(a, b) for a, b in zip(own.bands, bands, strict=True))
-        unknowns = Unknowns(tuple(each.astype(np.int64) for each in union), 0, 0)
+        unknowns = own.with_bands(bands)
         place = own.places_in(unknowns)
         information, vector = np.zeros((unknowns.kept, unknowns.kept)), np.zeros(unknowns.kept)
         information[np.ix_(place, place)] = self.information
@@ -263,8 +262,7 @@ class Network:
     def with_bands(self, bands: Sequence[IntArray]) -> Network:
         """Give the same with more bands of elevation of each LiDAR."""
         own = self.unknowns
-        union = (np.union1d(a, b) for a, b in zip(own.bands, bands, strict=True))
-        unknowns = replace(own, bands=tuple(each.astype(np.int64) for each in union))
+        unknowns = own.with_bands(bands)
         behind = np.arange(own.kept, own.size) + unknowns.kept - own.kept
         place = np.r_[own.places_in(unknowns), behind]
         start = np.zeros(unknowns.size)

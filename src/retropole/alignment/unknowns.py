@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,6 +94,11 @@ class Unknowns:
     def control_point(self, number: int) -> IntArray:
         """(3,) where a control point stands."""
         return np.asarray(self.kept + 4 * self.axes + 3 * number + np.arange(3))
+
+    def with_bands(self, bands: Sequence[IntArray]) -> Unknowns:
+        """Give the same with more bands of elevation of each LiDAR."""
+        union = (np.union1d(a, b) for a, b in zip(self.bands, bands, strict=True))
+        return replace(self, bands=tuple(each.astype(np.int64) for each in union))
 
     def places_in(self, other: Unknowns) -> IntArray:
         """(kept,) where each pose and error stands among those of others with all these bands."""
