@@ -79,6 +79,10 @@ names = st.one_of(st.sampled_from(NAMES), st.text(min_size=1, max_size=12)).filt
 )
 
 
+ROUNDING = {"livox": 5.0001e-4}
+"""Metres by which a format rounds: Livox's driver takes whole millimetres."""
+
+
 @pytest.mark.parametrize("fmt", FORMATS)
 @settings(max_examples=60, deadline=None)
 @given(T=poses, parent=names, child=names)
@@ -91,7 +95,8 @@ def test_every_export_reads_back_in_both_directions(
     transform = Transform(T, parent, child)
     for each in (transform, inverted(transform)):
         back = choose(FORMATS[fmt].read(FORMATS[fmt].write(each).encode()), None, None)
-        np.testing.assert_allclose(back.T_parent_child, each.T_parent_child, rtol=0, atol=1e-9)
+        atol = ROUNDING.get(fmt, 1e-9)
+        np.testing.assert_allclose(back.T_parent_child, each.T_parent_child, rtol=0, atol=atol)
         assert (back.parent, back.child) == (each.parent, each.child)
     np.testing.assert_allclose(
         inverted(transform).T_parent_child @ T, np.eye(4), rtol=0, atol=1e-9 + 1e-12 * abs(T).max()
@@ -106,7 +111,7 @@ def test_the_format_is_told_by_suffix_or_content(fmt: str, suffixed: bool, tmp_p
     T = se3.random(np.random.default_rng(1))
     path.write_text(export_lines(T, "static_transform_publisher", "b")[fmt])
     back = read_transform(path)
-    np.testing.assert_allclose(back.T_parent_child, T, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(back.T_parent_child, T, rtol=0, atol=ROUNDING.get(fmt, 1e-9))
     assert (back.parent, back.child) == ("static_transform_publisher", "b")
 
 

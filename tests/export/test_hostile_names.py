@@ -19,6 +19,7 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import UsageError
 from retropole.export import FORMATS, Transform, put_into_urdf, read_transform
 from retropole.export.transform import LONGEST_NAME
+from tests.export.test_export import ROUNDING
 
 T = se3.random(np.random.default_rng(12))
 TOUCH = "touch touched"
@@ -206,6 +207,52 @@ def of_cloudcompare(text: str, _: Path) -> tuple[Array, None, None]:
     return np.array(numbers.split(), dtype=float).reshape(4, 4), None, None
 
 
+def of_driver(text: str, _: Path) -> tuple[Array, None, None]:
+    """What YAML has below comments, as the drivers of RoboSense and Hesai turn points by it."""
+    yaml = pytest.importorskip("yaml")
+    values = yaml.safe_load(text)
+    assert values.pop("transform_flag", True) is True
+    assert list(values) == ["x", "y", "z", *RPY]
+    return turned(*(values[name] for name in values)), None, None
+
+
+def of_livox(text: str, _: Path) -> tuple[Array, None, None]:
+    values = json.loads(text)["extrinsic_parameter"]
+    assert all(isinstance(values[axis], int) for axis in "xyz")
+    angles = np.radians([values[name] for name in RPY])
+    return turned(*(values[axis] / 1000 for axis in "xyz"), *angles), None, None
+
+
+def turned(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Array:
+    """Write out the matrix of these drivers: livox_ros_driver2, ``SetLidarsExtParam``; Hesai's
+    SDK, ``TransformPoint``; rs_driver, ``Translation · Rz · Ry · Rx``.
+    """
+    (a, b, c), (sa, sb, sc) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [b * c, sa * sb * c - a * sc, a * sb * c + sa * sc, x],
+            [b * sc, sa * sb * sc + a * c, a * sb * sc - sa * c, y],
+            [-sb, sa * b, a * b, z],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def of_ouster(text: str, folder: Path) -> tuple[Array, None, None]:
+    """Run the line, and read what ouster-cli is given: seven numbers, as its SDK takes them."""
+    stub = folder / "bin" / "ouster-cli"
+    stub.parent.mkdir(exist_ok=True)
+    stub.write_text("#!/bin/sh\nprintf '%s\\0' \"$@\" > said\n")
+    stub.chmod(0o755)
+    path = f"{stub.parent}:{os.environ['PATH']}"
+    subprocess.run(
+        ["sh"], input=text.encode(), cwd=folder, env={**os.environ, "PATH": path}, check=True
+    )
+    words = (folder / "said").read_text(encoding="utf-8").split("\0")[:-1]
+    assert words[:2] + words[3:] == ["source", "-e", "SOURCE", "viz"]
+    return pose([float(word) for word in words[2].split(" ")]), None, None
+
+
 OWN_READER: dict[str, Callable[[str, Path], tuple[Array, str | None, str | None]]] = {
     "matrix": of_matrix,
     "json": of_json,
@@ -217,6 +264,10 @@ OWN_READER: dict[str, Callable[[str, Path], tuple[Array, str | None, str | None]
     "quaternion": of_lines,
     "rpy": of_lines,
     "cloudcompare": of_cloudcompare,
+    "livox": of_livox,
+    "rslidar": of_driver,
+    "hesai": of_driver,
+    "ouster": of_ouster,
 }
 
 
@@ -229,14 +280,15 @@ def test_every_name_reaches_its_format_as_it_is(
         for parent, child in ((name, "b"), ("a", name)):
             text = FORMATS[fmt].write(Transform(T, parent, child))
             found, *names = OWN_READER[fmt](text, tmp_path)
-            np.testing.assert_allclose(found, T, atol=1e-12)
+            atol = ROUNDING.get(fmt, 1e-12)
+            np.testing.assert_allclose(found, T, atol=atol)
             assert names in ([parent, child], [None, None]), what
             assert not (tmp_path / "touched").exists(), what
             path = tmp_path / "exported"
             path.write_text(text, encoding="utf-8")
             back = read_transform(path, fmt=fmt)
             assert (back.parent, back.child) == (parent, child), what
-            np.testing.assert_allclose(back.T_parent_child, T, atol=1e-12)
+            np.testing.assert_allclose(back.T_parent_child, T, atol=atol)
 
 
 @pytest.mark.parametrize("what", REFUSED)

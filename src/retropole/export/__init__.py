@@ -30,6 +30,18 @@ from .documents import (
     write_tree,
     write_yaml,
 )
+from .drivers import (
+    HESAI,
+    LIVOX,
+    OUSTER,
+    read_driver,
+    read_livox,
+    read_ouster,
+    write_hesai,
+    write_livox,
+    write_ouster,
+    write_rslidar,
+)
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
     read_matrix,
@@ -69,6 +81,10 @@ FORMATS = {
     "cloudcompare": Format(
         "CloudCompare: Edit > Apply Transformation", write_cloudcompare, read_matrix
     ),
+    "livox": Format("Livox: extrinsic_parameter of MID360_config.json", write_livox, read_livox),
+    "rslidar": Format("RoboSense: config.yaml of rslidar_sdk", write_rslidar, read_driver),
+    "hesai": Format("Hesai: config.yaml of hesai_ros_driver", write_hesai, read_driver),
+    "ouster": Format("Ouster: extrinsics for ouster-cli and its SDK", write_ouster, read_ouster),
 }
 
 
@@ -105,6 +121,9 @@ _SUFFIXES = {
 }
 
 _PUBLISHER = re.compile(r"\b(tf|tf2_ros)\s+static_transform_publisher\b")
+
+
+_LIVOX = re.compile(rf'"{LIVOX}"\s*:\s*{{'.encode())
 
 
 def export_lines(
@@ -298,6 +317,8 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
 
 def detect_format(path: Path, data: bytes) -> str:
     """Tell a format by its suffix, else by what the file holds."""
+    if _LIVOX.search(data):
+        return "livox"
     if path.suffix.lower() in _SUFFIXES:
         return _SUFFIXES[path.suffix.lower()]
     head = data.lstrip()
@@ -309,6 +330,10 @@ def detect_format(path: Path, data: bytes) -> str:
     code = [line.partition("#")[0].rstrip() for line in text.splitlines()]
     if any(line.startswith("def generate_launch_description") for line in code):
         return "launch"
+    if any(line.startswith(OUSTER) for line in code):
+        return "ouster"
+    if any(line.lstrip().startswith(f"{HESAI}:") for line in code):
+        return "hesai"
     if any(line.startswith("T_target_source") for line in code):
         return "matrix"
     if any(line.lstrip("- \t").startswith("Translation:") for line in code):
