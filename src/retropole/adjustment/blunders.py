@@ -3,13 +3,12 @@
 A blunder draws the tests of its neighbours along. So each of the worst is left out by turns, and
 the one without which everything fits is the blunder.
 
-A pole that moved, where poles do not check each other: the surroundings coincide without it.
-
-Two poles fit each other wherever one of them is pushed within the freedom that the other leaves,
-and the surfaces, weighed by how far they lie apart, follow. Of three poles any two may be the pair
-that fits. But under the pose that a moved pole gives walls do not coincide that do without it. Most
-of what is seen is ground, which coincides with itself wherever it slides to: only what two answers
-place differently tells between them.
+Where poles do not check each other, the surroundings show a pole that moved: they coincide without
+it. Two poles fit each other wherever one of them is pushed within the freedom that the other
+leaves, and the surfaces, weighed by how far they lie apart, follow. Of three poles any two may be
+the pair that fits. But under the pose that a moved pole gives walls do not coincide that do without
+it. Most of what is seen is ground, which coincides with itself wherever it slides to: only what two
+answers place differently tells between them.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Surveyed poles are matched to those that the LiDARs see as the poles of one more LiDAR would be;
 control points are known by name.
 
-What hangs on a link that the place gives a part of: its pose is held there as far as the poles
-are asked, and must be held by the scene in the end.
+Where the surroundings alone give a part of a link, the poses beyond it are fixed there while only
+poles are adjusted; in the end the scene must determine them.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ a survey) say. A direction that the scenes do not hold (along a corridor, over o
 part in the first sum and stays where the poles put it. The sizes of the errors are estimated too.
 Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
 
-What the scene of every two LiDARs says of their poses: surfaces that both see.
+`SceneTerm` is what the scene of two LiDARs says of their poses: surfaces that both see.
 """
 
 from __future__ import annotations

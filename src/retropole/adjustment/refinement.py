@@ -5,11 +5,10 @@ the scene adds the distances between surface patches that both LiDARs see, which
 move (`descent`). Where the search may end at several poses it starts from several; where poles and
 scene disagree, what is stated covers both.
 
-Whether one place alone decides a direction of the pose, and what the rest of the scene says.
-
-A robust loss bounds how far one residual pulls, not how much a far surface, seen by few beams,
-holds of a rotation: it then fits by itself, and its residual tells nothing. So the answer is sought
-again without each such place, with weights and partners anew, and what is stated covers both.
+One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
+not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
+residual tells nothing. So the answer is sought again without each such place, with weights and
+partners anew, and what is stated covers both.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
 """

@@ -5,12 +5,10 @@ the fit would improve is its test (score test, Rao 1948), a χ² with as many de
 the error has; how well the others determine that error is its redundancy, and tells the least
 error that the test finds.
 
-A bias of its own that one observation gets, or several in common, beside all unknowns.
-
-Returns that lie beside their pole: a LiDAR that sees it stand clearly elsewhere.
-
-A return far from the axis counts as an outlier, and pulls no more: the quadratic form of such
-returns says that nothing is wrong. What an axis of its own would gain them is found in full.
+Several observations may also have one bias in common. Last come returns beside their pole, of a
+LiDAR that sees it clearly elsewhere. A return far from the axis counts as an outlier, and pulls no
+more: the quadratic form of such returns says that nothing is wrong. What an axis of its own would
+gain them is found in full.
 """
 
 from __future__ import annotations

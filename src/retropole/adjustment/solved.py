@@ -1,13 +1,10 @@
 """All unknowns of a site at the answer, axes and control points too, and what is known of them.
 
-How the poses change without one placement, to first order: what rests on it alone.
-
-What each place of the scenes says of the poses, and how the answer changes without it.
-
-Residuals at one place may be correlated in any way, since they are of the same wall, and of the
-same LiDAR's returns. With the errors of the LiDARs eliminated from the information S of the poses
-and from the pull g_c of a place, ``d_c = (S − S_c)⁻¹ g_c`` is how far the answer goes without all
-residuals there, and ``Σ_c d_c d_cᵀ`` their covariance (the jackknife over clusters, Bell and
+Also how the answer changes, to first order, without one placement, and without one place of the
+scenes. Residuals at one place may be correlated in any way, since they are of the same wall, and of
+the same LiDAR's returns. With the errors of the LiDARs eliminated from the information S of the
+poses and from the pull g_c of a place, ``d_c = (S − S_c)⁻¹ g_c`` is how far the answer goes without
+all residuals there, and ``Σ_c d_c d_cᵀ`` their covariance (the jackknife over clusters, Bell and
 McCaffrey 2002).
 """
 

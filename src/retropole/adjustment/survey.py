@@ -1,9 +1,8 @@
 """How what the LiDARs see is laid on a survey: poles by their shape, control points by name.
 
-Whether a survey agrees with itself: in one frame, in metres, and all of it met by what is seen.
-
-What is met by nothing that the LiDARs see is named, and left out. Where what is not met would fix
-another frame, or fits as a mirror image or in another unit, nobody can tell which part is right.
+Then it is checked: in one frame, in metres, and all of it met by what is seen. What is met by
+nothing that the LiDARs see is named, and left out. Where what is not met would fix another frame,
+or fits as a mirror image or in another unit, nobody can tell which part is right.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ return is compared with where its own beam can have met the pole, and every beam
 by with the space beside it (`likelihood`). The noise of the returns, in depth and sideways, is
 estimated with them. See docs/method.md, Beam model.
 
-The radius of the poles as the returns on them have it, whatever was given.
-
-Whether both LiDARs of a pair saw the poles stand to each other alike.
+Also the radius as the returns have it, whatever was given, and whether both LiDARs saw the same
+angles and distances between the poles.
 """
 
 from __future__ import annotations

@@ -4,13 +4,12 @@ The poses x and the errors b are estimated together, with information ``H`` (all
 prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
 the data show of it is taken out, the rest passes into the pose. See docs/method.md, Certainty.
 
-How large the errors of LiDARs are: as is known beforehand, and as the data show them.
-
-Every error is a random effect ``b ~ N(0, σ²)``, with one σ for each group of them. What is known
-beforehand counts as `MIN_MEMBERS` errors of that size; the data may show that they are larger or
-smaller. Makers state the largest errors of a kind, and an error that is not there takes up what the
-data say about the pose: with sizes that never fall below the known ones, the median e_rt of 60 easy
-streets and harbors (seeds 0 to 29) is 2.0 and 2.4 mm, in place of 1.6 and 2.1.
+The sizes of the errors are those known beforehand, changed by what the data show. Every error is a
+random effect ``b ~ N(0, σ²)``, with one σ for each group of them. What is known beforehand counts
+as `MIN_MEMBERS` errors of that size; the data may show that they are larger or smaller. Makers
+state the largest errors of a kind, and an error that is not there takes up what the data say about
+the pose: with sizes that never fall below the known ones, the median e_rt of 60 easy streets and
+harbors (seeds 0 to 29) is 2.0 and 2.4 mm, in place of 1.6 and 2.1.
 """
 
 from __future__ import annotations

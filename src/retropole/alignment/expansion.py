@@ -1,11 +1,10 @@
 """The likelihood of a LiDAR's returns on poles to second order: by pose, its errors, and axes.
 
-What one LiDAR's beams leave open of a pole's axis, and their likelihood averaged over it.
-
-Where few returns lie on a pole, or beams are wide beside it, the likelihood of its axis is no
-parabola but a box with blurred walls: a return says that its beam met the pole, and hardly where.
-The curvature at the maximum is that of the wall which happens to be near. Of all normal
-distributions ``N(d, Σ)`` of the axis, the one closest to the posterior has
+An axis is averaged over what the beams of one LiDAR leave open of it. Where few returns lie on a
+pole, or beams are wide beside it, the likelihood of its axis is no parabola but a box with blurred
+walls: a return says that its beam met the pole, and hardly where. The curvature at the maximum is
+that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)`` of the axis, the
+one closest to the posterior has
 
     E[∇ log L] = 0,    Σ⁻¹ = −E[∇² log L],
 

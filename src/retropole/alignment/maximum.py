@@ -1,9 +1,8 @@
 """Up to the maximum of the posterior of shared cylinders, from lines fitted to the returns.
 
-The posterior of poles that two LiDARs or more see: all poses, range offsets, radius and axes.
-
-Each LiDAR's beams say of the poles what `posterior` has; survey and inertial sensors add what they
-say of axes and poses. Of a pair the target's pose is held: its frame is that of the poles.
+The posterior may be of two LiDARs or more. Each LiDAR's beams say of the poles what `posterior`
+has; survey and inertial sensors add what they say of axes and poses. Of a pair the target's pose is
+held: its frame is that of the poles.
 """
 
 from __future__ import annotations

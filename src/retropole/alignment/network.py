@@ -8,9 +8,8 @@ surveyed end of a pole, a sight of a control point) says
 with z the unknowns of `unknowns`: poses and axes as steps from that maximum, errors as they are.
 The observations stay apart, so that each can be tested against all others.
 
-What the poles say of the pose and of the LiDARs' systematic errors, as one quadratic form.
-
-Near the maximum of the posterior the returns on the poles say
+The sum over all observations is a `PoleFactor`. Near the maximum of the posterior the returns on
+the poles say
 
     −log L(x, b) = ½ zᵀ Λ z − ηᵀ z,    z = [x, b],
 

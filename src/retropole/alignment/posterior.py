@@ -4,7 +4,7 @@ The state holds the pose, a range offset that all retro-reflective returns of on
 radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
 `State.moved`. The cost is the negative logarithm of the posterior.
 
-What is estimated from the poles of a site: poses, range offsets, the radius, axes and points.
+`JointState` is that of a site: all its poses, and control points.
 """
 
 from __future__ import annotations

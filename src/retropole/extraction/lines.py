@@ -1,12 +1,9 @@
 """Propose the lines that some bright points may lie on, and fit each to the points about it.
 
-Only distances between points count here: a cloud gives the same lines after any rigid motion, and
-in whatever order its points come. What *Sensitivity* means beside a constant: docs/detection.md.
-
-Group bright points, and tell those inside a bright surface from those along a line.
-
-Only distances between points count here: a cloud gives the same groups after any rigid motion, and
-in whatever order its points come. What *Sensitivity* means beside a constant: docs/detection.md.
+Bright points are grouped first, and those inside a bright surface told from those along a line.
+Only distances between points count here: a cloud gives the same groups and lines after any rigid
+motion, and in whatever order its points come. What *Sensitivity* means beside a constant:
+docs/detection.md.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
 """Does a line stand free? One function for each rule, and what is about a line.
 
-What the points about a line form: a second pole, a wall behind it, or rings along it.
-
-Whether a line is a band on something that stands about it, as on a person.
-
-A band is worn, or held: the body goes on above it and below it, and has air around. A pole stands
-on the ground and is as high as a person, so that nothing near it goes on beyond both of its ends.
-A wall does, but has no end beside the line either.
-
 Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
-something. A pole has free air beside it.
+something. A pole has free air beside it. Points about it may be a second pole, or a wall behind it.
+
+A band is worn, or held, as by a person: the body goes on above it and below it, and has air around.
+A pole stands on the ground and is as high as a person, so that nothing near it goes on beyond both
+of its ends. A wall does, but has no end beside the line either.
 
 What *Sensitivity* means beside a constant: docs/detection.md.
 """

@@ -3,17 +3,13 @@
 Pairs of poles of one shape are laid on each other in all ways, all at once; of what fits exactly,
 every other pole that falls into place is taken in, and solved with them together.
 
-Matches that give nearly the same pose are one: which of them is kept, and in which order.
-
-Two poles as two skew lines: what no motion changes of them, and the ways of laying two on two.
-
-A line has no direction and two poles have no names, so a pair of poles fits another in 2 × 4 ways
-(Xue et al. 2019, Fig. 4). Each way has a start in closed form: the bisectors and the common
-perpendicular of two skew lines make a frame, the middle of the common perpendicular its origin,
-and frame is laid on frame. Of the eight, four are exact: the lines' own symmetry group is the
-identity and the half turns about the common perpendicular and about the two bisectors (the Klein
-four-group). The other four pair an angle with its supplement, so they are exact only where the
-poles are perpendicular and cross.
+Matches that give nearly the same pose are one. A line has no direction and two poles have no names,
+so a pair of poles fits another in 2 × 4 ways (Xue et al. 2019, Fig. 4). Each way has a start in
+closed form: the bisectors and the common perpendicular of two skew lines make a frame, the middle
+of the common perpendicular its origin, and frame is laid on frame. Of the eight, four are exact:
+the lines' own symmetry group is the identity and the half turns about the common perpendicular and
+about the two bisectors (the Klein four-group). The other four pair an angle with its supplement, so
+they are exact only where the poles are perpendicular and cross.
 
 Which further poles a match of two takes in, which it leaves out, and how well it fits.
 """

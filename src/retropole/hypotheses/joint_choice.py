@@ -7,7 +7,7 @@ hypothesis of a pair is met, the poles that agree under it count. The choice wit
 is found by branch and bound, and with it every other one that counts as much: then the data do not
 decide.
 
-Whether the LiDARs are linked at all, before anything is adjusted.
+Before that it is checked whether the LiDARs are linked at all.
 """
 
 from __future__ import annotations

@@ -4,11 +4,10 @@ them.
 As for a pair alone (`candidate_confirmation`): two lines that both LiDARs see at one angle and
 distance, under a pose at which the scenes coincide and at no other.
 
-LiDARs that share one pole with others: a link where the place about it tells the rest.
-
-As for a pair alone (`by_place`): the place must lead all other angles about the pole, and
-what stands in the scene must confirm the pose. Only LiDARs that nothing else links are asked, so
-that all others are answered as without.
+LiDARs that share a single pole with others are linked where the surroundings of that pole give the
+rest of the pose. As for a pair alone (`by_place`): the surroundings must lead all other angles
+about the pole, and what stands in the scene must confirm the pose. Only LiDARs that nothing else
+links are asked, so that all others are answered as without.
 """
 
 from __future__ import annotations

@@ -5,12 +5,10 @@ off the ground in each cloud is sorted into cells about the pole, by distance, a
 all rotations and slides are compared at once: the cross-correlation over angle and height, summed
 over the distances (by FFT). The best few settle on the scene.
 
-No pole: what stands off the ground, seen from above, gives the pose.
-
-The ground that both LiDARs see leaves a rotation about its normal and a shift along it. What stands
-off it in each cloud is sorted into cells by place and height, and all rotations and shifts are
-compared at once: the cross-correlation over the ground, summed over the heights. The best
-few settle on the scene.
+Without any pole, what stands off the ground, seen from above, gives the pose. The ground that both
+LiDARs see leaves a rotation about its normal and a shift along it. What stands off it in each cloud
+is sorted into cells by place and height, and all rotations and shifts are compared at once: the
+cross-correlation over the ground, summed over the heights. The best few settle on the scene.
 """
 
 from __future__ import annotations

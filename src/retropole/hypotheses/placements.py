@@ -3,11 +3,9 @@
 Each placement has its own hypotheses; only the right pose recurs in all. What the scene says of a
 pose is averaged over the placements.
 
-How much was tried of what the poles allow, and how a refusal counts the rest.
-
-Beside bright things that may be poles hundreds of ways of laying some on others are possible. So
-many of each kind are tried, the best first: counts, not seconds, so that the same recordings give
-the same answer on any machine.
+A refusal says how much was tried of what the poles allow. Beside bright things that may be poles
+hundreds of ways of laying some on others are possible. So many of each kind are tried, the best
+first: counts, not seconds, so that the same recordings give the same answer on any machine.
 """
 
 from __future__ import annotations

@@ -5,11 +5,10 @@ rest. Under the pose, a point of it agrees where the other cloud has a point as 
 tolerance; it stands in the way where the other LiDAR looked through it; else it is hidden, or out
 of view, and says nothing. A voxel counts once however many points it has.
 
-Where else a scene would fit: what stands in both clouds, correlated over shifts.
-
-Poles that were carried along a corridor or a street leave walls on walls: hardly anything is
-contradicted. What stands between the walls then lies beside itself, and fits better where it was.
-All shifts are compared at once, as the cross-correlation of the occupied cells, layer by layer.
+A scene may fit elsewhere as well, which a correlation over shifts shows. Poles that were carried
+along a corridor or a street leave walls on walls: hardly anything is contradicted. What stands
+between the walls then lies beside itself, and fits better where it was. All shifts are compared at
+once, as the cross-correlation of the occupied cells, layer by layer.
 """
 
 from __future__ import annotations

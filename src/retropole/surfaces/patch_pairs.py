@@ -3,8 +3,6 @@
 Each patch of the source is compared with the surface that its nearest patches of the target make
 together. Every limit is a smooth weight, so that the sum of squares has one minimum where a hard
 limit would leave many: an answer must not depend on where the search started.
-
-The scale of values half of which may be outliers, and what they scatter by beside it.
 """
 
 from __future__ import annotations

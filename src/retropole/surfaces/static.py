@@ -1,11 +1,8 @@
 """Many frames of a static scene: drop what moved; the LiDAR and the poles must not have.
 
-When a scene was recorded: two LiDARs that look at other times may look at other scenes.
-
-Points that are one and the same number for number: given twice, or to both LiDARs.
-
-Two measurements never agree to the last digit. What is there twice was measured once: counted twice
-it would make an answer surer than it is, and as both clouds a perfect one.
+Two LiDARs that record at different times may see different scenes, so the times are compared too.
+And two measurements never agree to the last digit: what is there twice was measured once: counted
+twice it would make an answer surer than it is, and as both clouds a perfect one.
 """
 
 from __future__ import annotations

@@ -2,11 +2,10 @@
 
 The motion comes from the sweeps (`sweeps`), and where it rests from how masts move.
 
-How a mast moves: hypotheses of an oscillation about rest, weighed by the returns of the sweeps.
-
-All sweeps of a recording show the same surfaces; how they lie against each other shows how the
-LiDAR moved (`sweeps`), but for what all have in common: where it rests. That follows from how a
-mast moves. It oscillates about rest, at a frequency and with a size that are not known beforehand::
+That is a set of hypotheses of an oscillation about rest, weighed by the returns. All sweeps of a
+recording show the same surfaces; how they lie against each other shows how the LiDAR moved
+(`sweeps`), but for what all have in common: where it rests. That follows from how a mast moves. It
+oscillates about rest, at a frequency and with a size that are not known beforehand::
 
     ξ(t) = Σ_j  a_j cos(2π f_j t) + b_j sin(2π f_j t),    a_j, b_j ~ N(0, σ² S),
 

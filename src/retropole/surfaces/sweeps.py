@@ -5,8 +5,6 @@ The returns are put into cells of space. In a flat one, a sweep that was turned 
 unknown. They are eliminated: what the cell looks like in the mean is not taken from sweeps that
 moved. A cell that beams of one elevation alone meet then says nothing: on a slanted surface such
 returns move along their beam, and any plane through it fits.
-
-The order of whole numbers, and how many there are, with one for each point of a cloud.
 """
 
 from __future__ import annotations

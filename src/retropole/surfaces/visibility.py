@@ -4,9 +4,8 @@ Overlap is the share of points with a neighbour in the other cloud. Free space i
 point that stands where the other LiDAR looked through. Everything that asks either of these asks
 here: the choice of the hypothesis, the check of a site, the score of a transform, other methods.
 
-Which hypothesis is right: the poles cannot tell, the scene around them can.
-
-Three measures are taken of every hypothesis, and all are reported:
+Which hypothesis is right the scene decides, since the poles cannot. Three measures are taken of
+every hypothesis, and all are reported:
 
 - the paper's (Xue et al. 2019, Tab. III): run ICP from the hypothesis and see how far it moves,
   ``e_r = ‖log(R_icp)^∨‖`` and ``e_t = ‖t_icp‖``; the one that moves least is right,
