@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole.alignment.solver import Solution, gauss_newton
+from retropole.alignment.solver import Solution
 from retropole.base import se3
 from retropole.base.datatypes import Array, BoolArray, PoseEstimate
 from studies.planes.extraction import MIN_INDEPENDENCE, Plane, independence, triples
@@ -176,15 +176,13 @@ def refine(target: Sequence[Plane], source: Sequence[Plane], T: Array) -> Refine
 
 def _solve(pairs: Sequence[tuple[Plane, Plane]], T: Array) -> Solution[Array]:
     """Repeat Gauss–Newton steps of the pose (4, 4): the Huber weights change from step to step."""
-    solved = gauss_newton(
-        T,
-        lambda at: _normal_equations(linearised(pairs, at)),
-        lambda at, _, step: se3.retract(at, step),
-        lambda step: bool(np.linalg.norm(step.step) < SMALL_REFINE_STEP),
-        max_iterations=MAX_REFINE_STEPS,
-    )
-    assert solved is not None, "every pose has its normal equations"
-    return solved
+    for iteration in range(1, MAX_REFINE_STEPS + 1):
+        normal = _normal_equations(linearised(pairs, T))
+        step = -np.asarray(np.linalg.solve(normal.curvature, normal.gradient), np.float64)
+        T = se3.retract(T, step)
+        if np.linalg.norm(step) < SMALL_REFINE_STEP:
+            return Solution(T, True, iteration)
+    return Solution(T, False, MAX_REFINE_STEPS)
 
 
 def _normal_equations(at: Linearised) -> _NormalEquations:

@@ -9,7 +9,6 @@ from retropole.alignment.solver import (
     Quadratics,
     Solution,
     Step,
-    gauss_newton,
     levenberg_marquardt,
     levenberg_marquardt_each,
 )
@@ -126,36 +125,3 @@ def test_many_problems_at_once_end_where_each_ends_alone(max_iterations: int) ->
         assert alone.converged == found.came_to_rest[k]
         np.testing.assert_allclose(found.ends[k], alone.point.x, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found.models.costs[k], alone.point.cost, rtol=1e-6, atol=1e-18)
-
-
-def test_gauss_newton_follows_a_problem_that_changes() -> None:
-    """Each step solves for the square root again: x ← x − (x² − 2)/2x."""
-
-    def linearise(x: Array) -> Point:
-        r, J = x**2 - 2.0, np.diag(2 * x)
-        return Point(x, 0.0, J.T @ r, J.T @ J)
-
-    def run(max_iterations: int) -> Solution[Array]:
-        found = gauss_newton(
-            np.array([1.0]),
-            linearise,
-            lambda x, model, step: x + step,
-            lambda step: bool(np.abs(step.step).max() < 1e-12),
-            max_iterations=max_iterations,
-        )
-        assert found is not None
-        return found
-
-    whole = run(20)
-    assert whole.converged
-    assert whole.point[0] == pytest.approx(np.sqrt(2.0), abs=1e-12)
-    assert not run(2).converged
-    assert run(2).iterations == 2
-
-
-def test_gauss_newton_ends_where_nothing_is_left() -> None:
-    def nothing(x: Array) -> Point | None:
-        return None
-
-    found = gauss_newton(np.zeros(1), nothing, lambda x, model, step: x, small, max_iterations=3)
-    assert found is None

@@ -1,6 +1,6 @@
-"""Least squares, once for all: damped steps for a fixed problem, plain steps for a changing one.
+"""Least squares, once for all: damped steps for one problem, or for many small ones at once.
 
-Damped steps also for many small problems at once: each takes the steps that it takes alone, and
+Of many, each takes the steps that it takes alone, and
 what a call costs is paid once for all.
 
 All say whether they converged and after how many iterations; a caller that ignores `converged`
@@ -50,7 +50,6 @@ class Quadratic(Model, Protocol):
 
 
 Q = TypeVar("Q", bound=Quadratic)
-M = TypeVar("M", bound=Model)
 S = TypeVar("S")
 
 
@@ -215,46 +214,3 @@ def levenberg_marquardt_each(
         dampings[left[~better & ~rests]] *= 10.0
         left = left[~rests & (dampings[left] <= 1.0 / ROUNDING)]
     return Solutions(points, models, converged)
-
-
-def gauss_newton(
-    start: S,
-    linearise: Callable[[S], M | None],
-    move: Callable[[S, M, Array], S],
-    small: Callable[[Step], bool],
-    *,
-    max_iterations: int,
-) -> Solution[S] | None:
-    """Repeat plain Gauss–Newton steps where correspondences or weights change from step to step.
-
-    There is no cost to compare, so no step is taken back.
-
-    Parameters
-    ----------
-    start
-        The point to start from.
-    linearise
-        The problem at a point; None where too little of it is left.
-    move
-        From a point, the problem there and a step (P,) to the next point.
-    small
-        Whether a step is small enough to stop.
-    max_iterations
-        Steps at most.
-
-    Returns
-    -------
-    Solution or None
-        None where `linearise` gave None.
-    """
-    point = start
-    for iteration in range(1, max_iterations + 1):
-        model = linearise(point)
-        if model is None:
-            return None
-        step = -np.asarray(np.linalg.solve(model.curvature, model.gradient), dtype=np.float64)
-        point = move(point, model, step)
-        scaled = step * np.sqrt(np.abs(np.diag(model.curvature)))
-        if small(Step(step, scaled, 0.0)):
-            return Solution(point, True, iteration)
-    return Solution(point, False, max_iterations)
