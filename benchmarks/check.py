@@ -39,7 +39,7 @@ from retropole.base.uncertainty import Uncertainty
 from retropole.checking.drift import check, search_covariance
 from retropole.checking.movement import CheckResult
 from retropole.checking.tolerance import DEFAULT_TOLERANCE, Tolerance
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import NOISE_MODELS, SimulationError, place_again, simulate_pair
 from semireal import PAIRS, Loaded, load
 
@@ -125,7 +125,7 @@ def step(kind: str, rng: np.random.Generator) -> Array:
 def calibrated(
     target: PointCloud, source: PointCloud, sensors: tuple[Sensor | None, Sensor | None]
 ) -> Site | None:
-    answer = calibrate(target, source, sensors=sensors)
+    answer = calibrate(target, source, options=Options(sensors=sensors))
     if answer.T_target_source is None:
         return None
     pose = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
@@ -135,7 +135,13 @@ def calibrated(
 def answered(site: Site, clouds: Iterable[PointCloud]) -> Answer:
     target, source = clouds
     begun = time.process_time()
-    found = check(site.pose, target, source, uncertainty=site.uncertainty, sensors=site.sensors)
+    found = check(
+        site.pose,
+        target,
+        source,
+        options=Options(sensors=site.sensors),
+        uncertainty=site.uncertainty,
+    )
     cpu = time.process_time() - begun
     chi2 = np.nan if found.chi2 is None else found.chi2
     codes = tuple(reason.code for reason in found.reasons)

@@ -36,7 +36,7 @@ from hard_arrangements import draw_pair
 from retropole.base import se3
 from retropole.base.reasons import is_note
 from retropole.checking.metrics import e_rt
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
 
 EASY, TIMED, HARD = "easy scenes", "easy scenes, times known", "hard scenes"
@@ -69,7 +69,7 @@ def run(job: tuple[str, int]) -> Answer | None:
     clouds = pair.target, pair.source
     if kind == TIMED:
         clouds = timed(clouds[0], 0.0), timed(clouds[1], 0.0)
-    answer = calibrate(*clouds, sensors=pair.sensors)
+    answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
     codes = tuple(each.code for each in (*answer.reasons, *answer.notes))
     T = answer.T_target_source
     if T is None:

@@ -29,7 +29,7 @@ from retropole.base.sensors import Sensor
 from retropole.base.systematic import sizes_of
 from retropole.base.uncertainty import predicted_error
 from retropole.checking.metrics import e_rt
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, TYPICAL, NoiseModel, SimulationError, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
@@ -147,7 +147,7 @@ def run(job: tuple[str, NoiseModel, int, tuple[str, ...], str]) -> Outcome:
         sensors = (None, None)
     if named == "measured":
         sensors = measured(pair.sensors[0], noise), measured(pair.sensors[1], noise)
-    answer = calibrate(pair.target, pair.source, sensors=sensors)
+    answer = calibrate(pair.target, pair.source, options=Options(sensors=sensors))
     codes = tuple(reason.code for reason in answer.reasons)
     if answer.poles is None:
         return Outcome(

@@ -21,7 +21,7 @@ from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from retropole.base import se3
 from retropole.base.datatypes import Array, BoolArray, Calibration, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, TYPICAL, Device, draw_device
 from retropole.simulation.pairs import DEFAULT_SENSORS
 from retropole.simulation.scenes import SURROUNDINGS
@@ -167,7 +167,7 @@ def run(job: tuple[str, int], times: bool = False, poles: int | None = None) -> 
         clouds = [(timed(target, 0.0), timed(source, later)) for target, source in clouds]
     ready = time.process_time()
     given = map(list, zip(*clouds, strict=True))
-    answer = calibrate(*given, sensors=(first, second), poles=poles)
+    answer = calibrate(*given, options=Options(sensors=(first, second), poles=poles))
     done = time.process_time()
     T = answer.T_target_source
     rotation, translation = np.nan, np.nan

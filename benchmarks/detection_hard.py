@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration
 from retropole.base.sensors import find_sensor
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan
 from retropole.simulation.scenes import SURROUNDINGS, draw_lidar, draw_poles
 
@@ -167,7 +167,7 @@ def outcome_of(job: tuple[str, int]) -> Outcome | None:
                 rings.append(len(np.unique(one.cloud.ring[on_it])))
         if min(counts) < MIN_RETURNS or min(rings) < MIN_RINGS:
             continue
-        found = calibrate(scans[0].cloud, scans[1].cloud, sensors=sensors)
+        found = calibrate(scans[0].cloud, scans[1].cloud, options=Options(sensors=sensors))
         truth = se3.inverse(poses[0]) @ poses[1]
         return _compared(kind, seed, min(counts), found, truth)
     return None

@@ -26,7 +26,7 @@ import numpy as np
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, TYPICAL, SimulationError, simulate_pair
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -85,7 +85,9 @@ def run(job: tuple[str, int]) -> Outcome:
         )
     except SimulationError:
         return Outcome(family, "no scene", None, None, None)
-    answer = calibrate(pair.target, pair.source, sensors=pair.sensors, scene=refine, need=needed)
+    answer = calibrate(
+        pair.target, pair.source, options=Options(sensors=pair.sensors, scene=refine, need=needed)
+    )
     T, fit = answer.T_target_source, answer.fitness
     if T is None or fit is None or answer.covariance is None:
         return Outcome(family, answer.status, None, None, None)

@@ -53,7 +53,7 @@ from retropole.checking.movement import BOUND_SIGMAS, FALSE_ALARM, upper_limit
 from retropole.checking.tolerance import DEFAULT_TOLERANCE
 from retropole.fleet.history.store import CheckRow, flat, observed
 from retropole.fleet.history.watch import YEAR, Observed, Watched, watch
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import NOISE_MODELS, simulate_pair
 
 WEEKS = 104
@@ -364,7 +364,7 @@ def recorded(seed: int, *, checks: int) -> Recorded | None:
     """Record a simulated site again and again, unmoved, every third time without its poles."""
     rng = np.random.default_rng([16, seed])
     pair = simulate_pair(SCENES[seed % 3], rng, noise=NOISE_MODELS["field"])
-    answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    answer = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors))
     if answer.T_target_source is None:
         return None
     stored = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
@@ -375,8 +375,8 @@ def recorded(seed: int, *, checks: int) -> Recorded | None:
             stored,
             again.target,
             again.source,
+            options=Options(sensors=pair.sensors),
             uncertainty=answer.uncertainty,
-            sensors=pair.sensors,
         )
         codes = tuple(reason.code for reason in found.reasons)
         time = start + k * timedelta(days=7)

@@ -31,7 +31,7 @@ from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from hard_arrangements import DIFFICULTIES, SENSORS, Scene, draw_pair
 from retropole.base import se3
 from retropole.checking.metrics import e_rt
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 
 FIRST_STATED_SEED = 1000
 ENOUGH = 6
@@ -82,7 +82,7 @@ def outcome_of(seed: int, poles: int | None = None) -> Outcome | None:
         return None
     scene, pair = drawn
     ready = time.process_time()
-    found = calibrate(pair.target, pair.source, sensors=pair.sensors, poles=poles)
+    found = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors, poles=poles))
     seconds = ready - start, time.process_time() - ready
     off = np.full(6, np.nan)
     squared = error = np.nan

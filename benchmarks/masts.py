@@ -30,7 +30,7 @@ from hard_scenes import FIRST_STATED_SEED
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.sensors import find_sensor
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, Cylinder, draw_device
 from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.scenes import SURROUNDINGS, TAPE, UP
@@ -118,7 +118,9 @@ def run(job: tuple[Case, int]) -> Outcome:
     devices = [draw_device(sensor, FIELD, each) for each in for_devices]
     recorders = Recorders((sensor, sensor), devices, FIELD, frames=1)
     pair = record(draw(case, rng), recorders, for_recording)
-    found = calibrate(pair.target, pair.source, sensors=pair.sensors, radius=case.tube / 2)
+    found = calibrate(
+        pair.target, pair.source, options=Options(sensors=pair.sensors, radius=case.tube / 2)
+    )
     rotation = translation = np.nan
     if found.T_target_source is not None:
         off = se3.difference(found.T_target_source, pair.T_target_source)

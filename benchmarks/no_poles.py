@@ -32,7 +32,7 @@ from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.checking.methods import missing_extra
 from retropole.checking.rivals import FUNCTIONS
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from semireal import PAIRS, distance, load
 from wrong_files import recordings
 
@@ -70,7 +70,7 @@ def run_right(job: tuple[str, Path]) -> Right:
     given = load(name, data)
     nothing = np.nan, np.nan
     off, stated, squared, rival = nothing, nothing, np.nan, nothing
-    answer = calibrate(given.target, given.source, sensors=given.sensors, poles=0)
+    answer = calibrate(given.target, given.source, options=Options(sensors=given.sensors, poles=0))
     if answer.T_target_source is not None:
         assert answer.covariance is not None
         off = apart(answer.T_target_source, given.T)
@@ -96,7 +96,7 @@ def run_wrong(job: tuple[tuple[str, str], Path]) -> Wrong:
     names, data = job
     target, source = (recordings(data)[name] for name in names)
     sensors = target.sensor, source.sensor
-    answer = calibrate(target.cloud, source.cloud, sensors=sensors, poles=0)
+    answer = calibrate(target.cloud, source.cloud, options=Options(sensors=sensors, poles=0))
     return Wrong(names, answer.status, codes_of(answer))
 
 

@@ -48,7 +48,7 @@ from retropole.base.datatypes import Array
 from retropole.base.description import Frame, Site, SiteLidar
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
-from retropole.pipeline import calibrate, calibrate_site
+from retropole.pipeline import Options, calibrate, calibrate_site
 from retropole.planning.choice import error_of, errors_of, rules_of
 from retropole.planning.place import Candidates, leaning, survey, who_sees
 from retropole.planning.planner import ROUNDS, Planned, design_of, plan, worst_at
@@ -113,7 +113,7 @@ def errors(
     poses = pair.T_world_target, pair.T_world_source
     at = Arrangement(pair.surroundings, poles, poses, pair.clear)
     made = record(at, Recorders(pair.sensors, devices, FIELD, 1), np.random.default_rng(seed))
-    found = calibrate(made.target, made.source, sensors=pair.sensors)
+    found = calibrate(made.target, made.source, options=Options(sensors=pair.sensors))
     if found.T_target_source is None or found.poles is None:
         return None
     alone = error_at(found.poles.T_target_source, pair.T_target_source)

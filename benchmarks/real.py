@@ -34,7 +34,7 @@ from retropole.base.datatypes import Array, Calibration, PoseEstimate
 from retropole.base.systematic import ErrorModel, sizes_of
 from retropole.base.uncertainty import predicted_error
 from retropole.base.uncertainty.purpose import Need
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulationError
 from retropole.surfaces.registration import prepare, register
 from semireal import PAIRS, Loaded, Pair, insert, load
@@ -158,7 +158,9 @@ def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
                 made = insert(pair.name, seed, data, seed % DEVICES)
             except SimulationError:
                 continue
-            answer = calibrate(made.target, made.source, sensors=made.sensors, need=need)
+            answer = calibrate(
+                made.target, made.source, options=Options(sensors=made.sensors, need=need)
+            )
             status.append(answer.status)
             if answer.T_target_source is None or answer.covariance is None:
                 continue

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole.checking.metrics import e_rt
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import TYPICAL, NoiseModel, place_again, simulate_pair
 from sweeps import first_sweeps
 
@@ -28,13 +28,17 @@ def run(job: tuple[str, int]) -> tuple[float, float]:
     if kind == "placements":
         pairs = [simulate_pair(scene, rng)]
         pairs += [place_again(pairs[0], rng, noise=TYPICAL) for _ in range(3)]
-        one = calibrate(pairs[0].target, pairs[0].source, scene=False)
-        all_of_them = calibrate([p.target for p in pairs], [p.source for p in pairs], scene=False)
+        one = calibrate(pairs[0].target, pairs[0].source, options=Options(scene=False))
+        all_of_them = calibrate(
+            [p.target for p in pairs], [p.source for p in pairs], options=Options(scene=False)
+        )
     else:
         pairs = [simulate_pair(scene, rng, noise=ONLY_NOISE, frames=10)]
         target, source = pairs[0].target, pairs[0].source
-        one = calibrate(first_sweeps(target, 1), first_sweeps(source, 1), scene=False)
-        all_of_them = calibrate(target, source, scene=False)
+        one = calibrate(
+            first_sweeps(target, 1), first_sweeps(source, 1), options=Options(scene=False)
+        )
+        all_of_them = calibrate(target, source, options=Options(scene=False))
     T = pairs[0].T_target_source
     errors = [
         np.nan if answer.T_target_source is None else e_rt(answer.T_target_source, T)

@@ -39,7 +39,7 @@ from retropole.checking.methods import OURS as OWN
 from retropole.checking.methods import RIVALS, missing_extra
 from retropole.checking.metrics import Errors, errors_of
 from retropole.checking.rivals import FUNCTIONS, fpfh_ransac, kiss_matcher
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import simulate_pair
 from retropole.surfaces.consistency import consistency, standing_in
 
@@ -124,7 +124,7 @@ def answer(method: str, target: PointCloud, source: PointCloud) -> Array:
         return best_by_count(method, target, source)
     if method in RUN:
         return RUN[method](target, source, np.random.default_rng(0)).T_target_source
-    found = calibrate(target, source, scene=method != "poles")
+    found = calibrate(target, source, options=Options(scene=method != "poles"))
     if found.T_target_source is None:
         raise Refusal(found.reasons[0].code, found.reasons[0].message)
     return found.T_target_source

@@ -31,7 +31,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.pipeline import calibrate, calibrate_site
+from retropole.pipeline import Options, calibrate, calibrate_site
 from retropole.simulation import (
     FIELD,
     TYPICAL,
@@ -176,7 +176,7 @@ def answer_pair(given: Plain) -> Plain:
     """Calibrate a pair: what is held against another version's answer."""
     target, source = ([cloud_of(c) for c in given[name]] for name in ("target", "source"))
     sensors = tuple(sensor_of(name) for name in given["sensors"])
-    found = calibrate(target, source, sensors=sensors, **given["options"])  # type: ignore[arg-type]
+    found = calibrate(target, source, options=Options(sensors=sensors, **given["options"]))  # type: ignore[arg-type]
     poses = [pose for pose in (found.poles, found.refined) if pose is not None]
     return {
         "verdict": (found.status, sorted(reason.code for reason in found.reasons)),

@@ -29,7 +29,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.sensors import Sensor, sensor_or_auto
 from retropole.io import read_cloud
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulationError
 
 WRONG_DEG, WRONG_M = 1.0, 0.3
@@ -238,7 +238,7 @@ def run(job: tuple[str, int, Path]) -> Outcome:
         made = insert(name, seed, data)
     except SimulationError as error:
         return Outcome(name, seed, "no place", (), message=str(error))
-    answer = calibrate(made.target, made.source, sensors=made.sensors)
+    answer = calibrate(made.target, made.source, options=Options(sensors=made.sensors))
     scans = answer.placements[0].target, answer.placements[0].source
     found = len(scans[0].poles), len(scans[1].poles)
     right = tuple(

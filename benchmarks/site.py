@@ -39,7 +39,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason
 from retropole.base.se3 import joint_of, relative
-from retropole.pipeline import calibrate, calibrate_site
+from retropole.pipeline import Options, calibrate, calibrate_site
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.sites import SimulatedSite, Survey, simulate_site
 from site_blunders import Blunder, simulate_blunder
@@ -160,7 +160,7 @@ def paired(sim: SimulatedSite, i: int, j: int) -> Array | None:
         and sim.clouds[j][k] is not None
     ]
     target, source = ([sim.clouds[lidar][k] for k in both] for lidar in (i, j))
-    answer = calibrate(target, source, sensors=(sim.sensors[i], sim.sensors[j]))  # type: ignore[arg-type]
+    answer = calibrate(target, source, options=Options(sensors=(sim.sensors[i], sim.sensors[j])))  # type: ignore[arg-type]
     return answer.T_target_source
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from retropole.base import se3
 from retropole.base.sensors import SENSORS, find_sensor
 from retropole.base.uncertainty import predicted_error
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, place_again, simulate_pair
 
 RANGE = 30.0
@@ -74,7 +74,7 @@ def run(job: tuple[str, str, int]) -> Run:
     answer = calibrate(
         [pair.target for pair in pairs],
         [pair.source for pair in pairs],
-        sensors=(find_sensor(site.target), find_sensor(site.source)),
+        options=Options(sensors=(find_sensor(site.target), find_sensor(site.source))),
     )
     T = answer.T_target_source
     if T is None or answer.covariance is None:

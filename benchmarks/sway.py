@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.uncertainty import predicted_error
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
 from retropole.simulation.scanning import Sway, scan
 
@@ -172,19 +172,21 @@ def run(job: tuple[Sequence[tuple[float, float]], int, int, bool, bool]) -> list
             return []
         record = partial(recorded, pair, frames, seed=(seed, 1), times=times)
         truth = pair.T_target_source
-        at_rest = calibrate(*record((None, None)), sensors=pair.sensors)
+        at_rest = calibrate(*record((None, None)), options=Options(sensors=pair.sensors))
         found = []
         for sigma_deg, hz in ways:
             rng = np.random.default_rng([seed, round(1e3 * sigma_deg), round(10 * hz)])
             masts = Masts(float(np.radians(sigma_deg)), hz, one_mast, modes)
             clouds = record(masts.draw(pair, rng))
             stated = np.radians(sigma_deg) if frames == 1 else None
-            answer = calibrate(*clouds, sensors=pair.sensors, mast_sway=stated)
+            answer = calibrate(*clouds, options=Options(sensors=pair.sensors, mast_sway=stated))
             row = sigma_deg, hz, frames
             if answer.T_target_source is None or answer.covariance is None:
                 found.append(Found(row, answer.reasons[0].code))
                 continue
-            blind = calibrate(*(replace(c, frame=None) for c in clouds), sensors=pair.sensors)
+            blind = calibrate(
+                *(replace(c, frame=None) for c in clouds), options=Options(sensors=pair.sensors)
+            )
             found.append(
                 Found(
                     row,

@@ -26,7 +26,7 @@ from retropole.base.sensors import Sensor
 from retropole.base.systematic import BAND, TAPE
 from retropole.base.uncertainty import predicted_error
 from retropole.hypotheses.placements import PairedPlacement, align
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, SimulationError, simulate_pair
 from retropole.simulation.devices import Device
 from sway import AT, error_of, holds
@@ -118,7 +118,7 @@ def run(job: tuple[int, tuple[int, ...]]) -> list[Run]:
     for count in counts:
         clouds = [first_sweeps(cloud, count) for cloud in (pair.target, pair.source)]
         start = time.process_time()
-        answer = calibrate(*clouds, sensors=pair.sensors)
+        answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
         seconds = time.process_time() - start
         if answer.T_target_source is None or answer.covariance is None:
             found.append(Run(answer.reasons[0].code, seconds))

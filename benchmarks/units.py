@@ -22,7 +22,7 @@ import numpy as np
 from again import record_again
 from retropole.base.datatypes import PointCloud
 from retropole.io.fields import METRES, Unit
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import NOISE_MODELS, simulate_pair
 from retropole.verdict.similarity import unit_of_one
 
@@ -75,7 +75,7 @@ def by_poles(cloud: PointCloud) -> str:
 
 def outcome(pair: tuple[PointCloud, PointCloud]) -> tuple[str, str]:
     """What came of a pair: its verdict, and the unit that is named, if any."""
-    answer = calibrate(*pair, radius=RADIUS)
+    answer = calibrate(*pair, options=Options(radius=RADIUS))
     if answer.status != "refused":
         return "answered", ""
     reason = answer.reasons[0]

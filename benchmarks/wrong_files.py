@@ -42,7 +42,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.io import read_cloud
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulationError
 from retropole.surfaces.registration import prepare, register
 from semireal import COMPOSED, DIRECT, PAIRS, UP, WRONG_DEG, WRONG_M, Outcome, load
@@ -216,7 +216,7 @@ def run_wrong(job: tuple[int, Path]) -> Wrong:
             made = insert_poles(target.cloud, source.cloud, T, rng, sensors=sensors, up=target.up)
         except SimulationError:
             continue
-        answer = calibrate(made.target, made.source, sensors=sensors)
+        answer = calibrate(made.target, made.source, options=Options(sensors=sensors))
         names, places = (target.name, source.name), (target.place, source.place)
         return Wrong(seed, *_said(answer), *_apart(answer, T), names, places, is_rig)
     return Wrong(seed)
@@ -249,7 +249,7 @@ def run_well_placed(job: tuple[str, int, Path]) -> Right:
         cosine = abs(float(made.poles[0].axis @ made.poles[1].axis))
         if min(map(min, made.returns_on_poles)) < GOOD_RETURNS or cosine > np.cos(GOOD_ANGLE):
             continue
-        answer = calibrate(made.target, made.source, sensors=made.sensors)
+        answer = calibrate(made.target, made.source, options=Options(sensors=made.sensors))
         return Right(name, seed, *_said(answer), *_apart(answer, T))
     return Right(name, seed)
 

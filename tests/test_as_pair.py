@@ -8,7 +8,7 @@ import pytest
 from retropole.base.datatypes import PointCloud
 from retropole.base.description import Site, SiteLidar
 from retropole.base.sensors import Sensor
-from retropole.pipeline import calibrate, calibrate_site
+from retropole.pipeline import Options, calibrate, calibrate_site
 from retropole.result import encode
 from retropole.result.site import found_document
 from retropole.simulation import SimulatedPair, place_again, simulate_pair
@@ -77,7 +77,9 @@ def tier_of(kind: str) -> list[pytest.MarkDecorator]:
 def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     targets, sources, sensors = recorded(kind)
     radius = 0.04 if kind == "diameter for radius" else 0.02
-    pair = calibrate(targets, sources, sensors=(sensors[0], sensors[1]), radius=radius)
+    pair = calibrate(
+        targets, sources, options=Options(sensors=(sensors[0], sensors[1]), radius=radius)
+    )
     lidars = (
         SiteLidar("target", tuple(targets), sensor=sensors[0]),
         SiteLidar("source", tuple(sources), sensor=sensors[1]),

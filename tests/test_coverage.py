@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Calibration
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, simulate_pair
 from tests.numeric import mahalanobis_sq
 
@@ -31,7 +31,9 @@ def answers() -> list[Answered]:
             sensor_source="VLP-16",
             noise=FIELD,
         )
-        found.append((pair, calibrate(pair.target, pair.source, sensors=pair.sensors)))
+        found.append(
+            (pair, calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors)))
+        )
     answered = [each for each in found if each[1].status != "refused"]
     assert len(answered) >= RECORDINGS - 2
     return answered

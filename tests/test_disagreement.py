@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.again import record_again
 from retropole.base import se3
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import NOISE_MODELS, SimulatedPair, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq
 from tests.tiers import first_of
@@ -28,12 +28,12 @@ def small(scene: str, seed: int) -> SimulatedPair:
 @pytest.mark.full
 def test_a_diameter_given_for_the_radius_is_told_and_does_no_harm(scene: str) -> None:
     pair = small(scene, 0)
-    wrong = calibrate(pair.target, pair.source, sensors=pair.sensors, radius=0.04)
+    wrong = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors, radius=0.04))
     assert "radius_differs" in [reason.code for reason in wrong.reasons]
     assert wrong.radius is not None
     assert wrong.radius.given == 0.04
     assert abs(wrong.radius.estimated - 0.02) < 3 * wrong.radius.sigma
-    right = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    right = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors))
     assert "radius_differs" not in [reason.code for reason in right.reasons]
     for answer in (wrong, right):
         for pose in (answer.poles, answer.refined):
@@ -59,7 +59,7 @@ def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     scene: str, seed: int
 ) -> None:
     pair, later = with_a_moved_pole(scene, seed)
-    answer = calibrate(pair.target, later.source, sensors=pair.sensors)
+    answer = calibrate(pair.target, later.source, options=Options(sensors=pair.sensors))
     if answer.status != "refused":
         assert answer.refined is not None
         assert mahalanobis_sq(answer.refined, pair.T_target_source) < BEYOND_3_SIGMA
@@ -83,7 +83,7 @@ def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
         poles = (replace(first, centre=first.centre + step), *rest)
         between = replace(pair, surfaces=(*pair.surroundings, *poles), poles=poles)
         later = record_again(between, np.random.default_rng(seed))
-        answer = calibrate(pair.target, later.source, sensors=pair.sensors)
+        answer = calibrate(pair.target, later.source, options=Options(sensors=pair.sensors))
         if answer.T_target_source is None:
             continue
         codes = [reason.code for reason in answer.reasons]

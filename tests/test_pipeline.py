@@ -17,7 +17,7 @@ from retropole.base.uncertainty import predicted_error
 from retropole.hypotheses import icp_refinement
 from retropole.hypotheses.placements import Chosen, PlacementHypotheses
 from retropole.hypotheses.search import choose_after_icp
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 
@@ -82,7 +82,7 @@ def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
 
 def stated_with(pair: SimulatedPair, sensors: tuple[Sensor, Sensor]) -> float:
     """1 σ at 30 m of an answer whose stated region holds the truth, metres."""
-    refined = calibrate(pair.target, pair.source, sensors=sensors).refined
+    refined = calibrate(pair.target, pair.source, options=Options(sensors=sensors)).refined
     assert refined is not None
     assert refined.covariance is not None
     off = se3.local(refined.T_target_source, pair.T_target_source)
@@ -184,8 +184,8 @@ def test_three_poles_are_solved_together() -> None:
     degrees, metres = off_by(answer.T_target_source, pair.T_target_source, np.zeros((1, 3)))
     assert degrees < 1.0
     assert metres < 0.1
-    assert calibrate(pair.target, pair.source, poles=3).status == answer.status
-    assert_refused(calibrate(pair.target, pair.source, poles=4), "too_few_poles")
+    assert calibrate(pair.target, pair.source, options=Options(poles=3)).status == answer.status
+    assert_refused(calibrate(pair.target, pair.source, options=Options(poles=4)), "too_few_poles")
 
 
 def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
@@ -199,7 +199,7 @@ def test_a_hidden_pole_is_refused_where_two_are_asked_for(
     corridor: SimulatedPair, which: tuple[int, ...]
 ) -> None:
     source = without_poles(corridor, which)
-    answer = calibrate(corridor.target, source, poles=2)
+    answer = calibrate(corridor.target, source, options=Options(poles=2))
     assert_refused(answer, "too_few_poles")
     assert answer.reasons[0].values["lidar"] == "source"
     answer = calibrate(corridor.target, source)
@@ -222,7 +222,7 @@ def test_without_intensity_the_place_is_named_where_it_gives_an_answer(
     clouds = [replace(cloud, intensity=None) for cloud in (pair.target, pair.source)]
     answer = calibrate(*clouds)
     assert_refused(answer, "no_intensity")
-    by_place = calibrate(*clouds, poles=0)
+    by_place = calibrate(*clouds, options=Options(poles=0))
     assert (by_place.T_target_source is not None) == (scene == "harbor")
     assert ("--poles 0" in answer.reasons[0].message) == (scene == "harbor")
     assert len(answer.reasons[0].message) <= 300
@@ -246,7 +246,7 @@ def test_parallel_poles_are_refused_unless_the_place_tells(seed: int) -> None:
         sensor_target="VLP-16",
         sensor_source="VLP-16",
     )
-    by_poles = calibrate(pair.target, pair.source, scene=False)
+    by_poles = calibrate(pair.target, pair.source, options=Options(scene=False))
     assert_refused(by_poles, "parallel_poles", "no_match", "no_overlap")
     answer = calibrate(pair.target, pair.source)
     if answer.T_target_source is not None:
@@ -313,7 +313,7 @@ def test_every_second_is_in_a_step(poles: int) -> None:
         first = calibrate(pair.target, pair.source).placements[0].target.poles[0]
         target = target.select(np.setdiff1d(np.arange(len(target)), first.index))
     start = time.perf_counter()
-    answer = calibrate(target, pair.source, poles=2)
+    answer = calibrate(target, pair.source, options=Options(poles=2))
     seconds = time.perf_counter() - start
     assert (answer.status == "refused") == (poles == 1)
     assert sum(answer.seconds.values()) == pytest.approx(seconds, rel=0.1)

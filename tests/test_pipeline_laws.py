@@ -21,7 +21,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.sensors import find_sensor
 from retropole.io import only_returns
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, place_again, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
@@ -406,6 +406,6 @@ def test_a_robot_in_a_corridor_states_the_error_that_it_makes() -> None:
     answer = calibrate(
         [pair.target for pair in pairs],
         [pair.source for pair in pairs],
-        sensors=(find_sensor("VLP-16"), find_sensor("VLP-16")),
+        options=Options(sensors=(find_sensor("VLP-16"), find_sensor("VLP-16"))),
     )
     assert answer.status != "ok" or distance_sq(answer, first.T_target_source) < FIVE_SIGMA

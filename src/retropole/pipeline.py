@@ -6,7 +6,7 @@ A site of two LiDARs that nothing but each other ties is a pair, and calibrated 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -59,32 +59,12 @@ from .verdict.statement import (
 )
 
 
-def calibrate(
-    target: PointCloud | Sequence[PointCloud],
-    source: PointCloud | Sequence[PointCloud],
-    *,
-    radius: float = DEFAULT_RADIUS,
-    radius_sigma: float = 0.0,
-    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
-    thresholds: tuple[float | None, float | None] = (None, None),
-    poles: int | None = None,
-    scene: bool = True,
-    prior: RotationPrior | None = None,
-    by_hand: str | None = None,
-    trust_poles: bool = False,
-    deceiving: float | None = None,
-    candidates: bool = True,
-    need: Need | None = None,
-    mast_sway: float | None = None,
-    progress: Callable[[str], None] = lambda step: None,
-) -> Calibration:
-    """Find the rigid transform between two LiDARs that see the same taped poles.
+@dataclass(frozen=True)
+class Options:
+    """What is known of two LiDARs and their poles, and how their pose is to be found.
 
-    Parameters
+    Attributes
     ----------
-    target, source
-        The two clouds, each in its own frame; both need an intensity. Or as many clouds of each as
-        there were placements of the poles, in the same order: one pose is found for all.
     radius, radius_sigma
         Radius of the poles and its 1 σ, metres; a radius that is not known exactly is estimated.
     sensors
@@ -115,6 +95,42 @@ def calibrate(
     mast_sway
         1 σ of the angle that the masts of both LiDARs are said to sway by, rad; None only takes
         what the sweeps of a recording show.
+    """
+
+    radius: float = DEFAULT_RADIUS
+    radius_sigma: float = 0.0
+    sensors: tuple[Sensor | None, Sensor | None] = (None, None)
+    thresholds: tuple[float | None, float | None] = (None, None)
+    poles: int | None = None
+    scene: bool = True
+    prior: RotationPrior | None = None
+    by_hand: str | None = None
+    trust_poles: bool = False
+    deceiving: float | None = None
+    candidates: bool = True
+    need: Need | None = None
+    mast_sway: float | None = None
+
+
+NOTHING_KNOWN = Options()
+
+
+def calibrate(
+    target: PointCloud | Sequence[PointCloud],
+    source: PointCloud | Sequence[PointCloud],
+    *,
+    options: Options = NOTHING_KNOWN,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Calibration:
+    """Find the rigid transform between two LiDARs that see the same taped poles.
+
+    Parameters
+    ----------
+    target, source
+        The two clouds, each in its own frame; both need an intensity. Or as many clouds of each as
+        there were placements of the poles, in the same order: one pose is found for all.
+    options
+        What is known of both, and how the pose is to be found.
     progress
         Called with the name of each step as it starts.
 
@@ -127,40 +143,25 @@ def calibrate(
     Raises
     ------
     UsageError
-        Where no hypothesis that fits the poles has the name `by_hand`, and where neither poles nor
-        the scene may give the pose.
+        Where no hypothesis that fits the poles has the name `Options.by_hand`, and where neither
+        poles nor the scene may give the pose.
     """
     seconds: dict[str, float] = {}
     step = partial(timed, seconds, progress)
+    searched = options.poles != 0
+    find = partial(find_poles, radius=options.radius, search=searched, mast_sway=options.mast_sway)
     with step("extract"), threadpool_limits(1, user_api="blas"):
-        find = partial(find_poles, radius=radius, search=poles != 0, mast_sway=mast_sway)
-        found = tuple(
-            Placement(
-                find(t, sensor=sensors[0], threshold=thresholds[0]),
-                find(s, sensor=sensors[1], threshold=thresholds[1]),
-            )
-            for t, s in zip(_each(target), _each(source), strict=True)
-        )
-    answer = calibrate_placements(
-        found,
-        seconds,
-        radius=radius,
-        radius_sigma=radius_sigma,
-        thresholds=thresholds,
-        poles=poles,
-        scene=scene,
-        prior=prior,
-        by_hand=by_hand,
-        trust_poles=trust_poles,
-        deceiving=deceiving,
-        candidates=candidates,
-        need=need,
-        progress=progress,
-    ).calibration
-    if answer.reasons and answer.reasons[0].code == "no_intensity" and scene and poles is None:
+        found = []
+        for pair in zip(_each(target), _each(source), strict=True):
+            about = zip(pair, options.sensors, options.thresholds, strict=True)
+            scans = [find(cloud, sensor=s, threshold=t) for cloud, s, t in about]
+            found.append(Placement(scans[0], scans[1]))
+    answer = calibrate_placements(found, seconds, options=options, progress=progress).calibration
+    no_intensity = answer.reasons and answer.reasons[0].code == "no_intensity"
+    if no_intensity and options.scene and options.poles is None:
         with step("explain"):
-            without = calibrate(target, source, sensors=sensors, poles=0, prior=prior)
-            answer = advising_no_poles(answer, without)
+            bare = Options(sensors=options.sensors, poles=0, prior=options.prior)
+            answer = advising_no_poles(answer, calibrate(target, source, options=bare))
     return answer
 
 
@@ -168,17 +169,7 @@ def calibrate_placements(
     found: Sequence[Placement],
     seconds: dict[str, float],
     *,
-    radius: float = DEFAULT_RADIUS,
-    radius_sigma: float = 0.0,
-    thresholds: tuple[float | None, float | None] = (None, None),
-    poles: int | None = None,
-    scene: bool = True,
-    prior: RotationPrior | None = None,
-    by_hand: str | None = None,
-    trust_poles: bool = False,
-    deceiving: float | None = None,
-    candidates: bool = True,
-    need: Need | None = None,
+    options: Options,
     check: Callable[[Sequence[Placement]], None] = check_poles,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Answered:
@@ -190,9 +181,7 @@ def calibrate_placements(
         Of each placement, in the frames of the clouds.
     seconds
         Time of each step so far; those of this one are added.
-    radius, radius_sigma, thresholds, poles, scene, prior, by_hand, trust_poles, deceiving
-        As of `calibrate`.
-    candidates, need, progress
+    options, progress
         As of `calibrate`.
     check
         Refuses what cannot be used as it was recorded.
@@ -202,9 +191,11 @@ def calibrate_placements(
     UsageError
         As of `calibrate`.
     """
+    poles, scene, prior, by_hand = options.poles, options.scene, options.prior, options.by_hand
+    radius, thresholds, trusted = options.radius, options.thresholds, options.trust_poles
     if poles == 0 and not scene:
         raise UsageError("without poles the scene must give the pose: leave out --no-refine")
-    known = {"radius": radius, "radius_sigma": radius_sigma}
+    known = {"radius": radius, "radius_sigma": options.radius_sigma}
     step = partial(timed, seconds, progress)
     origins = beam_origins(found)
     placements = origins.about(found)
@@ -219,7 +210,7 @@ def calibrate_placements(
                 check(placements)
             search = (
                 partial(choose_with_candidates, radius=radius, by_place=scene)
-                if candidates or poles == 0
+                if options.candidates or poles == 0
                 else choose
             )
             chosen = search(placements, step=step, count=poles, prior=prior)
@@ -248,7 +239,7 @@ def calibrate_placements(
                 rng = np.random.default_rng(0)
                 others = hypotheses[1:]
                 confirmation = confirm(
-                    paired, pose, others, rng, trusted=trust_poles, deceiving=deceiving
+                    paired, pose, others, rng, trusted=trusted, deceiving=options.deceiving
                 )
                 check_confirmation(confirmation)
                 check_told(paired, confirmation)
@@ -266,7 +257,7 @@ def calibrate_placements(
                 paired, placements, hypotheses, aligned, refined, confirmation, seconds
             )
             # Ranges count from where the beams start.
-            answer = judge(list_hypotheses(answer, chosen, by_hand), need)
+            answer = judge(list_hypotheses(answer, chosen, by_hand), options.need)
             return Answered(origins.moved_back(answer), paired, aligned, refined)
 
 
@@ -397,10 +388,12 @@ def calibrate_two(
     calibrate_some = partial(
         calibrate_placements,
         seconds=seconds,
-        radius=site.radius,
-        radius_sigma=site.radius_sigma,
-        thresholds=(first.threshold, second.threshold),
-        need=site.need,
+        options=Options(
+            radius=site.radius,
+            radius_sigma=site.radius_sigma,
+            thresholds=(first.threshold, second.threshold),
+            need=site.need,
+        ),
         check=check_recordings,
         progress=progress,
     )

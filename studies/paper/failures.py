@@ -16,7 +16,7 @@ from retropole.base.quantities import counted
 from retropole.base.sensors import Sensor
 from retropole.checking.metrics import Errors, errors_of
 from retropole.extraction.lines import clusters
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.report.figures import GREEN, GREY, RED
 from retropole.simulation import FIELD, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
@@ -127,7 +127,7 @@ def by_ours(pair: SimulatedPair) -> Array:
     Refusal
         Where it refuses.
     """
-    answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    answer = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors))
     if answer.T_target_source is None:
         raise Refusal(answer.reasons[0].code, answer.reasons[0].message, {})
     return answer.T_target_source

@@ -21,7 +21,7 @@ from retropole.checking.metrics import e_rt
 from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, draw_device, simulate_pair
 from retropole.surfaces.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.surfaces.patches import surface_patches
@@ -258,7 +258,7 @@ def test_the_pipeline_reports_both_stages() -> None:
     assert answer.refined is not None
     np.testing.assert_array_equal(answer.T_target_source, answer.refined.T_target_source)
     assert [each.range_m for each in answer.predicted_error] == [1.0, 10.0, 30.0, 60.0]
-    alone = calibrate(pair.target, pair.source, scene=False)
+    alone = calibrate(pair.target, pair.source, options=Options(scene=False))
     assert alone.refined is None
     np.testing.assert_array_equal(alone.T_target_source, answer.poles.T_target_source)
 
@@ -370,7 +370,7 @@ def test_sparse_ground_leads_nowhere(scene: str) -> None:
     squares = []
     for seed in (1, 2, 5):
         pair = simulate_pair(scene, np.random.default_rng(seed), noise=FIELD)
-        answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+        answer = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors))
         if answer.refined is None:
             continue
         squares.append(mahalanobis_sq(answer.refined, pair.T_target_source))

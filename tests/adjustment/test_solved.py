@@ -20,7 +20,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
 from retropole.base.se3 import joint_of, relative
 from retropole.base.uncertainty import predicted_error
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import Steps
 
@@ -122,7 +122,7 @@ def test_parts_of_two_lidars_are_those_of_the_pair(
     assert target is not None
     assert source is not None
     sensors = (pair_site.sensors[0], pair_site.sensors[1])
-    alone = calibrate(target, source, sensors=sensors)
+    alone = calibrate(target, source, options=Options(sensors=sensors))
     assert alone.uncertainty is not None
     assert alone.covariance is not None
     parts = pair_steps.adjusted.parts

@@ -13,7 +13,7 @@ from retropole.api.stored import find_inputs, placements_of
 from retropole.base.datatypes import Placement, PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import ARRAY_SOURCE, read_cloud, sha256_of, write_pcd
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.report import render_report
 from retropole.result import InputDoc, PolesDoc, ResultDoc, RunConfig, result_document
 from retropole.simulation import simulate_pair
@@ -40,7 +40,7 @@ def stored_run(folder: Path) -> Stored:
     for path, cloud in zip(FILES, (pair.target, pair.source), strict=True):
         write_pcd(folder / path, cloud)
     target, source = (read_cloud(folder / path) for path in FILES)
-    answer = calibrate(target, source, scene=False)
+    answer = calibrate(target, source, options=Options(scene=False))
     inputs = [input_document(folder, *each) for each in zip(FILES, (target, source), strict=True)]
     config = RunConfig(refine=False)
     result = result_document(answer, inputs=inputs, config=config, seconds=dict(answer.seconds))

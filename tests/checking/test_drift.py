@@ -19,7 +19,7 @@ from retropole.base.sensors import SENSORS
 from retropole.checking import drift
 from retropole.checking.drift import NEAR_TRANSLATION, check, swapped_clouds, swapped_sensors
 from retropole.hypotheses.evidence import MAX_CONFLICTING, count, scenes_of
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.consistency import Standing
 from tests.tiers import first_of
@@ -232,7 +232,9 @@ def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
 def test_a_mast_that_sways_has_not_moved(street: SimulatedPair, stored: PoseEstimate) -> None:
     """One sweep is taken at some phase of the sway: what is stated of it is no movement."""
     again = record_again(street, np.random.default_rng(11), moved=SMALL_ROTATION)
-    swaying = check(stored, again.target, again.source, mast_sway=float(np.radians(0.3)))
+    swaying = check(
+        stored, again.target, again.source, options=Options(mast_sway=float(np.radians(0.3)))
+    )
     assert swaying.status != "moved"
 
 

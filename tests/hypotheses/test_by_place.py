@@ -32,7 +32,7 @@ from retropole.hypotheses.by_place import (
     has_rival,
 )
 from retropole.hypotheses.placements import Chosen, PairedPlacement, is_by_place
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import Cylinder, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.scenes import TAPE, rotated_by_180
@@ -114,14 +114,14 @@ def test_files_of_two_places_give_no_answer(one_pole: SimulatedPair) -> None:
 
 
 def test_the_number_of_poles_that_was_asked_for_counts(one_pole: SimulatedPair) -> None:
-    assert calibrate(one_pole.target, one_pole.source, poles=1).status == "ok"
-    refused = calibrate(one_pole.target, one_pole.source, poles=2)
+    assert calibrate(one_pole.target, one_pole.source, options=Options(poles=1)).status == "ok"
+    refused = calibrate(one_pole.target, one_pole.source, options=Options(poles=2))
     assert refused.status == "refused"
     assert refused.reasons[0].code == "too_few_poles"
 
 
 def test_without_the_scene_two_poles_are_needed(one_pole: SimulatedPair) -> None:
-    refused = calibrate(one_pole.target, one_pole.source, scene=False)
+    refused = calibrate(one_pole.target, one_pole.source, options=Options(scene=False))
     assert refused.reasons[0].code == "too_few_poles"
 
 

@@ -16,7 +16,7 @@ from retropole.hypotheses.candidate_confirmation import (
     is_confirmed,
 )
 from retropole.hypotheses.placements import PairedPlacement
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from tests.extraction.scenes import X, Y, pole
 from tests.hypotheses.walls import (
     AT_THE_WALL,
@@ -279,16 +279,21 @@ def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user
     seed: int,
 ) -> None:
     target, source = map(dimmed, recorded([FREE, pole((3.2, -1.2), -0.2 * X)], seed))
-    answer = calibrate(target, source, sensors=(SENSOR, SENSOR))
+    answer = calibrate(target, source, options=Options(sensors=(SENSOR, SENSOR)))
     assert_right(answer.T_target_source)
     assert answer.status == "ok"
     assert "doubtful_poles" in {reason.code for reason in answer.notes}
     thresholds = (SENSOR.threshold, SENSOR.threshold)
-    given = calibrate(target, source, sensors=(SENSOR, SENSOR), thresholds=thresholds)
+    given = calibrate(
+        target, source, options=Options(sensors=(SENSOR, SENSOR), thresholds=thresholds)
+    )
     assert [reason.code for reason in given.reasons] == ["too_few_poles"]
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_dim_clouds_with_one_pole_are_refused(seed: int) -> None:
     target, source = map(dimmed, recorded([FREE, *vest((4.0, -1.0))], seed))
-    assert calibrate(target, source, sensors=(SENSOR, SENSOR), poles=2).status == "refused"
+    assert (
+        calibrate(target, source, options=Options(sensors=(SENSOR, SENSOR), poles=2)).status
+        == "refused"
+    )

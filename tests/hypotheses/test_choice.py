@@ -19,7 +19,7 @@ from retropole.hypotheses.choice import (
     margin_of,
     not_rejected,
 )
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 
@@ -111,7 +111,7 @@ def test_the_letter_of_the_true_one_gives_the_true_pose_with_a_warning(
 ) -> None:
     pair, refused = symmetric
     (k,) = (k for k, h in enumerate(refused.hypotheses) if is_true(h, pair.T_target_source))
-    answer = calibrate(pair.target, pair.source, by_hand=hypothesis_name(k))
+    answer = calibrate(pair.target, pair.source, options=Options(by_hand=hypothesis_name(k)))
     assert answer.status == "warn"
     assert answer.reasons[0].code == "chosen_by_hand"
     assert answer.reasons[0].values["hypothesis"] == hypothesis_name(k)
@@ -132,7 +132,9 @@ def test_a_wrong_letter_is_refused_or_warned_of(
     pair, refused = symmetric
     for k, each in enumerate(refused.hypotheses):
         if not is_true(each, pair.T_target_source) and each.match.exact:
-            answer = calibrate(pair.target, pair.source, by_hand=hypothesis_name(k))
+            answer = calibrate(
+                pair.target, pair.source, options=Options(by_hand=hypothesis_name(k))
+            )
             assert answer.status in ("warn", "refused")
             if answer.status == "warn":
                 assert each.stands
@@ -150,18 +152,20 @@ def test_a_letter_that_no_exact_hypothesis_has_is_an_error(
     inexact = next(k for k, h in enumerate(refused.hypotheses) if not h.match.exact)
     for name in (hypothesis_name(inexact), "z"):
         with pytest.raises(UsageError, match="those that do are a, b, c, d"):
-            calibrate(pair.target, pair.source, by_hand=name)
+            calibrate(pair.target, pair.source, options=Options(by_hand=name))
 
 
 @pytest.mark.full
 def test_where_the_scene_decides_its_choice_by_hand_is_the_same_with_a_warning() -> None:
     pair = simulate_pair("street", np.random.default_rng(12))
-    by_scene, by_hand = (calibrate(pair.target, pair.source, by_hand=name) for name in (None, "a"))
+    by_scene, by_hand = (
+        calibrate(pair.target, pair.source, options=Options(by_hand=name)) for name in (None, "a")
+    )
     assert by_scene.T_target_source is not None
     assert by_hand.T_target_source is not None
     assert np.array_equal(by_scene.T_target_source, by_hand.T_target_source)
     assert by_hand.status == "warn"
-    contradicted = calibrate(pair.target, pair.source, by_hand="b")
+    contradicted = calibrate(pair.target, pair.source, options=Options(by_hand="b"))
     assert contradicted.status == "refused" or contradicted.reasons[0].code == "chosen_by_hand"
 
 
@@ -169,6 +173,7 @@ def test_a_letter_lifts_no_other_refusal() -> None:
     pair = simulate_pair("street", np.random.default_rng(12))
     without = replace(pair.source, intensity=np.zeros(len(pair.source)))
     plain, by_hand = (
-        calibrate(pair.target, without, by_hand=name).reasons[0].code for name in (None, "a")
+        calibrate(pair.target, without, options=Options(by_hand=name)).reasons[0].code
+        for name in (None, "a")
     )
     assert plain == by_hand

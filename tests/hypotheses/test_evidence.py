@@ -13,7 +13,7 @@ from retropole.base.datatypes import Calibration, Placement, Scan
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.hypotheses.evidence import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
 from retropole.hypotheses.placements import PairedPlacement
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.tiers import first_of
 
@@ -103,7 +103,7 @@ def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
         assert "not_confirmed" in [reason.code for reason in answer.reasons]
         assert answer.confirmation.probability_wrong is not None
         assert 0.1 < answer.confirmation.probability_wrong < 0.9
-        trusted = calibrate(pair.target, pair.source, trust_poles=True)
+        trusted = calibrate(pair.target, pair.source, options=Options(trust_poles=True))
         assert "not_confirmed" not in [reason.code for reason in trusted.reasons]
         assert trusted.confirmation == structs.replace(answer.confirmation, trusted=True)
 

@@ -14,7 +14,7 @@ from retropole.base.errors import UsageError
 from retropole.hypotheses import one_pole as about
 from retropole.hypotheses.evidence import scenes_of
 from retropole.hypotheses.one_pole import ANGLES, CELL_ABOUT_POLE, LAYERS, SLIDE, matches_about
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair
 from retropole.surfaces.scans import find_poles
 from tests.hypotheses.conftest import simulated_with_one_pole
@@ -111,7 +111,7 @@ def bare(cloud: PointCloud) -> PointCloud:
 
 
 def by_the_place(pair: SimulatedPair) -> Calibration:
-    return calibrate(bare(pair.target), bare(pair.source), poles=0)
+    return calibrate(bare(pair.target), bare(pair.source), options=Options(poles=0))
 
 
 @pytest.fixture(
@@ -147,7 +147,9 @@ def test_the_place_gives_the_truth(pair: SimulatedPair, answer: Calibration) -> 
 def test_frames_and_order_of_the_lidars_do_not_matter(
     pair: SimulatedPair, answer: Calibration
 ) -> None:
-    back = calibrate(bare(pair.source), bare(pair.target.transformed(MOVED)), poles=0)
+    back = calibrate(
+        bare(pair.source), bare(pair.target.transformed(MOVED)), options=Options(poles=0)
+    )
     assert answer.T_target_source is not None
     there = se3.inverse(MOVED @ answer.T_target_source)
     assert_near(back.T_target_source, there, 0.05, 0.02)
@@ -156,7 +158,7 @@ def test_frames_and_order_of_the_lidars_do_not_matter(
 @pytest.mark.full
 def test_the_ground_of_a_steep_lidar_is_not_taken_for_a_wall(pair: SimulatedPair) -> None:
     steep = replace(pair.source.transformed(STEEP), axis=pair.source.axis)
-    answer = calibrate(bare(pair.target), bare(steep), poles=0)
+    answer = calibrate(bare(pair.target), bare(steep), options=Options(poles=0))
     assert_near(answer.T_target_source, pair.T_target_source @ se3.inverse(STEEP))
 
 
@@ -171,4 +173,4 @@ def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
 
 def test_one_of_poles_and_scene_must_give_the_pose(pair: SimulatedPair) -> None:
     with pytest.raises(UsageError, match="scene must give the pose"):
-        calibrate(pair.target, pair.source, poles=0, scene=False)
+        calibrate(pair.target, pair.source, options=Options(poles=0, scene=False))

@@ -7,7 +7,7 @@ from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.checking.metrics import e_rt
 from retropole.hypotheses.placements import NOTHING, Share, Tried, merge_clouds, with_what_was_tried
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, place_again, simulate_pair
 
 
@@ -48,7 +48,9 @@ def test_more_placements_are_more_accurate() -> None:
     for seed in range(6):
         pairs = placements("street", 20 + seed, 4)
         for some, errors in ((pairs[:1], one), (pairs, four)):
-            answer = calibrate([p.target for p in some], [p.source for p in some], scene=False)
+            answer = calibrate(
+                [p.target for p in some], [p.source for p in some], options=Options(scene=False)
+            )
             assert answer.T_target_source is not None, answer.reasons
             errors.append(e_rt(answer.T_target_source, pairs[0].T_target_source))
     assert np.median(four) < 0.6 * np.median(one)

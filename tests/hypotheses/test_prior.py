@@ -11,7 +11,7 @@ from retropole.base.errors import Refusal, UsageError
 from retropole.hypotheses.correspondence import MAX_HYPOTHESES, every_match
 from retropole.hypotheses.prior import RotationPrior, agreeing_with_prior, rotation_prior
 from retropole.hypotheses.search import match_poles
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import simulate_pair
 from tests.conftest import PoleMaker
 
@@ -83,7 +83,7 @@ def test_it_decides_where_the_scene_does_not() -> None:
     pair = simulate_pair("bare", np.random.default_rng(5), symmetric=True)
     assert calibrate(pair.target, pair.source).status == "refused"
     prior = RotationPrior(pair.T_target_source[:3, :3], np.radians(10))
-    answer = calibrate(pair.target, pair.source, prior=prior)
+    answer = calibrate(pair.target, pair.source, options=Options(prior=prior))
     assert answer.T_target_source is not None
     off = se3.local(answer.T_target_source, pair.T_target_source)
     assert np.linalg.norm(off[:3]) < np.radians(1.5)
@@ -93,6 +93,8 @@ def test_it_decides_where_the_scene_does_not() -> None:
 def test_a_wrong_one_is_refused() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     wrong = se3.exp_so3(np.array([0, 0, np.radians(70)])) @ pair.T_target_source[:3, :3]
-    answer = calibrate(pair.target, pair.source, prior=RotationPrior(wrong, np.radians(3)))
+    answer = calibrate(
+        pair.target, pair.source, options=Options(prior=RotationPrior(wrong, np.radians(3)))
+    )
     assert answer.status == "refused"
     assert answer.reasons[0].code in ("prior_contradicted", "no_overlap")

@@ -6,7 +6,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.sensors import find_sensor
 from retropole.hypotheses.placements import PairedPlacement
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import Box, Rectangle, Surface, scan
 from tests.extraction.scenes import GROUND, PAINT, TAPE, X, Y, Z, pole
 
@@ -45,7 +45,7 @@ def recorded(things: list[Surface], seed: int = 0) -> tuple[PointCloud, PointClo
 def answer_of(
     clouds: tuple[PointCloud, PointCloud], radius: float = 0.02, poles: int | None = None
 ) -> Calibration:
-    return calibrate(*clouds, sensors=(SENSOR, SENSOR), radius=radius, poles=poles)
+    return calibrate(*clouds, options=Options(sensors=(SENSOR, SENSOR), radius=radius, poles=poles))
 
 
 def assert_right(T: Array | None) -> None:

@@ -18,7 +18,7 @@ from retropole.io.beams import (
     with_beam_origin,
     with_trusted_rings,
 )
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, Rectangle, simulate_pair
 from tests.extraction.scenes import PAINT, X, Y, Z, pole, seen
 
@@ -128,8 +128,10 @@ def test_poses_of_moved_clouds_follow() -> None:
     pair = simulate_pair("street", np.random.default_rng(1), noise=FIELD)
     rng = np.random.default_rng(2)
     A, B = se3.random(rng, 2.0), se3.random(rng, 2.0)
-    plain = calibrate(pair.target, pair.source, sensors=pair.sensors)
-    moved = calibrate(forgotten(pair.target, A), forgotten(pair.source, B), sensors=pair.sensors)
+    plain = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors))
+    moved = calibrate(
+        forgotten(pair.target, A), forgotten(pair.source, B), options=Options(sensors=pair.sensors)
+    )
     for a, b, limit in ((plain.poles, moved.poles, 0.1), (plain.refined, moved.refined, 1.5)):
         assert a is not None
         assert b is not None

@@ -9,7 +9,7 @@ import pytest
 
 from retropole.base.datatypes import Calibration
 from retropole.base.errors import ReadError
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.result import InputDoc, ResultDoc, RunConfig, encode, result_document
 from retropole.result.decoding import decode
 from retropole.simulation import simulate_pair
@@ -28,7 +28,7 @@ def refusal() -> Calibration:
     pair = simulate_pair("street", np.random.default_rng(3))
     assert pair.source.intensity is not None
     dark = replace(pair.source, intensity=np.minimum(pair.source.intensity, 60.0))
-    return calibrate(pair.target, dark, thresholds=(None, 100.0))
+    return calibrate(pair.target, dark, options=Options(thresholds=(None, 100.0)))
 
 
 def document(calibration: Calibration) -> ResultDoc:

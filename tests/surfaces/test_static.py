@@ -12,7 +12,7 @@ from retropole.base.errors import Reason, Refusal
 from retropole.checking.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.io.recordings import time_of_recording
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.static import (
     MAX_APART,
@@ -108,7 +108,7 @@ def test_frames_average_the_noise_away() -> None:
             for cloud in (pair.target, pair.source)
         ]
         poses = [
-            calibrate(*clouds, scene=False).T_target_source
+            calibrate(*clouds, options=Options(scene=False)).T_target_source
             for clouds in ((pair.target, pair.source), single)
         ]
         errors = [e_rt(T, pair.T_target_source) for T in poses if T is not None]

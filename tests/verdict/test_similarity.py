@@ -17,7 +17,7 @@ from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
 from retropole.io.fields import METRES, NAMES, Unit
-from retropole.pipeline import calibrate
+from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.scans import find_poles
 from retropole.verdict.similarity import beyond_sensors, check_similarity, explain, unit_of_one
@@ -256,7 +256,7 @@ def test_no_cloud_and_one_beyond_all_ranges_are_no_unit() -> None:
 def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
     """Both would look the same: the hint names both, and each of them is an answer."""
     clouds = [counted(cloud, "ft") for cloud in corridor()]
-    answer = calibrate(*clouds, radius=RADIUS)
+    answer = calibrate(*clouds, options=Options(radius=RADIUS))
     assert answer.T_target_source is None
     (reason,) = answer.reasons
     assert (reason.code, reason.values["unit"]) == ("too_few_poles", "ft")
@@ -264,7 +264,7 @@ def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
     target, source = clouds
     assert rp.calibrate(target, source, unit="ft").status != "refused"
     thick = [counted(cloud, "m") for cloud in corridor(RADIUS / METRES["ft"])]
-    (reason,) = calibrate(*thick, radius=RADIUS).reasons
+    (reason,) = calibrate(*thick, options=Options(radius=RADIUS)).reasons
     if "unit" in reason.values:
         assert "times as thick as given (--radius 0.0" in reason.message
 
@@ -272,7 +272,9 @@ def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
 @pytest.mark.parametrize("unit", ["in", "cm", "mm"])
 @pytest.mark.full
 def test_ranges_that_are_no_metres_are_told_by_poles(unit: Unit) -> None:
-    answer = calibrate(*(counted(cloud, unit) for cloud in corridor()), radius=RADIUS)
+    answer = calibrate(
+        *(counted(cloud, unit) for cloud in corridor()), options=Options(radius=RADIUS)
+    )
     (reason,) = answer.reasons
     assert (reason.code, reason.values["unit"]) == ("wrong_unit", unit)
     assert f"read them with --unit {unit}" in reason.message

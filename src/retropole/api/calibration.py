@@ -9,12 +9,14 @@ from functools import partial
 
 from ..base.datatypes import Placement, Scan
 from ..hypotheses.prior import rotation_prior
+from ..pipeline import Options
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from ..verdict.statement import state_refusal
 from .inputs import (
     SILENT,
     CloudSource,
+    InputPair,
     Listener,
     input_documents,
     intensity_hint,
@@ -160,18 +162,16 @@ def calibrate_with(
         calibration = find_pose(
             [pair.target.cloud for pair in pairs],
             [pair.source.cloud for pair in pairs],
-            radius=config.radius_m,
-            radius_sigma=config.radius_sigma_m,
-            sensors=(pairs[0].target.sensor, pairs[0].source.sensor),
-            thresholds=(config.threshold_target, config.threshold_source),
-            poles=config.poles,
-            scene=config.refine,
-            trust_poles=config.trust_poles,
-            deceiving=config.deceiving_share,
-            need=config.need,
-            mast_sway=config.mast_sway,
-            by_hand=config.hypothesis,
-            prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+            options=replace(
+                known_of(pairs[0], config),
+                poles=config.poles,
+                scene=config.refine,
+                prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+                by_hand=config.hypothesis,
+                trust_poles=config.trust_poles,
+                deceiving=config.deceiving_share,
+                need=config.need,
+            ),
             progress=listener.progress,
         )
     reasons = tuple(
@@ -185,3 +185,14 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, calibration.placements)
+
+
+def known_of(pair: InputPair, config: RunConfig) -> Options:
+    """Say what is known of two LiDARs and their poles, as the method takes it."""
+    return Options(
+        radius=config.radius_m,
+        radius_sigma=config.radius_sigma_m,
+        sensors=(pair.target.sensor, pair.source.sensor),
+        thresholds=(config.threshold_target, config.threshold_source),
+        mast_sway=config.mast_sway,
+    )

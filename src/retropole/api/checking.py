@@ -27,6 +27,7 @@ from ..io import topics_of
 from ..io.fields import Unit
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig, result_file
 from ..result.site import SiteDoc
+from .calibration import known_of
 from .inputs import SILENT, InputPair, Listener, read_pair
 from .stored import are_swapped, hashes_of
 from .travelling import with_sensors_from
@@ -225,13 +226,9 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
         stored.pose,
         pair.target.cloud,
         pair.source.cloud,
+        options=known_of(pair, config),
         uncertainty=stored.uncertainty,
         tolerance=tolerance,
-        radius=config.radius_m,
-        radius_sigma=config.radius_sigma_m,
-        sensors=(pair.target.sensor, pair.source.sensor),
-        thresholds=(config.threshold_target, config.threshold_source),
-        mast_sway=config.mast_sway,
     )
     known = (_RECORDINGS_OF_RESULT,) if own else ()
     return replace(answer, reasons=(*known, *answer.reasons, *stored.warnings))

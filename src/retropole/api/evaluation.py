@@ -23,6 +23,7 @@ from ..checking.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..result import ResultDoc, RunConfig
+from .calibration import known_of
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
@@ -130,10 +131,8 @@ def compare(
         pair.target.cloud,
         pair.source.cloud,
         methods,
+        options=known_of(pair, config),
         T_true=T_true,
-        radius=config.radius_m,
-        sensors=(pair.target.sensor, pair.source.sensor),
-        thresholds=(config.threshold_target, config.threshold_source),
         sigma=sigma,
         seed=seed,
         progress=listener.progress,

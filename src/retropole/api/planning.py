@@ -17,7 +17,7 @@ from ..base.files import write_together
 from ..base.sensors import find_sensor
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..export import read_transform
-from ..pipeline import calibrate
+from ..pipeline import Options, calibrate
 from ..planning.place import Area, Station
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
@@ -371,6 +371,8 @@ def _by_place(scans: Sequence[Scan], found: Sequence[Array], i: int) -> Iterator
     """Ask the place for a pose of a LiDAR against each that stands already."""
     for j, T in enumerate(found):
         sensors = scans[j].sensor, scans[i].sensor
-        answer = calibrate(scans[j].cloud, scans[i].cloud, sensors=sensors, poles=0)
+        answer = calibrate(
+            scans[j].cloud, scans[i].cloud, options=Options(sensors=sensors, poles=0)
+        )
         if answer.T_target_source is not None:
             yield T @ answer.T_target_source

@@ -9,11 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..base.datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
+from ..base.datatypes import Array, Calibration, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
-from ..base.sensors import Sensor
-from ..pipeline import calibrate
+from ..pipeline import NOTHING_KNOWN, Options, calibrate
 from .methods import ALL_METHODS, OURS, missing_extra
 from .metrics import KERNEL_WIDTH, Alignment, Errors, errors_of, evaluate
 from .rivals import FUNCTIONS
@@ -60,10 +59,8 @@ def compare(
     source: PointCloud,
     methods: Sequence[str],
     *,
+    options: Options = NOTHING_KNOWN,
     T_true: Array | None = None,
-    radius: float = DEFAULT_RADIUS,
-    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
-    thresholds: tuple[float | None, float | None] = (None, None),
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
@@ -76,10 +73,10 @@ def compare(
         Clouds, each in its own frame.
     methods
         Names from `methods.ALL_METHODS`.
+    options
+        As `pipeline.calibrate`; the rivals use none of them.
     T_true
         (4, 4) truth, where it is known.
-    radius, sensors, thresholds
-        As `pipeline.calibrate`; the rivals use none of them.
     sigma
         Kernel width of the entropy, metres.
     seed
@@ -106,9 +103,7 @@ def compare(
     for k, name in enumerate(methods, 1):
         progress(step_of(name, k, len(methods)))
         if name in OURS:
-            ours = ours or calibrate(
-                target, source, radius=radius, sensors=sensors, thresholds=thresholds
-            )
+            ours = ours or calibrate(target, source, options=options)
             outcome = _outcome_of_ours(name, ours)
         else:
             outcome = _run_rival(name, target, source, seed)

@@ -11,9 +11,9 @@ chance where the pose reversed is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from ..adjustment.masts import on_one_mast
 from ..adjustment.refinement import refine
 from ..base import se3
-from ..base.datatypes import DEFAULT_RADIUS, Array, Calibration, Placement, PointCloud, PoseEstimate
+from ..base.datatypes import Array, Calibration, Placement, PointCloud, PoseEstimate
 from ..base.errors import Reason, Refusal, UsageError
 from ..base.quantities import error
 from ..base.sensors import Sensor
@@ -36,7 +36,7 @@ from ..hypotheses.choice import MIN_OVERLAP
 from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict, scenes_of
 from ..hypotheses.placements import left_in
 from ..hypotheses.prior import RotationPrior
-from ..pipeline import calibrate
+from ..pipeline import NOTHING_KNOWN, Options, calibrate
 from ..surfaces.consistency import Standing
 from ..surfaces.registration import MIN_CLOUD_POINTS
 from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare_views, view_of
@@ -98,7 +98,7 @@ def by_poles(
     stored: PoseEstimate,
     clouds: Clouds,
     again: Calibration,
-    calibrate_again: Callable[..., Calibration],
+    options: Options,
 ) -> NewPose:
     """Calibrate again, from all hypotheses: a LiDAR that was turned round must not seem unmoved.
 
@@ -108,7 +108,7 @@ def by_poles(
     answer = again
     if is_ambiguous(answer):
         near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
-        answer = calibrate_again(clouds.target, clouds.source, prior=near)
+        answer = calibrate(clouds.target, clouds.source, options=replace(options, prior=near))
     pose = answer.refined or answer.poles
     if pose is None or pose.covariance is None or answer.T_target_source is None:
         return NewPose(None, reasons=tuple(r.prefixed("poles") for r in answer.reasons))
@@ -305,13 +305,9 @@ def check(
     target: PointCloud,
     source: PointCloud,
     *,
+    options: Options = NOTHING_KNOWN,
     uncertainty: Uncertainty | None = None,
     tolerance: Asked = NOT_ASKED,
-    radius: float = DEFAULT_RADIUS,
-    radius_sigma: float = 0.0,
-    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
-    thresholds: tuple[float | None, float | None] = (None, None),
-    mast_sway: float | None = None,
 ) -> CheckResult:
     """Find the pose again and test it against the stored one.
 
@@ -323,13 +319,13 @@ def check(
         New recordings of the same two LiDARs, each in its own frame. Poles are used where both
         see them, and need not stand where they stood; without, or without intensities, the scene
         must do.
+    options
+        What is known of both, as for `pipeline.calibrate`.
     uncertainty
         The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
         None, as of a pose from elsewhere, shares no errors with the new one.
     tolerance
         The movement that matters, or as small a one as these data can tell.
-    radius, radius_sigma, sensors, thresholds, mast_sway
-        As for `pipeline.calibrate`.
 
     Raises
     ------
@@ -343,23 +339,15 @@ def check(
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
         target, source = carrier.taken_out(stored.T_target_source, target, source)
-    question = _Question(stored, uncertainty, tolerance, sensors, carrier)
-    calibrate_again = partial(
-        calibrate,
-        radius=radius,
-        radius_sigma=radius_sigma,
-        sensors=sensors,
-        thresholds=thresholds,
-        mast_sway=mast_sway,
-    )
+    question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
     # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
-    by_confirmed_poles = partial(calibrate_again, candidates=False)
-    answer = _answered(question, by_confirmed_poles(target, source), by_confirmed_poles)
+    confirmed = replace(options, candidates=False)
+    answer = _answered(question, calibrate(target, source, options=confirmed), confirmed)
     if _is_off(answer):
-        again = calibrate_again(target, source)
+        again = calibrate(target, source, options=options)
         # What the surfaces say without an answer of the poles was just found.
         if again.T_target_source is not None or is_ambiguous(again):
-            answer = _answered(question, again, calibrate_again)
+            answer = _answered(question, again, options)
     return _with_carrier(answer, carrier)
 
 
@@ -385,9 +373,7 @@ def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckRe
     return replace(answer, reasons=(*answer.reasons, reason))
 
 
-def _answered(
-    question: _Question, again: Calibration, calibrate_again: Callable[..., Calibration]
-) -> CheckResult:
+def _answered(question: _Question, again: Calibration, options: Options) -> CheckResult:
     """Hold a calibration of the new recordings against the stored pose."""
     sensors, T_stored = question.sensors, question.stored.T_target_source
     recorded = again.placements[0]
@@ -400,7 +386,7 @@ def _answered(
     (recorded,) = on_one_mast([recorded], T_stored)
     left = left_in([recorded])
     clouds = Clouds(recorded.target.cloud, recorded.source.cloud, left)
-    new = by_poles(question.stored, clouds, again, calibrate_again)
+    new = by_poles(question.stored, clouds, again, options)
     answer = _tested(question, clouds, new)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
     found = count(scenes, T_stored)

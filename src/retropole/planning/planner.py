@@ -22,7 +22,7 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
-from ..pipeline import calibrate, calibrate_site
+from ..pipeline import Options, calibrate, calibrate_site
 from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import in_sensor_frame, range_noise, with_poles
@@ -85,7 +85,7 @@ def rehearse(
     by_lidar = list(zip(*clouds, strict=True))
     if len(stations) == 2:
         sensors = stations[0].sensor, stations[1].sensor
-        return calibrate(*by_lidar, radius=radius, sensors=sensors, need=need)
+        return calibrate(*by_lidar, options=Options(radius=radius, sensors=sensors, need=need))
     lidars = tuple(
         SiteLidar(each.name, own, sensor=each.sensor)
         for each, own in zip(stations, by_lidar, strict=True)
