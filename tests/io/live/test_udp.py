@@ -15,7 +15,7 @@ from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame, read_frames
 from retropole.io.live import Source
 from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
-from retropole.io.packets import packets, walk
+from retropole.io.packets.capture import packets, walk
 from tests.io.files import required
 from tests.paths import SHARED
 

@@ -22,7 +22,9 @@ import numpy as np
 from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
 from ..fields import frame_from_columns
-from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
+from ..packets.ouster import ouster_sweeps
+from ..packets.sweeps import Sweep
+from ..packets.velodyne import VELODYNE_SIZE, VELODYNE_START, velodyne_sweep
 from ..recordings import Frame, is_unix
 from .replay import QUIET
 

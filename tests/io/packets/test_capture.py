@@ -10,7 +10,7 @@ import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import open_recording, read_cloud, read_frames
-from retropole.io.packets import CAPTURE_HEADER, PACKET_HEADER, walk
+from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, walk
 from retropole.io.recordings import time_of_recording
 from tests.cli.commands import retropole_here
 from tests.damage import velodyne

@@ -1,0 +1,213 @@
+"""Models of LiDARs by their packets: each is a table of its maker's file, none is code.
+
+A table says how packets of a model are recognized, what they hold where, and at which angles and
+when each channel fires. What packets of one shape have in common is a family: a layout here, and
+a module with ``positions`` and ``decode``.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from ...base.datatypes import Array, IntArray
+from ...base.quantities import counted
+
+MAKERS = ("hesai", "robosense", "leishen", "livox")
+"""Files of tables, one for each maker."""
+
+
+class Returns(NamedTuple):
+    """What packets hold.
+
+    Attributes
+    ----------
+    xyz
+        (M, 3) m, in the sensor's frame, with axes as its manual has them.
+    intensity
+        (M,) as sent, 0 to 255.
+    ring
+        (M,) rank of the elevation from below; None for a model without rings.
+    time
+        (M,) s, when each fired: the packet's own time, and what block and channel add.
+    turn
+        (M,) the sweep, on the scale of the positions of the packets.
+    packet
+        (M,) row of the packet.
+    """
+
+    xyz: Array
+    intensity: Array
+    ring: IntArray | None
+    time: Array
+    turn: IntArray
+    packet: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Angles:
+    """Where the channels of a unit look.
+
+    Attributes
+    ----------
+    elevation, azimuth
+        (C,) rad: above the horizon, and what is added to the azimuth of a firing.
+    found
+        In words: ``the table of the model``, ``angles.csv``, ``the DIFOP of the capture``.
+    """
+
+    elevation: Array
+    azimuth: Array
+    found: str = "the table of the model"
+
+
+class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What packets of a family hold where; offsets count bytes from the first of the packet."""
+
+
+class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True):
+    """Of Hesai: blocks of channels, each with one azimuth, to which each channel adds its own.
+
+    Attributes
+    ----------
+    count, channels
+        Blocks of a packet, channels of a block.
+    start, block, channel
+        Bytes before the first block, of a block, and of a channel.
+    azimuth, distance
+        Where in a block the azimuth is (16 bits, 0.01°), and the first channel: distance (16 bits)
+        and intensity (8 bits).
+    returns, date, microseconds
+        Offsets of the return mode, of the date (6 bytes) and of the microseconds (32 bits).
+    block_us, step_us, is_counted_back
+        When the first or, where counted back, the last group of blocks with one azimuth fires,
+        µs after the packet's time, and from group to group.
+    firing_us
+        When each channel fires after its block, µs; several where what a packet says selects one.
+    state
+        Offset of the byte or bits that select one, as the family says.
+    """
+
+    count: int
+    channels: int
+    start: int
+    block: int
+    channel: int
+    azimuth: int
+    distance: int
+    returns: int
+    date: int
+    microseconds: int
+    block_us: float
+    step_us: float
+    firing_us: tuple[tuple[float, ...], ...]
+    is_counted_back: bool = True
+    state: int = 0
+
+
+AnyLayout = Blocks
+
+
+class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
+    """How packets of a model are recognized and read.
+
+    Attributes
+    ----------
+    name, maker, port
+        Of the model; the port, UDP, is the one that it sends to unless it was told otherwise.
+    sizes
+        Bytes that its packets may have, without IP and UDP.
+    marks
+        What it is recognized by: bytes (hexadecimal) from an offset on.
+    distance_m, range_m
+        Metres of a unit of distance; nearest and farthest return kept, m.
+    elevation_deg, azimuth_deg
+        Of each channel: above the horizon, and what is added to the azimuth of a firing.
+    layout
+        Of its family.
+    source, tried
+        Where the figures come from; on which real packets it was tried, empty for none.
+    sensor
+        Its name in ``sensors.toml``; empty where there is none.
+    """
+
+    name: str
+    maker: str
+    port: int
+    sizes: tuple[int, ...]
+    marks: tuple[tuple[int, str], ...]
+    distance_m: float
+    range_m: tuple[float, float]
+    layout: AnyLayout
+    source: str
+    elevation_deg: tuple[float, ...] = ()
+    azimuth_deg: tuple[float, ...] = ()
+    tried: str = ""
+    sensor: str = ""
+
+    @property
+    def title(self) -> str:
+        """Maker and name."""
+        return f"{self.maker} {self.name}"
+
+    @cached_property
+    def angles(self) -> Angles:
+        """Those of the table, for units whose own are not known."""
+        azimuth = self.azimuth_deg or (0.0,) * len(self.elevation_deg)
+        return Angles(np.radians(self.elevation_deg), np.radians(azimuth))
+
+    @cached_property
+    def signature(self) -> tuple[tuple[int, bytes], ...]:
+        """The marks as bytes."""
+        return tuple((at, bytes.fromhex(each)) for at, each in self.marks)
+
+
+def _tables() -> Iterator[Model]:
+    """Read the tables of all makers; one that is ``like`` another has what it does not say."""
+    for maker in MAKERS:
+        file = files("retropole.io.packets").joinpath(f"{maker}.toml")
+        if not file.is_file():
+            continue
+        tables: dict[str, dict[str, Any]] = tomllib.loads(file.read_text(encoding="utf-8"))
+        for name, own in tables.items():
+            other = tables.get(own.pop("like", ""), {})
+            layout = {**other.get("layout", {}), **own.get("layout", {})}
+            merged = {"name": name, **other, **own, "layout": layout}
+            tables[name] = merged
+            yield msgspec.convert(merged, Model)
+
+
+MODELS: tuple[Model, ...] = tuple(_tables())
+"""All that are known; a variant of a model with packets of another size has the same name."""
+
+_BY_SIZE: dict[int, list[Model]] = {
+    size: [model for model in MODELS if size in model.sizes]
+    for size in sorted({size for model in MODELS for size in model.sizes})
+}
+
+
+def recognized(payload: bytes) -> Model | None:
+    """Find the model that sent a packet of returns, by its size and marks; None where none did."""
+    for model in _BY_SIZE.get(len(payload), ()):
+        if all(payload.startswith(mark, at) for at, mark in model.signature):
+            return model
+    return None
+
+
+def rings_of(elevation: Array) -> IntArray:
+    """Rank each channel (C,) by its elevation, from below."""
+    return np.argsort(np.argsort(elevation, kind="stable"), kind="stable")
+
+
+def unknown(sizes: dict[int, int]) -> str:
+    """Say which packets came that no model sends, by how many there are of each size."""
+    most = sorted(sizes.items(), key=lambda each: -each[1])[:3]
+    came = ", ".join(f"{size} bytes ({counted(count, 'packet')})" for size, count in most)
+    return f"packets of no known model: {came or 'none'}"
