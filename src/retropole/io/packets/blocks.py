@@ -12,17 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.datatypes import Array, BoolArray, IntArray
-from .models import Angles, Blocks, Model, Returns, rings_of
+from .models import NEAR_TWIN, Angles, Blocks, Model, Returns, is_other, rings_of
 
 CIRCLE = 36_000
 """Units of an azimuth in a whole turn."""
 
 ECHOES = {mode: 2 for mode in (0x39, 0x3A, 0x3B, 0x3C, 0x3E)} | {0x3D: 3}
 """Returns of a firing by the mode that a packet names; one in any other."""
-
-SAME = 0.1
-"""Two returns of a firing nearer to each other, metres, are one: the later in the packet is kept.
-As in Tier IV's driver, with which the decoder was compared."""
 
 
 class Kept(NamedTuple):
@@ -44,7 +40,7 @@ def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
     model, packets
         Of one model, and (N, size) what it sent.
     """
-    azimuth = azimuths(model.layout, packets)[:, [0, -1]].reshape(-1)
+    azimuth = azimuths(_layout(model), packets)[:, [0, -1]].reshape(-1)
     return unwrapped(azimuth, CIRCLE).reshape(-1, 2) / CIRCLE
 
 
@@ -63,7 +59,7 @@ def decode(
         (N, 2) of the packets, in turns.
     """
     angles = angles or model.angles
-    azimuth = azimuths(model.layout, packets)
+    azimuth = azimuths(_layout(model), packets)
     kept = returns_of(model, packets)
     sine, cosine = (f(np.radians(azimuth / 100)).reshape(-1)[kept.block] for f in (np.sin, np.cos))
     ahead, aside, up = (
@@ -86,6 +82,11 @@ def decode(
     return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
 
 
+def _layout(model: Model) -> Blocks:
+    assert isinstance(model.layout, Blocks)
+    return model.layout
+
+
 def azimuths(layout: Blocks, packets: NDArray[np.uint8]) -> IntArray:
     """Read the azimuth of each block (N, B), in units of 0.01°."""
     return of_blocks(layout, packets, layout.azimuth, "<u2").astype(np.int64)
@@ -104,7 +105,7 @@ def unwrapped(azimuth: IntArray, circle: int) -> IntArray:
 
 def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
     """Take the returns of packets within the range of the model, of equal ones the last."""
-    layout = model.layout
+    layout = _layout(model)
     shape = (len(packets), layout.count, layout.channels)
     distance = np.ascontiguousarray(_of_channels(layout, packets, 0, "<u2"))
     near, far = (np.array(model.range_m) / model.distance_m).round(6)
@@ -128,10 +129,7 @@ def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
     began = _times(layout, packets)[:, None] + _blocks_s(layout, echoes)
     states = _states(layout, packets, echoes).reshape(-1)
     firing = np.array(layout.firing_us) / 1e6
-    if len(firing) > 1:
-        fired = firing[states[block], channel]
-    else:
-        fired = firing[0][channel]
+    fired = firing[states[block], channel] if len(firing) > 1 else firing[0][channel]
     intensity = _of_channels(layout, packets, 2, "u1").reshape(-1)[places]
     return Kept(
         block,
@@ -145,12 +143,12 @@ def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
 
 def _are_same(one: NDArray[np.uint16], two: NDArray[np.uint16], unit: float) -> BoolArray:
     apart = np.abs(np.subtract(one, two, dtype=np.int32))
-    limit = round(SAME / unit)
+    limit = round(NEAR_TWIN / unit)
     same: BoolArray = apart < limit
     # As floats of 32 bits these may be nearer or not.
     edge = np.nonzero(apart == limit)
-    first, second = ((each[edge] * unit).astype(np.float32) for each in (one, two))
-    same[edge] = np.abs(first - second) < np.float32(SAME)
+    first, second = (each[edge] * unit for each in (one, two))
+    same[edge] = ~is_other(first, second)
     return same
 
 
@@ -203,7 +201,8 @@ def of_blocks(layout: Blocks, packets: NDArray[np.uint8], at: int, kind: str) ->
     """View a number of each block (N, B) that is at a byte of it."""
     shape = (len(packets), layout.count)
     strides = (packets.strides[0], layout.block)
-    return np.ndarray(shape, kind, _bytes(packets), layout.start + at, strides)
+    contiguous = np.ascontiguousarray(packets)
+    return np.ndarray(shape, kind, contiguous.data, layout.start + at, strides)
 
 
 def _of_channels(
@@ -213,8 +212,4 @@ def _of_channels(
     shape = (len(packets), layout.count, layout.channels)
     strides = (packets.strides[0], layout.block, layout.channel)
     start = layout.start + layout.distance + at
-    return np.ndarray(shape, kind, _bytes(packets), start, strides)
-
-
-def _bytes(packets: NDArray[np.uint8]) -> memoryview:
-    return memoryview(np.ascontiguousarray(packets).reshape(-1))
+    return np.ndarray(shape, kind, np.ascontiguousarray(packets).data, start, strides)

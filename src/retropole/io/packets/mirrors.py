@@ -26,7 +26,7 @@ between 12.8° and 23.4° after (in the maker's and Tier IV's files), and are 60
 
 def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
     """Give the sweeps, whole and part, at the first and the last block of each packet (N, 2)."""
-    azimuth = _azimuths(model.layout, packets)[:, [0, -1]].reshape(-1)
+    azimuth = _azimuths(_layout(model), packets)[:, [0, -1]].reshape(-1)
     return MIRRORS * unwrapped(azimuth, FINE).reshape(-1, 2) / FINE
 
 
@@ -35,9 +35,9 @@ def decode(
 ) -> Returns:
     """Decode packets of a few sweeps, as `blocks.decode` does."""
     angles = angles or model.angles
-    azimuth = _azimuths(model.layout, packets)
+    azimuth = _azimuths(_layout(model), packets)
     kept = returns_of(model, packets)
-    starts = np.radians(model.layout.starts_deg) if angles.starts is None else angles.starts
+    starts = np.radians(_layout(model).starts_deg) if angles.starts is None else angles.starts
     mirror = azimuth.reshape(-1)[kept.block] * (2 * np.pi / FINE)
     order = np.argsort(starts)
     # Before the first start, the last field goes on.
@@ -63,6 +63,11 @@ def decode(
     turn = (whole // (FINE // MIRRORS))[kept.block]
     ring = rings_of(angles.elevation)[kept.channel]
     return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
+
+
+def _layout(model: Model) -> Mirrors:
+    assert isinstance(model.layout, Mirrors)
+    return model.layout
 
 
 def _azimuths(layout: Mirrors, packets: NDArray[np.uint8]) -> IntArray:

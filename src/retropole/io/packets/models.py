@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from ...base.datatypes import Array, IntArray
+from ...base.datatypes import Array, BoolArray, IntArray
 from ...base.quantities import counted
 
 MAKERS = ("hesai", "robosense", "leishen", "livox")
@@ -134,7 +134,109 @@ class Mirrors(Blocks, frozen=True, tag="mirrors", kw_only=True):
     starts_deg: tuple[float, ...]
 
 
-AnyLayout = Blocks | Mirrors
+class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", kw_only=True):
+    """Of RoboSense's spinning LiDARs and Leishen's C: between the azimuths of blocks lie the others.
+
+    Attributes
+    ----------
+    count, channels, start
+        Blocks of a packet, channels of a block (3 bytes each, after 4 for flag and azimuth), and
+        bytes before the first block.
+    flag
+        What each block begins with (hexadecimal).
+    clock, stamp
+        How the packet's time is written, as `clocks` names it, and where.
+    is_big_endian, is_x_ahead
+        Order of bytes; whether x is at azimuth 0 and y to the left, or y at 0 and x to the right.
+    blocks_in_row
+        Blocks that are one firing of all channels.
+    is_halved
+        Whether the two halves of a block may be the returns of one firing of half as many channels.
+    is_stamped_last
+        Whether the packet's time is that of the end of its last firing, not of the first.
+    period_us, firing_us, together
+        From one firing of all channels to the next, µs; when in it each group of `together`
+        channels fires.
+    lens
+        Where beams start: distance from the axis, m, degrees clockwise from the azimuth, height, m.
+    distance_bits
+        Of a distance, those that are one.
+    difop
+        Where the unit's own angles are in its DIFOP packet.
+    """
+
+    count: int
+    channels: int
+    start: int
+    flag: str
+    clock: str
+    stamp: int
+    period_us: float
+    firing_us: tuple[float, ...]
+    lens: tuple[float, float, float]
+    is_big_endian: bool = True
+    is_x_ahead: bool = True
+    blocks_in_row: int = 1
+    is_halved: bool = False
+    is_stamped_last: bool = False
+    together: int = 1
+    distance_bits: int = 0xFFFF
+    difop: Difop | None = None
+
+
+class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where a RoboSense says its angles: elevations from byte `at`, and azimuths after them.
+
+    Each is a sign and 16 bits, in units of `unit` degrees; or, where the first `below` channels
+    look down and no azimuths follow, 24 bits.
+    """
+
+    at: int
+    unit: float
+    below: int = 0
+
+
+class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True):
+    """Of RoboSense's M1 and E1, and of Livox: where each point is.
+
+    Attributes
+    ----------
+    count, points, start
+        Blocks of a packet, points of a block, and bytes before the first block.
+    block, point
+        Names and types (NumPy's) of what a block begins with and a point has. Of a block, ``late``
+        is µs after the packet's time and ``number`` which of two returns, 1 or 2.
+    form
+        ``coordinates``; ``vector`` (of length 2¹⁵) and distance; ``elevation`` or ``zenith``, 0.01°
+        above `zero`.
+    clock, stamp
+        As `Interpolated` has them.
+    counter
+        Offset of the packet's number in its frame (16 bits); None where frames are `sweep_s` long.
+    span, gap_us
+        Offset of the time from the first to the last point (16 bits, 0.1 µs); else, from block to
+        block, µs.
+    is_dual
+        Whether the two points of a block are returns of one firing.
+    """
+
+    count: int
+    start: int
+    clock: str
+    stamp: int
+    point: tuple[tuple[str, str], ...]
+    form: Literal["coordinates", "vector", "elevation", "zenith"]
+    points: int = 1
+    block: tuple[tuple[str, str], ...] = ()
+    zero: int = 0
+    counter: int | None = None
+    sweep_s: float = 0.1
+    span: int | None = None
+    gap_us: float = 0.0
+    is_dual: bool = False
+
+
+AnyLayout = Blocks | Mirrors | Interpolated | Points
 
 
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
@@ -226,6 +328,19 @@ def recognized(payload: bytes) -> Model | None:
         if all(low <= payload[where] <= high for where, low, high in model.signature):
             return model
     return None
+
+
+NEAR_TWIN = 0.1
+"""Two returns of a firing that are nearer to each other, m, are one; drivers leave one out."""
+
+
+def is_other(first: Array, second: Array) -> BoolArray:
+    """Whether the first of two returns of each firing is another than the second, by distances, m.
+
+    The second is kept in any case.
+    """
+    apart = np.abs(first.astype(np.float32) - second.astype(np.float32))
+    return apart >= np.float32(NEAR_TWIN)
 
 
 def rings_of(elevation: Array) -> IntArray:
