@@ -391,7 +391,7 @@ def test_a_capture_of_two_velodynes_gives_each(tmp_path: Path) -> None:
     path, both = tmp_path / "one.pcap", tmp_path / "both.pcap"
     path.write_bytes(velodyne())
     alone = read_cloud(path)
-    payloads = [each.payload for each in datagrams(path, walk(path))]
+    payloads = [each.payload for each, _ in datagrams(path, walk(path))]
     sent = [datagram(payload, f"10.0.0.{k}") for payload in payloads for k in (1, 2)]
     both.write_bytes(pcap(sent))
     cloud = read_cloud(both, topic="10.0.0.2:10000")
