@@ -7,12 +7,12 @@ become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens bes
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.datatypes import Array, BoolArray, IntArray
+from ...base.datatypes import Array, BoolArray
 from ...base.errors import ReadError
 from .clocks import seconds
 from .models import Angles, Interpolated, Model, Returns, is_other, rings_of
@@ -76,16 +76,18 @@ def decode(
     Raises
     ------
     ReadError
-        Where the model has no table of angles, and none are given.
+        Where the model has no table of angles and none are given, or those of another model.
     """
     layout = _layout(model)
     own = angles or model.angles
-    channels = len(own.elevation)
+    channels, most = len(own.elevation), len(layout.firing_us) * layout.together
     if not channels:
         raise ReadError(
             f"a {model.title} says in DIFOP packets at which angles its channels look, and none "
             "came; they can be given by --angles FILE"
         )
+    if channels != most and not (layout.is_halved and 2 * channels == most):
+        raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
     sent = seconds(layout.clock, packets, layout.stamp)
     rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
     distance = rows.distance * model.distance_m
@@ -111,16 +113,18 @@ def decode(
     turn = np.rint(positions[:, :1] - rows.azimuth[:, :1] / 360)
     turn = turn + np.rint((rows.azimuth[:, :1] + turned - rows.azimuth) / 360)
 
-    packet, row, slot = np.nonzero(kept)
-    channel = slot % channels
-    on = rows.azimuth[packet, row] + step[packet, row] * (firing / period)[slot]
+    channel = np.arange(kept.shape[2]) % channels
+
+    def every(values: NDArray[Any]) -> NDArray[Any]:
+        return np.broadcast_to(values, kept.shape)[kept]
+
     return Returns(
-        xyz=_placed(layout, np.deg2rad(on), own, channel, distance[packet, row, slot]),
-        intensity=rows.intensity[packet, row, slot].astype(np.float64),
-        ring=rings_of(own.elevation)[channel],
-        time=sent[packet] + late[packet, row] + firing[slot],
-        turn=turn[packet, row].astype(np.int64),
-        packet=packet,
+        xyz=_placed(layout, rows.azimuth, step, firing / period, own, distance, kept),
+        intensity=rows.intensity[kept].astype(np.float64),
+        ring=every(rings_of(own.elevation)[channel]),
+        time=every(sent[:, None, None] + late[:, :, None] + firing),
+        turn=every(turn.astype(np.int64)[:, :, None]),
+        packet=every(np.arange(len(packets))[:, None, None]),
     )
 
 
@@ -159,21 +163,40 @@ def _layout(model: Model) -> Interpolated:
 
 
 def _placed(
-    layout: Interpolated, azimuth: Array, angles: Angles, channel: IntArray, distance: Array
+    layout: Interpolated,
+    azimuth: Array,
+    step: Array,
+    share: Array,
+    angles: Angles,
+    distance: Array,
+    kept: BoolArray,
 ) -> Array:
-    """Coordinates (M, 3) of returns at azimuths of the axis, radians."""
-    ahead, aside = np.cos(azimuth), np.sin(azimuth)
-    up, out = np.sin(angles.elevation), np.cos(angles.elevation)
-    turned, beside = np.cos(angles.azimuth) * out, np.sin(angles.azimuth) * out
-    lens = layout.lens[0] * np.exp(1j * np.deg2rad(layout.lens[1]))
-    # The channel's offset is added by its sine and cosine, and so is the lens.
-    along = distance * turned[channel] + lens.real
-    across = distance * beside[channel] + lens.imag
-    forward = along * ahead - across * aside
-    right = along * aside + across * ahead
-    height = distance * up[channel] + layout.lens[2]
+    """Coordinates (M, 3) of those kept of returns at some distances (N, R, S).
+
+    Rows begin at azimuths (N, R), and turn by steps (N, R), both degrees, until the next; a share
+    of it (S,) is left behind when each fires.
+    """
+    channel = np.arange(len(share)) % len(angles.elevation)
+    # Few steps differ, so that sines and cosines are those of few angles.
+    steps, of_step = np.unique(step, return_inverse=True)
+    of_step = of_step.reshape(step.shape)
+    on = np.deg2rad(np.outer(steps, share))
+    out, lens = np.cos(angles.elevation)[channel], layout.lens[0] * np.ones(len(share))
+    along = cross = np.zeros(())
+    for scale, ways, turned in (
+        (distance, out, on + angles.azimuth[channel]),
+        (1.0, lens, on + np.deg2rad(layout.lens[1])),
+    ):
+        along = along + scale * (ways * np.cos(turned))[of_step]
+        cross = cross + scale * (ways * np.sin(turned))[of_step]
+    ahead, aside = (f(np.deg2rad(azimuth))[:, :, None] for f in (np.cos, np.sin))
+    forward, right = along * ahead - cross * aside, along * aside + cross * ahead
     plane = (forward, -right) if layout.is_x_ahead else (right, forward)
-    return np.column_stack([*plane, height])
+    height = distance * np.sin(angles.elevation)[channel] + layout.lens[2]
+    xyz = np.empty((np.count_nonzero(kept), 3))
+    for axis, values in enumerate((*plane, height)):
+        xyz[:, axis] = values[kept]
+    return xyz
 
 
 def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint8]:
