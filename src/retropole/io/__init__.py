@@ -20,6 +20,7 @@ from .bags import is_rosbag2
 from .fields import Unit, in_metres, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
+from .lvx import LVX, lvx_topics, open_lvx
 from .packets import CAPTURES, open_packets
 from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
@@ -79,6 +80,8 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
     files = _files(path)
     if _is_bag(path):
         return open_bag(path, topic)
+    if path.suffix.lower() in LVX and path.is_file():
+        return open_lvx(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
     if path.suffix.lower() in CAPTURES and path.is_file():
@@ -96,6 +99,8 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
     """
     path = Path(path)
     _files(path)
+    if path.suffix.lower() in LVX and path.is_file():
+        return lvx_topics(path)
     return bag_topics(path) if _is_bag(path) else ()
 
 
@@ -220,7 +225,7 @@ def _files(path: Path) -> list[Path]:
 def _read(path: Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join([*READERS, *BAGS, *PACKETS])
+        known = ", ".join([*READERS, *BAGS, *PACKETS, *LVX])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     with naming(path):
         return replace(reader(path), source=str(path))
@@ -242,7 +247,7 @@ def frames_of(folder: Path) -> list[Path]:
     files = [p for p in named if p.is_file()]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES)]
+        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES, *LVX)]
         raise ReadError(
             f"{folder}: has several recordings, give one of them: {', '.join(sorted(recordings))}"
             if recordings

@@ -143,8 +143,8 @@ MANUALS = {
     ),
     "Ruby": Spinning(
         lambda t: (bytes.fromhex("55aa055a") + bytes(6) + _unix(t)).ljust(80, b"\0"),
-        lambda _: b"\0" * 4, b"\xfe\x01", 128, 3, 0.005, ">", lambda k: 3.236 * (k % 64 // 4), 55.55,
-        (0.03615, 0, 0),
+        lambda _: b"\0" * 4, b"\xfe\x01", 128, 3, 0.005, ">",
+        lambda k: 3.236 * (k % 64 // 4), 55.55, (0.03615, 0, 0),
     ),
     "Airy": Spinning(
         lambda t: _new(t, "000002"), lambda _: b"\0" * 22, FFEE, 48, 8, 0.005, ">",
