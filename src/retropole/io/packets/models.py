@@ -61,11 +61,16 @@ class Angles:
         (C,) rad: above the horizon, and what is added to the azimuth of a firing.
     found
         In words: ``the table of the model``, ``angles.csv``, ``the DIFOP of the capture``.
+    starts, adjusted
+        Of mirrors: (K,) where the field of each starts, and (2, C, 180) what is added to azimuth
+        and elevation at each 2°, rad; None where the file has none.
     """
 
     elevation: Array
     azimuth: Array
     found: str = "the table of the model"
+    starts: Array | None = None
+    adjusted: Array | None = None
 
 
 class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -91,8 +96,9 @@ class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True
         µs after the packet's time, and from group to group.
     firing_us
         When each channel fires after its block, µs; several where what a packet says selects one.
-    state
-        Offset of the byte or bits that select one, as the family says.
+    states, state
+        How one of them is selected, and the offset of what selects it: ``loops`` by a flag, of
+        which sets of channels take turns; ``bits`` by two bits for each block.
     """
 
     count: int
@@ -109,7 +115,23 @@ class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True
     step_us: float
     firing_us: tuple[tuple[float, ...], ...]
     is_counted_back: bool = True
+    states: Literal["", "loops", "bits"] = ""
     state: int = 0
+
+
+class Mirrors(Blocks, frozen=True, tag="mirrors", kw_only=True):
+    """Of Hesai's AT128: a block has a finer azimuth, and mirrors pass one after the other.
+
+    Attributes
+    ----------
+    fine
+        Where in a block the 1/256 of the azimuth are (8 bits).
+    starts_deg
+        Azimuth at which the field of each mirror starts.
+    """
+
+    fine: int
+    starts_deg: tuple[float, ...]
 
 
 class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", kw_only=True):
@@ -214,7 +236,7 @@ class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True
     is_dual: bool = False
 
 
-AnyLayout = Blocks | Interpolated | Points
+AnyLayout = Blocks | Mirrors | Interpolated | Points
 
 
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
@@ -227,7 +249,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
-        What it is recognized by: bytes (hexadecimal) from an offset on.
+        What it is recognized by: bytes (hexadecimal) from an offset on, or the lowest and the
+        highest that they may be.
     distance_m, range_m
         Metres of a unit of distance; nearest and farthest return kept, m.
     elevation_deg, azimuth_deg
@@ -244,7 +267,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     maker: str
     port: int
     sizes: tuple[int, ...]
-    marks: tuple[tuple[int, str], ...]
+    marks: tuple[tuple[int | str, ...], ...]
     distance_m: float
     range_m: tuple[float, float]
     layout: AnyLayout
@@ -266,9 +289,13 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return Angles(np.radians(self.elevation_deg), np.radians(azimuth))
 
     @cached_property
-    def signature(self) -> tuple[tuple[int, bytes], ...]:
-        """The marks as bytes."""
-        return tuple((at, bytes.fromhex(each)) for at, each in self.marks)
+    def signature(self) -> tuple[tuple[slice, bytes, bytes], ...]:
+        """The marks as bytes: where they are, the lowest and the highest."""
+        found = []
+        for at, lowest, *highest in self.marks:
+            low, high = (bytes.fromhex(str(each)) for each in (lowest, *(highest or [lowest])))
+            found.append((slice(int(at), int(at) + len(low)), low, high))
+        return tuple(found)
 
 
 def _tables() -> Iterator[Model]:
@@ -298,7 +325,7 @@ _BY_SIZE: dict[int, list[Model]] = {
 def recognized(payload: bytes) -> Model | None:
     """Find the model that sent a packet of returns, by its size and marks; None where none did."""
     for model in _BY_SIZE.get(len(payload), ()):
-        if all(payload.startswith(mark, at) for at, mark in model.signature):
+        if all(low <= payload[where] <= high for where, low, high in model.signature):
             return model
     return None
 
