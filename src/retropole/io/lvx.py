@@ -8,11 +8,10 @@ v1.0). Coordinates are each LiDAR's own: the pose that a description has is not 
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -34,24 +33,24 @@ one begins, and its number."""
 KIND = "Livox' points"
 """What `Topic` calls their kind."""
 
-POINTS = {
-    1: [("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")],
-    2: [("xyz", "<i2", 3), ("intensity", "u1"), ("tag", "u1")],
-}
-"""Of each type of points of LVX2 what one has: millimetres, or centimetres."""
+WHOLE = np.dtype([("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")])
+SMALL = np.dtype([("xyz", "<i2", 3), ("intensity", "u1"), ("tag", "u1")])
+BARE = np.dtype([("xyz", "<i4", 3), ("intensity", "u1")])
+"""A point in millimetres; in centimetres; and in millimetres without a tag."""
 
-OLD_POINTS = {
-    0: (100, [("xyz", "<i4", 3), ("intensity", "u1")]),
-    1: (100, [("other", "V9")]),
-    2: (96, [("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")]),
-    3: (96, [("other", "V10")]),
-    4: (96, [("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")]),
-    5: (48, [("other", "V16")]),
-    6: (1, [("other", "V24")]),
-    7: (90, [("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")]),
-    8: (30, [("other", "V22")]),
+POINTS: dict[int, np.dtype[Any]] = {1: WHOLE, 2: SMALL}
+"""Of the types of points of LVX2 those that are read."""
+
+OLD_POINTS: dict[int, tuple[int, np.dtype[Any]]] = {
+    0: (100, BARE),
+    2: (96, WHOLE),
+    4: (96, WHOLE),
+    7: (90, WHOLE),
+    # As angles; and what an inertial sensor measured.
+    **{kind: (1, np.dtype(f"V{size}")) for kind, size in ((1, 900), (3, 960), (5, 768), (8, 660))},
+    6: (1, np.dtype("V24")),
 }
-"""Of LVX, how many are in a package besides; those of one firing follow each other."""
+"""Of LVX also how many are in a package; those of one firing follow each other."""
 
 OF_MOTION = {True: 0, False: 6}
 """Type of packages with what an inertial sensor measured, of LVX2 and of LVX."""
@@ -146,22 +145,21 @@ def _columns(
     start, end = found.frames[number]
     file.seek(start)
     data = file.read(end - start)
-    xyz, intensity, times, other = [], [], [], Counter[int]()
+    xyz, intensity, times, other = [], [], [], set[int]()
     at = 0
     while at < len(data):
         package = _package(found.is_new, data, at)
         if package is None:
             break
         own, time, kind, (first, at) = package
-        about = POINTS.get(kind) if found.is_new else OLD_POINTS[kind][1]
+        point = POINTS.get(kind) if found.is_new else OLD_POINTS[kind][1]
         if own != lidar or kind == OF_MOTION[found.is_new]:
             continue
-        if about is None or about[0][0] != "xyz":
-            other[kind] += 1
+        if point is None or not point.names:
+            other.add(kind)
             continue
-        point = np.dtype(about)
         points = np.frombuffer(data, point, (at - first) // point.itemsize, first)
-        unit = 0.01 if found.is_new and kind == 2 else 0.001
+        unit = 0.01 if point is SMALL else 0.001
         xyz.append(points["xyz"] * unit)
         intensity.append(points["intensity"])
         times.append(np.full(len(points), time))
@@ -182,7 +180,7 @@ def _package(is_new: bool, data: bytes, at: int) -> tuple[int, float, int, tuple
         else:
             lidar, kind, time = struct.unpack_from("<B9xBQ", data, at)
             count, point = OLD_POINTS[kind]
-            first, size = at + 19, count * np.dtype(point).itemsize
+            first, size = at + 19, count * point.itemsize
     except (struct.error, KeyError):
         return None
     return (lidar, time / 1e9, kind, (first, first + size)) if first + size <= len(data) else None

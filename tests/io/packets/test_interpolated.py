@@ -177,7 +177,8 @@ def _named(name: str) -> Model:
 
 @pytest.mark.skipif(not REAL.exists(), reason="real packets are not here")
 def test_a_real_helios() -> None:
-    packets, told = [], []
+    packets: list[bytes] = []
+    told: list[bytes] = []
     with sqlite3.connect(f"file:{REAL / 'packets.db3'}?mode=ro&immutable=1", uri=True) as bag:
         for (data,) in bag.execute("SELECT data FROM messages ORDER BY timestamp"):
             (length,) = struct.unpack_from("<I", data, 12)

@@ -90,7 +90,7 @@ def decode(
         raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
     sent = seconds(layout.clock, packets, layout.stamp)
     rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
-    distance = rows.distance * model.distance_m
+    distance = np.multiply(rows.distance, model.distance_m, dtype=np.float64)
     nearest, farthest = model.range_m
     kept = (distance >= nearest - SMALL) & (distance <= farthest + SMALL)
     kept &= rows.valid[:, :, None]
@@ -137,8 +137,8 @@ def angles_told(model: Model, payload: bytes) -> Angles | None:
     if told is None or len(payload) not in model.sizes or not payload.startswith(DIFOP_START):
         return None
     if told.below:
-        sent = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
-        elevation = sent.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
+        bits = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
+        elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
         elevation[: told.below] *= -1
         azimuth = np.zeros(len(elevation))
     else:
@@ -207,13 +207,16 @@ def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint
 
 
 def _azimuth(layout: Interpolated, blocks: NDArray[np.uint8]) -> Array:
-    return _number(layout, blocks[..., 2:4]) % 36000 * 0.01
+    return np.multiply(_number(layout, blocks[..., 2:4]) % 36000, 0.01, dtype=np.float64)
 
 
 def _number(layout: Interpolated, pairs: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Numbers of 2 bytes (...) of bytes (..., 2)."""
     high, low = (0, 1) if layout.is_big_endian else (1, 0)
-    return pairs[..., high].astype(np.uint16) << 8 | pairs[..., low]
+    number: NDArray[np.uint16] = np.bitwise_or(
+        pairs[..., high].astype(np.uint16) << 8, pairs[..., low]
+    )
+    return number
 
 
 def _rows(layout: Interpolated, packets: NDArray[np.uint8]) -> _Rows:
@@ -224,7 +227,7 @@ def _rows(layout: Interpolated, packets: NDArray[np.uint8]) -> _Rows:
     begins = (blocks[:, :, : len(flags)] == flags).all(axis=2)
     return _Rows(
         _azimuth(layout, blocks[:, :: layout.blocks_in_row]),
-        _number(layout, firings[..., :2]) & layout.distance_bits,
+        np.bitwise_and(_number(layout, firings[..., :2]), layout.distance_bits),
         firings[..., 2],
         begins.reshape(shape).all(axis=2),
     )
@@ -249,8 +252,8 @@ def _firings(
     if layout.is_halved and len(gaps) and np.median(gaps) < 0.75 * rest:
         shape = len(sent), -1, slots // held
         parts = rows.distance.reshape(shape), rows.intensity.reshape(shape)
-        azimuth, valid = (np.repeat(each, held, axis=1) for each in (rows.azimuth, rows.valid))
-        return _Rows(azimuth, *parts, valid), firing, period
+        azimuth = np.repeat(rows.azimuth, held, axis=1)
+        return _Rows(azimuth, *parts, np.repeat(rows.valid, held, axis=1)), firing, period
     starts = np.repeat(np.arange(held) * period, slots // held)
     return rows, starts + np.tile(firing, held), held * period
 
