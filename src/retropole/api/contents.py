@@ -54,7 +54,9 @@ def look_into(
     topics = topics_of(path)
     names: list[str | None] = [topic]
     if topic is None:
-        names = [own.name for own in topics if own.of_clouds and own.count] or [None]
+        filled = [own for own in topics if own.count]
+        names = [own.name for own in filled if own.of_clouds]
+        names = names or [own.name for own in filled if own.of_packets] or [None]
     read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS, unit=unit)
     found = [read(topic=name) for name in names]
     document = InfoDoc(
@@ -93,7 +95,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         told_by_rings=cloud is not given and cloud.ring is not None,
         range_m=np.quantile(ranges, [0, 0.5, 1]).tolist(),
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
-        sensors=guess_sensors(cloud),
+        sensors=[cloud.model] if cloud.model else guess_sensors(cloud),
         odd_coordinates=words,
         units=list(units),
     )

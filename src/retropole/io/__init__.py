@@ -21,7 +21,7 @@ from .fields import Unit, in_metres, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
 from .lvx import LVX, lvx_topics, open_lvx
-from .packets import CAPTURES, open_packets
+from .packets import CAPTURES, open_packets, topics_of_capture
 from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
 from .pcd import write_pcd as write_pcd
@@ -55,7 +55,9 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 """From the suffix of a file of one frame, in lower case, to its reader."""
 
 
-def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
+def open_recording(
+    path: str | Path, *, topic: str | None = None, angles: Path | None = None
+) -> Recording:
     """Look at a file, a folder of frames or a bag without reading its points.
 
     Parameters
@@ -65,32 +67,38 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
         suffix of `READERS`, or of a ROS 2 bag. The files of a folder are frames in natural
         order (``frame2`` before ``frame10``); hidden files are skipped.
     topic
-        Of a bag, the topic to read; needed where several have point clouds.
+        Of a bag, the topic to read; needed where several have point clouds. Of a capture, the
+        ``IP:port`` of a LiDAR; needed where several sent.
+    angles
+        Of packets, a file of the unit's own angles.
 
     Raises
     ------
     ReadError
         Naming the file and what was expected.
     UsageError
-        Where a topic is given, and the path is not a bag.
+        Where a topic is given, and the path is neither a bag nor a capture; where angles are, and
+        it holds no packets.
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
     path = Path(path)
     files = _files(path)
     if _is_bag(path):
-        return open_bag(path, topic)
+        return open_bag(path, topic, angles)
+    if path.suffix.lower() in CAPTURES and path.is_file():
+        return open_packets(path, topic, angles)
     if path.suffix.lower() in LVX and path.is_file():
         return open_lvx(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
-    if path.suffix.lower() in CAPTURES and path.is_file():
-        return open_packets(path)
+    if angles is not None:
+        raise UsageError(f"{path}: holds no packets, --angles is of no use")
     return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:
-    """List the topics of a bag by name; empty for any other path.
+    """List the topics of a bag by name, or the LiDARs of a capture of several; else nothing.
 
     Raises
     ------
@@ -99,6 +107,8 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
     """
     path = Path(path)
     _files(path)
+    if path.suffix.lower() in CAPTURES and path.is_file():
+        return topics_of_capture(path)
     if path.suffix.lower() in LVX and path.is_file():
         return lvx_topics(path)
     return bag_topics(path) if _is_bag(path) else ()
@@ -181,6 +191,7 @@ def read_recording(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
+    angles: Path | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
@@ -189,6 +200,8 @@ def read_recording(
     ----------
     path, topic, frames, max_points, unit
         As `read_cloud` takes them.
+    angles
+        As `open_recording` takes it.
     progress
         Called as each of several frames is about to be read, with which of how many it is.
 
@@ -198,8 +211,8 @@ def read_recording(
         As `read_cloud`.
     """
     unit = unit_named(unit)
-    recording = open_recording(path, topic=topic)
-    if unit != "m" and recording.path.suffix.lower() in CAPTURES:
+    recording = open_recording(path, topic=topic, angles=angles)
+    if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
     most = sys.maxsize if max_points is None else max_points

@@ -16,7 +16,6 @@ from ...base.errors import UsageError
 from .. import open_recording
 from ..bags import opened
 from ..fields import NANOSECONDS
-from ..packets import PACKETS
 from ..recordings import Frame, Recording
 from ..ros import frame_of
 
@@ -130,10 +129,10 @@ class ReplaySource:
 
 def _entries(recording: Recording) -> Generator[Entry, None, None]:
     """Go through the frames of a recording, each read when it is called for where that can be."""
+    if recording.model:
+        return _of_packets(recording)
     if recording.topic is not None:
         return _of_bag(recording.path, recording.topic)
-    if recording.path.suffix.lower() in PACKETS:
-        return _of_packets(recording)
     return _of_files(recording)
 
 

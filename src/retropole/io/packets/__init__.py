@@ -1,58 +1,280 @@
-"""Packets as a sensor sends them, in a .pcap: Velodyne and Ouster.
+"""Packets as a sensor sends them, in captures and in bags of what drivers publish.
 
-Frames are sweeps; the first and the last may be incomplete.
+Which LiDAR sent them is recognized from the packets. Frames are sweeps; the first and the last may
+be incomplete.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
-from ...base.errors import ReadError, naming, reported
-from ..fields import frame_from_columns, noted
-from ..recordings import Frame, Recording
-from .capture import mended, packets, sizes_in_words, walk
-from .ouster import metadata_beside, sweeps_of_capture
-from .velodyne import of_velodyne, velodyne_sweeps
+import numpy as np
 
-PACKETS = (".pcap",)
+from ...base.datatypes import Array, IntArray
+from ...base.errors import ReadError, naming, reported
+from ...base.quantities import counted
+from ..bags import opened
+from ..fields import Columns, frame_from_columns, noted
+from ..recordings import PACKETS_OF, Frame, Recording, Topic
+from . import drivers
+from .angles import angles_told, read_angles
+from .capture import PCAPNG_START, Capture, Datagram, datagrams, sizes_in_words, walk
+from .models import Angles, Model, recognized, unknown
+from .ouster import metadata_beside, sweeps_of_capture
+from .sweeps import Sweep, index_of, positions_of, sweeps_of
+from .velodyne import is_velodyne, model_of, velodyne_sweeps
+
+PACKETS = (".pcap", ".pcapng")
 """Suffixes of packet captures."""
 
-CAPTURES = (*PACKETS, ".pcapng", ".cap")
+CAPTURES = (*PACKETS, ".cap")
 """Suffixes that captures have, also those that may be of a format that is not read."""
 
+VELODYNE = "Velodyne"
 
-def open_packets(path: Path) -> Recording:
-    """Recognize the sensor of a capture, and count the sweeps, which takes a pass through it.
+
+@dataclass
+class Sender:
+    """What one LiDAR sent.
+
+    Attributes
+    ----------
+    title, name
+        Maker and model; what ``sensors.toml`` calls it, where it is in there.
+    model
+        Its table; None of a Velodyne.
+    size
+        Bytes of its packets; those of another size it has not sent.
+    rows
+        Its packets, by their numbers in the recording.
+    angles
+        Its own, where a packet told them.
+    """
+
+    title: str
+    name: str
+    model: Model | None
+    size: int
+    rows: list[int] = field(default_factory=list)
+    angles: Angles | None = None
+
+
+Reading = Callable[[IntArray | None], Iterator[Datagram]]
+"""From ascending numbers of packets, or None for all, to these packets."""
+
+
+def open_packets(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
+    """Recognize the sensor of a capture, and find its sweeps, which takes a pass through it.
+
+    Parameters
+    ----------
+    path
+        A capture.
+    topic
+        ``IP:port`` of the sender; needed where several LiDARs sent.
+    angles
+        File of the unit's own angles.
 
     Raises
     ------
     MissingExtraError
         Where the extra for the sensor is not installed.
     ReadError
-        Where the file is not a capture of such packets, or an Ouster's metadata are missing.
+        Where the file is not a capture of such packets, or an Ouster's metadata are missing; where
+        not exactly one sender fits.
     """
     with naming(path), reported("capture"):
         capture = walk(path)
-    velodyne, unreadable = of_velodyne(packets(path, capture))
+    read = partial(datagrams, path, capture)
+    senders, sizes = survey(read(None))
+    if not senders:
+        return _of_ouster(path, capture, sizes)
+    name = _chosen(path, senders, topic)
+    # Of a damaged packet nothing tells who sent it, but that it is as long as others.
+    known = sum(len(each.rows) for each in senders.values())
+    length = capture.records[senders[name].rows[0], 1]
+    alike = int(np.count_nonzero(capture.records[:, 1] == length))
+    unreadable = max(alike - known, 0) if len(senders) == 1 else 0
+    is_plain = len(senders) == 1 and not unreadable and not len(capture.gaps)
+    with path.open("rb") as file:
+        is_plain &= file.read(4) != PCAPNG_START
     note = capture.note(unreadable)
-    if velodyne:
-        content = mended(path, capture) if len(capture.gaps) else None
-        read = partial(velodyne_sweeps, path, content)
-    else:
-        read = partial(sweeps_of_capture, path, metadata_beside(path, sizes_in_words(capture)))
-    count = sum(1 for _ in read())
-    if not count:
-        raise ReadError(f"{path}: holds no sweep, its packets have {sizes_in_words(capture)}")
+    recording = _recording(path, senders[name], read, angles, (note,), is_whole_file=is_plain)
+    return replace(recording, topic=name) if len(senders) > 1 else recording
+
+
+def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recording:
+    """Open a topic of a bag on which a driver publishes packets.
+
+    Raises
+    ------
+    MissingExtraError, ReadError
+        As `open_packets`.
+    """
+
+    def read(rows: IntArray | None) -> Iterator[Datagram]:
+        with opened(path) as bag:
+            coming = drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
+            if rows is None:
+                yield from coming
+                return
+            at = 0
+            for row in rows.tolist():
+                yield next(islice(coming, row - at, None))
+                at = row + 1
+
+    senders, sizes = survey(read(None))
+    if not senders:
+        raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
+    # A bag does not say who sent what: the LiDAR is the one with most packets.
+    sender = max(senders.values(), key=lambda each: len(each.rows))
+    return replace(_recording(path, sender, read, angles, ()), topic=topic.name)
+
+
+def topics_of_capture(path: Path) -> tuple[Topic, ...]:
+    """List the LiDARs of a capture as topics, ``IP:port``, where there are several."""
+    with naming(path), reported("capture"):
+        capture = walk(path)
+    senders, _ = survey(datagrams(path, capture))
+    topics = tuple(
+        Topic(name, f"{PACKETS_OF}{own.title}", len(own.rows)) for name, own in senders.items()
+    )
+    return topics if len(topics) > 1 else ()
+
+
+def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]:
+    """Find which LiDARs sent packets, and count the sizes of all other packets."""
+    senders: dict[str, Sender] = {}
+    sizes: Counter[int] = Counter()
+    told: dict[str, bytes] = {}
+    for row, (payload, name, _) in enumerate(coming):
+        own = senders.get(name)
+        model = recognized(payload)
+        if model is None and not is_velodyne(payload):
+            sizes[len(payload)] += 1
+            if payload and len(told) < 100:
+                told.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
+            continue
+        if own is None:
+            own = senders[name] = _sender(model, payload)
+        if len(payload) == own.size and (model is None) == (own.model is None):
+            own.rows.append(row)
+    for name, own in senders.items():
+        found = (
+            angles_told(own.model, payload)
+            for key, payload in told.items()
+            if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
+        )
+        own.angles = next((each for each in found if each is not None), None)
+    # A damaged address or port looks like another LiDAR, which sends next to nothing.
+    most = max((len(own.rows) for own in senders.values()), default=0)
+    return {name: own for name, own in senders.items() if len(own.rows) > most / 1000}, sizes
+
+
+def _sender(model: Model | None, payload: bytes) -> Sender:
+    if model is not None:
+        return Sender(model.title, model.sensor or model.title, model, len(payload))
+    name = model_of(payload)
+    title = f"{VELODYNE} {name}".rstrip()
+    return Sender(title, name or title, None, len(payload))
+
+
+def _chosen(path: Path, senders: dict[str, Sender], topic: str | None) -> str:
+    listed = ", ".join(
+        f"{name} ({own.title}, {counted(len(own.rows), 'packet')})"
+        for name, own in islice(senders.items(), 10)
+    )
+    if topic is not None and topic not in senders:
+        raise ReadError(f"{path}: no LiDAR sends from {topic}; those that do: {listed}")
+    if topic is None and len(senders) > 1:
+        raise ReadError(f"{path}: has packets of {len(senders)} LiDARs, name one of them: {listed}")
+    return topic or next(iter(senders))
+
+
+def _recording(
+    path: Path,
+    sender: Sender,
+    read: Reading,
+    angles: Path | None,
+    notes: tuple[str, ...],
+    *,
+    is_whole_file: bool = False,
+) -> Recording:
+    """Open what one LiDAR sent."""
+    rows = np.array(sender.rows, np.int64)
+    if sender.model is None:
+        coming = None if is_whole_file else partial(read, rows)
+        return _decoded(
+            path,
+            lambda: velodyne_sweeps(path, coming),
+            sender.name,
+            sizes=f"{sender.size} bytes",
+            notes=notes,
+        )
+    model = sender.model
+    own = sender.angles if angles is None else read_angles(angles, model)
+
+    def payloads(chosen: IntArray | None = None) -> Iterator[bytes]:
+        return (each.payload for each in read(rows if chosen is None else rows[chosen]))
+
+    index = index_of(model, positions_of(model, payloads()), own)
+    used = own or model.angles
+    if len(used.elevation):
+        notes = (*notes, f"angles of {model.title}: {used.found}")
 
     def frames(numbers: range) -> Iterator[Frame]:
-        for number, (stamp, columns, origin) in enumerate(read()):
+        for number, sweep in sweeps_of(model, own, index, numbers, payloads):
+            yield _frame(path, number, sweep, sender.name, notes)
+
+    return Recording(path, len(index.rows), frames, model=sender.name)
+
+
+def _decoded(
+    path: Path,
+    sweeps: Callable[[], Iterator[Sweep]],
+    name: str,
+    *,
+    sizes: str,
+    notes: tuple[str, ...],
+) -> Recording:
+    """Open packets that the library of a maker decodes, which is to count their sweeps, too."""
+    count = sum(1 for _ in sweeps())
+    if not count:
+        raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        for number, sweep in enumerate(sweeps()):
             if number in numbers:
-                where = f"{path}: sweep {number}"
-                cloud = frame_from_columns(where, columns(), origin)
-                yield Frame(number, noted(cloud, note), stamp)
+                yield _frame(path, number, sweep, name, notes)
             if number == numbers[-1]:
                 return
 
-    return Recording(path, count, frames)
+    return Recording(path, count, frames, model=name)
+
+
+def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, ...]) -> Frame:
+    stamp, columns, origin = sweep
+    where = f"{path}: sweep {number}"
+    with naming(where), reported("sweep"):
+        own = columns()
+    cloud = noted(frame_from_columns(where, own, origin), *notes)
+    return Frame(number, replace(cloud, model=name), stamp or _first(own))
+
+
+def _first(columns: Columns) -> float | None:
+    time: Array = columns["time"]
+    return float(time.min()) if len(time) else None
+
+
+def _of_ouster(path: Path, capture: Capture, sizes: Counter[int]) -> Recording:
+    """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
+    words = sizes_in_words(capture)
+    metadata = metadata_beside(path, words)
+    note = capture.note(0)
+    read = partial(sweeps_of_capture, path, metadata)
+    return _decoded(path, read, "Ouster", sizes=words, notes=(note,))

@@ -135,7 +135,7 @@ def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
         block,
         channel,
         packet,
-        distance.reshape(-1)[places] * model.distance_m,
+        np.multiply(distance.reshape(-1)[places], model.distance_m, dtype=np.float64),
         intensity.astype(np.float64),
         began.reshape(-1)[block] + fired,
     )
@@ -147,7 +147,7 @@ def _are_same(one: NDArray[np.uint16], two: NDArray[np.uint16], unit: float) -> 
     same: BoolArray = apart < limit
     # As floats of 32 bits these may be nearer or not.
     edge = np.nonzero(apart == limit)
-    first, second = (each[edge] * unit for each in (one, two))
+    first, second = (np.multiply(each[edge], unit, dtype=np.float64) for each in (one, two))
     same[edge] = ~is_other(first, second)
     return same
 
