@@ -18,7 +18,7 @@ import numpy as np
 from ..base.errors import ReadError, naming, reported
 from ..base.quantities import counted
 from .fields import Columns, frame_from_columns, noted
-from .recordings import Frame, Recording, Topic
+from .recordings import PACKETS_OF, Frame, Recording, Topic
 
 LVX = (".lvx2", ".lvx")
 """Suffixes of Livox' recordings."""
@@ -30,7 +30,7 @@ HEADER, FRAME = struct.Struct("<16s4BIIB"), struct.Struct("<QQQ")
 """Signature, version, magic, milliseconds of a frame, LiDARs; and where a frame is, where the next
 one begins, and its number."""
 
-KIND = "Livox' points"
+KIND = f"{PACKETS_OF}Livox"
 """What `Topic` calls their kind."""
 
 WHOLE = np.dtype([("xyz", "<i4", 3), ("intensity", "u1"), ("tag", "u1")])
