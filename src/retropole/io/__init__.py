@@ -17,7 +17,7 @@ from .arrays import cloud_from_array as cloud_from_array
 from .arrays import read_bin, read_npy, read_npz, read_pts, read_text
 from .bags import BAGS as BAGS
 from .bags import is_rosbag2
-from .fields import Unit, in_metres, unit_named
+from .fields import Unit, in_metres, intensity_named, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
 from .lvx import LVX, lvx_topics, open_lvx
@@ -56,7 +56,11 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 
 
 def open_recording(
-    path: str | Path, *, topic: str | None = None, angles: Path | None = None
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    angles: Path | None = None,
+    intensity: str | None = None,
 ) -> Recording:
     """Look at a file, a folder of frames or a bag without reading its points.
 
@@ -71,6 +75,8 @@ def open_recording(
         ``IP:port`` of a LiDAR; needed where several sent.
     angles
         Of packets, a file of the unit's own angles.
+    intensity
+        Field that the intensity is read from; None takes the first of `fields.INTENSITY`.
 
     Raises
     ------
@@ -82,7 +88,23 @@ def open_recording(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    path = Path(path)
+    recording = _opened(Path(path), topic, angles)
+    if intensity is None:
+        return recording
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        coming = recording.read(numbers)
+        while True:
+            with intensity_named(intensity):
+                frame = next(coming, None)
+            if frame is None:
+                return
+            yield frame
+
+    return replace(recording, read=frames)
+
+
+def _opened(path: Path, topic: str | None, angles: Path | None) -> Recording:
     files = _files(path)
     if _is_bag(path):
         return open_bag(path, topic, angles)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -66,6 +68,32 @@ REAL_KINDS = "fiub"
 
 Columns = Mapping[str, NDArray[Any]]
 
+_NAMED: ContextVar[str | None] = ContextVar("the field of the intensity", default=None)
+
+
+@contextmanager
+def intensity_named(name: str | None) -> Iterator[None]:
+    """Within, take intensities from the field of this name, in any spelling; None from `INTENSITY`.
+
+    Every reader of a file comes to its columns in its own way, and to the cloud in this one.
+    """
+    token = _NAMED.set(name)
+    try:
+        yield
+    finally:
+        _NAMED.reset(token)
+
+
+def _named() -> tuple[str, ...]:
+    name = _NAMED.get()
+    return INTENSITY if name is None else (name, name.lower())
+
+
+def intensities_of(names: Iterable[str]) -> list[str]:
+    """Those of names that may be an intensity's, the one that is taken first."""
+    own = [name for name in names if _bare(name) in INTENSITY]
+    return sorted(own, key=lambda name: INTENSITY.index(_bare(name)))
+
 T = TypeVar("T")
 
 
@@ -118,7 +146,7 @@ def has_coordinates(names: Iterable[str]) -> bool:
 
 def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
     """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
-    return _bare(name) in {*INTENSITY, *RING, *TIME, *besides}
+    return not {name, _bare(name)}.isdisjoint((*INTENSITY, *RING, *TIME, *_named(), *besides))
 
 
 class NoReturnsError(ReadError):
@@ -158,6 +186,9 @@ def cloud_from_columns(
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"field {', '.join(missing)} is missing; the fields are: {have}")
+    if _named() != INTENSITY and _find(columns, _named()) is None:
+        have = ", ".join(columns)
+        raise ReadError(f"--intensity {_named()[0]}: no such field; the fields are: {have}")
     parts = [_numbers(own, columns[own]) for own in found.values() if own is not None]
     if len({len(part) for part in parts}) > 1:
         lengths = ", ".join(str(len(part)) for part in parts)
@@ -191,7 +222,7 @@ def cloud_from_columns(
     return PointCloud(
         notes=tuple(filter(None, (unit, _left_out_second(second)))),
         xyz=xyz if kept.all() else xyz[kept],
-        intensity=optional(INTENSITY, _intensity),
+        intensity=optional(_named(), _intensity),
         ring=optional(RING, _ring),
         time=optional(TIME, _time),
         origin=start,
