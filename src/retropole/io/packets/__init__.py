@@ -228,9 +228,6 @@ def _recording(
         return (each.payload for each in read(rows if chosen is None else rows[chosen]))
 
     index = index_of(model, positions_of(model, payloads()), own)
-    used = own or model.angles
-    if len(used.elevation):
-        notes = (*notes, f"angles of {model.title}: {used.found}")
 
     def frames(numbers: range) -> Iterator[Frame]:
         for number, sweep in sweeps_of(model, own, index, numbers, payloads):
@@ -263,12 +260,12 @@ def _decoded(
 
 
 def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, ...]) -> Frame:
-    stamp, columns, origin = sweep
     where = f"{path}: sweep {number}"
     with naming(where), reported("sweep"):
-        own = columns()
-    cloud = noted(frame_from_columns(where, own, origin), *notes)
-    return Frame(number, replace(cloud, model=name), stamp or _first(own))
+        own = sweep.columns()
+    cloud = noted(frame_from_columns(where, own, sweep.origin), *notes, *sweep.notes)
+    stamp = _first(own) if sweep.stamp is None else sweep.stamp
+    return Frame(number, replace(cloud, model=name), stamp)
 
 
 def _first(columns: Columns) -> float | None:

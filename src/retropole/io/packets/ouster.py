@@ -56,7 +56,7 @@ def ouster_sweeps(info: Any) -> Callable[[Any], Sweep]:
 
     def sweep(scan: Any) -> Sweep:
         start = float(scan.get_first_valid_column_timestamp()) / 1e9
-        return start, partial(_ouster_columns, scan, rays, ChanField), origin
+        return Sweep(start, partial(_ouster_columns, scan, rays, ChanField), origin)
 
     return sweep
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,28 @@ from ..fields import Columns
 from . import blocks, interpolated, mirrors, points
 from .models import Angles, Blocks, Interpolated, Layout, Mirrors, Model, Points, Returns
 
-Sweep = tuple[float, Callable[[], Columns], Array]
-"""Time of recording, s; function that gives its columns; origin (3,) of its beams."""
+
+class Sweep(NamedTuple):
+    """A sweep of a LiDAR.
+
+    Attributes
+    ----------
+    stamp
+        Time of recording, s; None for that of its first point.
+    columns
+        Function that gives its columns, of which time is in seconds.
+    origin
+        (3,) of its beams.
+    model, notes
+        What `PointCloud` is to have of it.
+    """
+
+    stamp: float | None
+    columns: Callable[[], Columns]
+    origin: Array
+    model: str = ""
+    notes: tuple[str, ...] = ()
+
 
 FAMILIES: dict[type[Layout], ModuleType] = {
     Blocks: blocks,
@@ -118,7 +139,8 @@ def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
 def _margin(model: Model, angles: Angles | None) -> float:
     """How far channels look ahead or back, turns."""
     azimuth = (angles or model.angles).azimuth
-    return float(np.abs(azimuth).max(initial=0.0) / (2 * np.pi))
+    # A firing at 0° ends the sweep before.
+    return float(np.abs(azimuth).max(initial=0.0) / (2 * np.pi)) + 1e-6
 
 
 def _together(rows: IntArray) -> IntArray:
@@ -189,7 +211,9 @@ def sweep(
         named |= {"intensity": found.intensity[own], "time": found.time[own]}
         return named if found.ring is None else {**named, "ring": found.ring[own]}
 
-    return 0.0, columns, np.zeros(3)
+    used = (angles or model.angles) if model.elevation_deg or angles else None
+    note = f"angles of {model.title}: {used.found}" if used else ""
+    return Sweep(None, columns, np.zeros(3), model.sensor or model.title, (note,) if note else ())
 
 
 def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]:

@@ -84,4 +84,4 @@ def velodyne_sweep(stamp: float, points: Any) -> Sweep:
         own: Columns = {name: points[name] for name in points.dtype.names}
         return {**own, "time": stamp + points["time"].astype(np.float64)}
 
-    return stamp, columns, np.zeros(3)
+    return Sweep(stamp, columns, np.zeros(3))
