@@ -71,7 +71,13 @@ class TestNames:
         assert read_cloud(tmp_path / "a.csv").intensity is None
 
     def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
-        for dtype, first in (("u4", 50), ("u8", 10**18), ("f8", 1.7e18), ("f8", np.nan)):
+        for dtype, first in (
+            ("u2", 50),
+            ("i4", 50),
+            ("u8", 10**18),
+            ("f8", 1.7e15),
+            ("f8", np.nan),
+        ):
             points = np.ones(2, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("t", dtype)])
             points["t"] = first
             np.save(tmp_path / "a.npy", points)

@@ -17,9 +17,10 @@ from .arrays import cloud_from_array as cloud_from_array
 from .arrays import read_bin, read_npy, read_npz, read_pts, read_text
 from .bags import BAGS as BAGS
 from .bags import is_rosbag2
-from .fields import Unit, in_metres, unit_named
+from .fields import Unit, in_metres, intensity_named, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
+from .lvx import LVX, lvx_topics, open_lvx
 from .packets import CAPTURES, open_packets, topics_of_capture
 from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
@@ -55,7 +56,11 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 
 
 def open_recording(
-    path: str | Path, *, topic: str | None = None, angles: Path | None = None
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    angles: Path | None = None,
+    intensity: str | None = None,
 ) -> Recording:
     """Look at a file, a folder of frames or a bag without reading its points.
 
@@ -70,6 +75,8 @@ def open_recording(
         ``IP:port`` of a LiDAR; needed where several sent.
     angles
         Of packets, a file of the unit's own angles.
+    intensity
+        Field that the intensity is read from; None takes the first of `fields.INTENSITY`.
 
     Raises
     ------
@@ -81,12 +88,30 @@ def open_recording(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    path = Path(path)
+    recording = _opened(Path(path), topic, angles)
+    if intensity is None:
+        return recording
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        coming = recording.read(numbers)
+        while True:
+            with intensity_named(intensity):
+                frame = next(coming, None)
+            if frame is None:
+                return
+            yield frame
+
+    return replace(recording, read=frames)
+
+
+def _opened(path: Path, topic: str | None, angles: Path | None) -> Recording:
     files = _files(path)
     if _is_bag(path):
         return open_bag(path, topic, angles)
     if path.suffix.lower() in CAPTURES and path.is_file():
         return open_packets(path, topic, angles)
+    if path.suffix.lower() in LVX and path.is_file():
+        return open_lvx(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
     if angles is not None:
@@ -106,6 +131,8 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
     _files(path)
     if path.suffix.lower() in CAPTURES and path.is_file():
         return topics_of_capture(path)
+    if path.suffix.lower() in LVX and path.is_file():
+        return lvx_topics(path)
     return bag_topics(path) if _is_bag(path) else ()
 
 
@@ -233,7 +260,7 @@ def _files(path: Path) -> list[Path]:
 def _read(path: Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join([*READERS, *BAGS, *PACKETS])
+        known = ", ".join([*READERS, *BAGS, *PACKETS, *LVX])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     with naming(path):
         return replace(reader(path), source=str(path))
@@ -255,7 +282,7 @@ def frames_of(folder: Path) -> list[Path]:
     files = [p for p in named if p.is_file()]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES)]
+        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES, *LVX)]
         raise ReadError(
             f"{folder}: has several recordings, give one of them: {', '.join(sorted(recordings))}"
             if recordings

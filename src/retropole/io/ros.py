@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..base.errors import ReadError, UsageError, naming, reported, shortened
 from ..base.quantities import counted
 from .bags import opened
-from .fields import Columns, frame_from_columns, noted
+from .fields import NANOSECONDS, Columns, frame_from_columns, noted
 from .packets import packets_in
 from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
 from .unpacking import LARGEST_RECORD
@@ -41,9 +41,6 @@ MAX_LISTED = 10
 LONGEST_NAME = 1000
 """Characters of a frame's name that are kept. Exports refuse names of more than 500, so that one
 that was cut is not taken for whole."""
-
-NANOSECONDS = 1e9
-"""In a second; bags count them."""
 
 
 def bag_topics(path: Path) -> tuple[Topic, ...]:

@@ -15,8 +15,9 @@ from typing import NamedTuple
 from ...base.errors import UsageError
 from .. import open_recording
 from ..bags import opened
+from ..fields import NANOSECONDS
 from ..recordings import Frame, Recording
-from ..ros import NANOSECONDS, frame_of
+from ..ros import frame_of
 
 QUIET = 2.0
 """Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that

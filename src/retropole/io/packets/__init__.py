@@ -24,6 +24,7 @@ from ..recordings import PACKETS_OF, Frame, Recording, Topic
 from . import drivers
 from .angles import angles_told, read_angles
 from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
+from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
 from .ouster import metadata_beside, sweeps_of_capture
 from .sweeps import Sweep, index_of, positions_of, sweeps_of
@@ -52,8 +53,8 @@ class Sender:
         Bytes of its packets; those of another size it has not sent.
     rows
         Its packets, by their numbers in the recording.
-    angles
-        Its own, where a packet told them.
+    angles, told
+        Its own, where a packet told them, and how many packets tell about it.
     """
 
     title: str
@@ -62,6 +63,7 @@ class Sender:
     size: int
     rows: list[int] = field(default_factory=list)
     angles: Angles | None = None
+    told: int = 0
 
 
 Reading = Callable[[IntArray], Iterator[Datagram]]
@@ -95,7 +97,7 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
         return _of_ouster(path, capture, sizes)
     name = _chosen(path, senders, topic)
     # Of a damaged packet nothing tells who sent it, but that it is as long as others.
-    known = sum(len(each.rows) for each in senders.values())
+    known = sum(len(each.rows) + each.told for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
     alike = int(np.count_nonzero(capture.records[:, 1] == length))
     unreadable = max(alike - known, 0) if len(senders) == 1 else 0
@@ -170,11 +172,13 @@ def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]
     senders: dict[str, Sender] = {}
     sizes: Counter[int] = Counter()
     told: dict[str, bytes] = {}
+    telling = Counter[str]()
     for row, (payload, name, _) in enumerate(coming):
         own = senders.get(name)
         model = recognized(payload)
         if model is None and not is_velodyne(payload):
             sizes[len(payload)] += 1
+            telling[name.partition(":")[0]] += payload.startswith(DIFOP_START)
             if payload and len(told) < 100:
                 told.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
             continue
@@ -188,6 +192,7 @@ def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]
             for key, payload in told.items()
             if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
         )
+        own.told = telling[name.partition(":")[0]]
         own.angles = next((each for each in found if each is not None), None)
     # A damaged address or port looks like another LiDAR, which sends next to nothing.
     most = max((len(own.rows) for own in senders.values()), default=0)

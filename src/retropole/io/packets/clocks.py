@@ -24,14 +24,15 @@ def _number(sent: Bytes, first: int, size: int, *, is_big: bool) -> IntArray:
     """Whole numbers (N,) of some bytes."""
     shifts = range(size - 1, -1, -1) if is_big else range(size)
     parts = [sent[:, first + k].astype(np.int64) << 8 * by for k, by in enumerate(shifts)]
-    return np.bitwise_or.reduce(parts)
+    number: IntArray = np.bitwise_or.reduce(parts)
+    return number
 
 
 def _hours(sent: Bytes) -> IntArray:
     """Seconds (N,) from 1970 to an hour, of year (from 2000), month, day and hour."""
-    year, month, day, hour = sent[:, :4].T.astype(np.int64)
+    year, month, day, hour = (sent[:, k].astype(np.int64) for k in range(4))
     months = (30 + year) * 12 + month - 1
-    days = months.astype("M8[M]").astype("M8[D]").astype(np.int64) + day - 1
+    days: IntArray = months.astype("M8[M]").astype("M8[D]").astype(np.int64) + day - 1
     return days * 86400 + hour * 3600
 
 

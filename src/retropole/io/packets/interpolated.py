@@ -7,12 +7,12 @@ become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens bes
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.datatypes import Array, BoolArray, IntArray
+from ...base.datatypes import Array, BoolArray
 from ...base.errors import ReadError
 from .clocks import seconds
 from .models import Angles, Interpolated, Model, Returns, is_other, rings_of
@@ -76,19 +76,21 @@ def decode(
     Raises
     ------
     ReadError
-        Where the model has no table of angles, and none are given.
+        Where the model has no table of angles and none are given, or those of another model.
     """
     layout = _layout(model)
     own = angles or model.angles
-    channels = len(own.elevation)
+    channels, most = len(own.elevation), len(layout.firing_us) * layout.together
     if not channels:
         raise ReadError(
             f"a {model.title} says in DIFOP packets at which angles its channels look, and none "
             "came; they can be given by --angles FILE"
         )
+    if channels != most and not (layout.is_halved and 2 * channels == most):
+        raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
     sent = seconds(layout.clock, packets, layout.stamp)
     rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
-    distance = rows.distance * model.distance_m
+    distance = np.multiply(rows.distance, model.distance_m, dtype=np.float64)
     nearest, farthest = model.range_m
     kept = (distance >= nearest - SMALL) & (distance <= farthest + SMALL)
     kept &= rows.valid[:, :, None]
@@ -111,16 +113,18 @@ def decode(
     turn = np.rint(positions[:, :1] - rows.azimuth[:, :1] / 360)
     turn = turn + np.rint((rows.azimuth[:, :1] + turned - rows.azimuth) / 360)
 
-    packet, row, slot = np.nonzero(kept)
-    channel = slot % channels
-    on = rows.azimuth[packet, row] + step[packet, row] * (firing / period)[slot]
+    channel = np.arange(kept.shape[2]) % channels
+
+    def every(values: NDArray[Any]) -> NDArray[Any]:
+        return np.broadcast_to(values, kept.shape)[kept]
+
     return Returns(
-        xyz=_placed(layout, np.deg2rad(on), own, channel, distance[packet, row, slot]),
-        intensity=rows.intensity[packet, row, slot].astype(np.float64),
-        ring=rings_of(own.elevation)[channel],
-        time=sent[packet] + late[packet, row] + firing[slot],
-        turn=turn[packet, row].astype(np.int64),
-        packet=packet,
+        xyz=_placed(layout, rows.azimuth, step, firing / period, own, distance, kept),
+        intensity=rows.intensity[kept].astype(np.float64),
+        ring=every(rings_of(own.elevation)[channel]),
+        time=every(sent[:, None, None] + late[:, :, None] + firing),
+        turn=every(turn.astype(np.int64)[:, :, None]),
+        packet=every(np.arange(len(packets))[:, None, None]),
     )
 
 
@@ -133,8 +137,8 @@ def angles_told(model: Model, payload: bytes) -> Angles | None:
     if told is None or len(payload) not in model.sizes or not payload.startswith(DIFOP_START):
         return None
     if told.below:
-        sent = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
-        elevation = sent.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
+        bits = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
+        elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
         elevation[: told.below] *= -1
         azimuth = np.zeros(len(elevation))
     else:
@@ -159,21 +163,40 @@ def _layout(model: Model) -> Interpolated:
 
 
 def _placed(
-    layout: Interpolated, azimuth: Array, angles: Angles, channel: IntArray, distance: Array
+    layout: Interpolated,
+    azimuth: Array,
+    step: Array,
+    share: Array,
+    angles: Angles,
+    distance: Array,
+    kept: BoolArray,
 ) -> Array:
-    """Coordinates (M, 3) of returns at azimuths of the axis, radians."""
-    ahead, aside = np.cos(azimuth), np.sin(azimuth)
-    up, out = np.sin(angles.elevation), np.cos(angles.elevation)
-    turned, beside = np.cos(angles.azimuth) * out, np.sin(angles.azimuth) * out
-    lens = layout.lens[0] * np.exp(1j * np.deg2rad(layout.lens[1]))
-    # The channel's offset is added by its sine and cosine, and so is the lens.
-    along = distance * turned[channel] + lens.real
-    across = distance * beside[channel] + lens.imag
-    forward = along * ahead - across * aside
-    right = along * aside + across * ahead
-    height = distance * up[channel] + layout.lens[2]
+    """Coordinates (M, 3) of those kept of returns at some distances (N, R, S).
+
+    Rows begin at azimuths (N, R), and turn by steps (N, R), both degrees, until the next; a share
+    of it (S,) is left behind when each fires.
+    """
+    channel = np.arange(len(share)) % len(angles.elevation)
+    # Few steps differ, so that sines and cosines are those of few angles.
+    steps, of_step = np.unique(step, return_inverse=True)
+    of_step = of_step.reshape(step.shape)
+    on = np.deg2rad(np.outer(steps, share))
+    out, lens = np.cos(angles.elevation)[channel], layout.lens[0] * np.ones(len(share))
+    along = cross = np.zeros(())
+    for scale, ways, turned in (
+        (distance, out, on + angles.azimuth[channel]),
+        (1.0, lens, on + np.deg2rad(layout.lens[1])),
+    ):
+        along = along + scale * (ways * np.cos(turned))[of_step]
+        cross = cross + scale * (ways * np.sin(turned))[of_step]
+    ahead, aside = (f(np.deg2rad(azimuth))[:, :, None] for f in (np.cos, np.sin))
+    forward, right = along * ahead - cross * aside, along * aside + cross * ahead
     plane = (forward, -right) if layout.is_x_ahead else (right, forward)
-    return np.column_stack([*plane, height])
+    height = distance * np.sin(angles.elevation)[channel] + layout.lens[2]
+    xyz = np.empty((np.count_nonzero(kept), 3))
+    for axis, values in enumerate((*plane, height)):
+        xyz[:, axis] = values[kept]
+    return xyz
 
 
 def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -184,13 +207,16 @@ def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint
 
 
 def _azimuth(layout: Interpolated, blocks: NDArray[np.uint8]) -> Array:
-    return _number(layout, blocks[..., 2:4]) % 36000 * 0.01
+    return np.multiply(_number(layout, blocks[..., 2:4]) % 36000, 0.01, dtype=np.float64)
 
 
 def _number(layout: Interpolated, pairs: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Numbers of 2 bytes (...) of bytes (..., 2)."""
     high, low = (0, 1) if layout.is_big_endian else (1, 0)
-    return pairs[..., high].astype(np.uint16) << 8 | pairs[..., low]
+    number: NDArray[np.uint16] = np.bitwise_or(
+        pairs[..., high].astype(np.uint16) << 8, pairs[..., low]
+    )
+    return number
 
 
 def _rows(layout: Interpolated, packets: NDArray[np.uint8]) -> _Rows:
@@ -201,7 +227,7 @@ def _rows(layout: Interpolated, packets: NDArray[np.uint8]) -> _Rows:
     begins = (blocks[:, :, : len(flags)] == flags).all(axis=2)
     return _Rows(
         _azimuth(layout, blocks[:, :: layout.blocks_in_row]),
-        _number(layout, firings[..., :2]) & layout.distance_bits,
+        np.bitwise_and(_number(layout, firings[..., :2]), layout.distance_bits),
         firings[..., 2],
         begins.reshape(shape).all(axis=2),
     )
@@ -226,8 +252,8 @@ def _firings(
     if layout.is_halved and len(gaps) and np.median(gaps) < 0.75 * rest:
         shape = len(sent), -1, slots // held
         parts = rows.distance.reshape(shape), rows.intensity.reshape(shape)
-        azimuth, valid = (np.repeat(each, held, axis=1) for each in (rows.azimuth, rows.valid))
-        return _Rows(azimuth, *parts, valid), firing, period
+        azimuth = np.repeat(rows.azimuth, held, axis=1)
+        return _Rows(azimuth, *parts, np.repeat(rows.valid, held, axis=1)), firing, period
     starts = np.repeat(np.arange(held) * period, slots // held)
     return rows, starts + np.tile(firing, held), held * period
 

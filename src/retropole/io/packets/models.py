@@ -135,7 +135,7 @@ class Mirrors(Blocks, frozen=True, tag="mirrors", kw_only=True):
 
 
 class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", kw_only=True):
-    """Of RoboSense's spinning LiDARs and Leishen's C: between the azimuths of blocks lie the others.
+    """Of spinning LiDARs of RoboSense and Leishen: azimuths lie between those of blocks.
 
     Attributes
     ----------

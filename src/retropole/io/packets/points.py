@@ -96,7 +96,7 @@ def _placed(layout: Points, unit: float, points: NDArray[np.void]) -> tuple[Arra
     if layout.form == "vector":
         ways = [points[axis] / 2**15 for axis in "xyz"]
     else:
-        up, turned = ((points[name] - layout.zero) * 1e-2 for name in ("pitch", "yaw"))
+        up, turned = ((points[n].astype(np.int64) - layout.zero) * 1e-2 for n in ("pitch", "yaw"))
         # From the horizontal plane, or down from the zenith.
         up = np.deg2rad(up if layout.form == "elevation" else 90 - up)
         out, turned = np.cos(up), np.deg2rad(turned)
