@@ -145,7 +145,8 @@ def _margin(model: Model, angles: Angles | None) -> float:
 
 def _together(rows: IntArray) -> IntArray:
     """Leave out packets far from the others of a sweep, as a damaged one that names its turn."""
-    return rows[np.abs(rows - np.median(rows)) <= len(rows)]
+    near = rows[np.abs(rows - np.median(rows)) <= len(rows)]
+    return near if len(near) else rows[:1]
 
 
 def sweeps_of(
