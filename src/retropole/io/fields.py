@@ -94,6 +94,7 @@ def intensities_of(names: Iterable[str]) -> list[str]:
     own = [name for name in names if _bare(name) in INTENSITY]
     return sorted(own, key=lambda name: INTENSITY.index(_bare(name)))
 
+
 T = TypeVar("T")
 
 
