@@ -168,12 +168,13 @@ def read_cloud(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
+    intensity: str | None = None,
 ) -> PointCloud:
     """Read a file, a folder of files or a bag as one cloud.
 
     Parameters
     ----------
-    path, topic
+    path, topic, intensity
         As `open_recording` takes them.
     frames
         Which frames to combine, by their numbers from 0, as Python slices a list. None takes them
@@ -202,7 +203,9 @@ def read_cloud(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    read = read_recording(path, topic=topic, frames=frames, max_points=max_points, unit=unit)
+    read = read_recording(
+        path, topic=topic, frames=frames, max_points=max_points, unit=unit, intensity=intensity
+    )
     return read.cloud
 
 
@@ -214,6 +217,7 @@ def read_recording(
     max_points: int | None = None,
     unit: Unit = "m",
     angles: Path | None = None,
+    intensity: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
@@ -222,8 +226,8 @@ def read_recording(
     ----------
     path, topic, frames, max_points, unit
         As `read_cloud` takes them.
-    angles
-        As `open_recording` takes it.
+    angles, intensity
+        As `open_recording` takes them.
     progress
         Called as each of several frames is about to be read, with which of how many it is.
 
@@ -233,7 +237,7 @@ def read_recording(
         As `read_cloud`.
     """
     unit = unit_named(unit)
-    recording = open_recording(path, topic=topic, angles=angles)
+    recording = open_recording(path, topic=topic, angles=angles, intensity=intensity)
     if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)

@@ -65,7 +65,7 @@ def _ouster_columns(scan: Any, rays: Any, names: Any) -> Columns:
     """Name the values of a sweep, ring by ring; without a return there is no coordinate."""
     returned = scan.field(names.RANGE) > 0
     xyz = np.where(returned[..., None], rays(scan), np.nan).reshape(-1, 3)
-    own = {names.SIGNAL: "intensity", names.REFLECTIVITY: "reflectivity"}
+    own = {names.SIGNAL: "signal", names.REFLECTIVITY: "reflectivity", names.NEAR_IR: "near_ir"}
     columns = {
         name: scan.field(field).reshape(-1) for field, name in own.items() if field in scan.fields
     }
