@@ -52,6 +52,20 @@ def test_a_file_of_one_frame(tmp_path: Path, cloud: PointCloud) -> None:
     assert len(intensity.bin_edges) == len(intensity.counts) + 1
 
 
+def test_which_field_the_intensity_is_of(tmp_path: Path, cloud: PointCloud) -> None:
+    columns = dict(zip("xyz", cloud.xyz.T, strict=True))
+    both = {"reflectivity": np.full(len(cloud), 7.0), "signal": cloud.intensity}
+    np.savez(tmp_path / "a.npz", **columns, **both)
+    found = describe(tmp_path / "a.npz")
+    intensity = required(found.clouds[0].intensity)
+    assert (intensity.field, intensity.others) == ("signal", ["reflectivity"])
+    assert "of the field signal; --intensity reflectivity takes another" in describe_info(found)
+    named = required(describe(tmp_path / "a.npz", intensity="reflectivity").clouds[0].intensity)
+    assert (named.field, named.others, named.max) == ("reflectivity", ["signal"], 7)
+    np.savez(tmp_path / "b.npz", **columns, signal=both["signal"])
+    assert "of the field" not in describe_info(describe(tmp_path / "b.npz"))
+
+
 def test_all_topics_of_a_bag(tmp_path: Path, cloud: PointCloud) -> None:
     pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
     from tests.bags import points_of, write_bag

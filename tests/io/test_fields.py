@@ -70,8 +70,31 @@ class TestNames:
         (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
         assert read_cloud(tmp_path / "a.csv").intensity is None
 
+    def test_an_intensity_that_is_named(self, tmp_path: Path) -> None:
+        fields = {"signal": "<u2", "reflectivity": "u1", "near_ir": "<u2"}
+        points = np.ones(3, [*((axis, "<f4") for axis in "xyz"), *fields.items()])
+        for k, name in enumerate(fields):
+            points[name] = k + 5
+        np.save(tmp_path / "a.npy", points)
+        np.savez(tmp_path / "a.npz", **{name: points[name] for name in points.dtype.names})
+        np.savetxt(tmp_path / "a.csv", points, delimiter=",", header=",".join(points.dtype.names))
+        for suffix in ("npy", "npz", "csv"):
+            path = tmp_path / f"a.{suffix}"
+            names = {None: 5, "signal": 5, "Reflectivity": 6, "near_ir": 7}
+            for name, value in names.items():
+                found = read_cloud(path, intensity=name).intensity
+                np.testing.assert_array_equal(found, [value] * 3)
+            with pytest.raises(ReadError, match=r"--intensity range: no such field; the fields are"):
+                read_cloud(path, intensity="range")
+
     def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
-        for dtype, first in (("u4", 50), ("u8", 10**18), ("f8", 1.7e18), ("f8", np.nan)):
+        for dtype, first in (
+            ("u2", 50),
+            ("i4", 50),
+            ("u8", 10**18),
+            ("f8", 1.7e15),
+            ("f8", np.nan),
+        ):
             points = np.ones(2, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("t", dtype)])
             points["t"] = first
             np.save(tmp_path / "a.npy", points)

@@ -183,6 +183,48 @@ def test_time_by_any_of_its_names(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read.time, points[name])
 
 
+UNIX = 1_700_000_000.0
+
+DRIVERS: dict[str, tuple[list[tuple[str, str]], str, float]] = {
+    "livox_ros_driver2": ([("tag", "u1"), ("line", "u1"), ("timestamp", "<f8")], "timestamp", 1e9),
+    "rslidar_sdk": ([("ring", "<u2"), ("timestamp", "<f8")], "timestamp", 1),
+    "hesai_ros_driver": ([("ring", "<u2"), ("timestamp", "<f8")], "timestamp", 1),
+    "seyond": ([("timestamp", "<f8"), ("flags", "u1"), ("elongation", "u1")], "timestamp", 1),
+    "ouster": ([("t", "<u4"), ("reflectivity", "<u2"), ("ring", "<u2")], "t", 1e9),
+    "nebula": (
+        [("return_type", "u1"), ("channel", "<u2"), ("time_stamp", "<u4")],
+        "time_stamp",
+        1e9,
+    ),
+}
+"""Of drivers: fields besides x, y, z and intensity, that of times, and what a second counts."""
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+@pytest.mark.parametrize("intensity", ["<f4", "<u2", "u1"])
+def test_clouds_of_drivers(tmp_path: Path, driver: str, intensity: str) -> None:
+    fields, name, unit = DRIVERS[driver]
+    kind = [*((axis, "<f4") for axis in "xyz"), ("intensity", intensity), *fields]
+    points, start = np.zeros(8, kind), 0.0 if "u" in dict(fields)[name] else UNIX
+    points["x"], points["intensity"] = np.arange(1, 9), np.arange(8) * 30
+    points[name] = (start + np.arange(8) * 0.01) * unit
+    read = read_cloud(write_bag(tmp_path, "bag", {"/points": [points]}))
+    np.testing.assert_array_equal(read.xyz[:, 0], points["x"])
+    np.testing.assert_array_equal(required(read.intensity), points["intensity"])
+    np.testing.assert_allclose(required(read.time) - start, np.arange(8) * 0.01, atol=1e-6)
+    assert (read.ring is None) == (driver == "seyond")
+
+
+def test_second_returns_are_left_out(tmp_path: Path) -> None:
+    """As Seyond's driver marks them."""
+    kind = [*((axis, "<f4") for axis in "xyz"), ("intensity", "<f4"), ("is_2nd_return", "u1")]
+    points = np.zeros(9, kind)
+    points["x"], points["is_2nd_return"] = np.arange(9), np.arange(9) % 3 == 1
+    read = read_cloud(write_bag(tmp_path, "bag", {"/points": [points]}))
+    assert read.xyz[:, 0].tolist() == [2, 3, 5, 6, 8]
+    assert (read.dropped, read.notes) == (1, ("3 second returns (is_2nd_return) are left out",))
+
+
 def test_no_returns_are_dropped_and_counted_in_every_frame(tmp_path: Path) -> None:
     some, none = random_cloud(1), random_cloud(2)
     some.xyz[:7], some.xyz[7:9] = np.nan, 0

@@ -55,6 +55,8 @@ def calibrate(
     max_points: int = DEFAULT_CONFIG.max_points,
     unit: str = DEFAULT_CONFIG.unit,
     unit_source: str | None = None,
+    intensity: str | None = None,
+    intensity_source: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> CalibrationResult:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -104,6 +106,9 @@ def calibrate(
     unit, unit_source
         Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
         it is another.
+    intensity, intensity_source
+        Field of a file that the intensity is read from, where several may be one; of the source,
+        where it is another. None takes the usual one.
     progress
         Called with the name of each step as it starts; while a recording of several frames is read,
         with which of how many.

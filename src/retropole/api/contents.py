@@ -13,8 +13,8 @@ from ..base.sensors import auto_threshold
 from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from ..io.beams import guess_sensors, rings_fault, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
-from ..io.fields import NAMES, Unit
-from ..result import document_of
+from ..io.fields import NAMES, Unit, intensities_of
+from ..result import Reading, document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
 from ..verdict.similarity import beyond_sensors, unit_of_one
 
@@ -23,7 +23,12 @@ INTENSITY_BINS = 16
 
 
 def describe(
-    path: str | Path, *, topic: str | None = None, frames: slice | None = None, unit: Unit = "m"
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    unit: Unit = "m",
+    intensity: str | None = None,
 ) -> InfoDoc:
     """Describe a recording without calibrating anything.
 
@@ -37,35 +42,38 @@ def describe(
         The frames to read; None takes those that `io.read_cloud` would.
     unit
         Of the coordinates.
+    intensity
+        Field that it is read from; None takes the usual one.
 
     Raises
     ------
     ReadError, UsageError, MissingExtraError
         As `io.read_cloud`.
     """
-    return look_into(path, topic=topic, frames=frames, unit=unit)[0]
+    how = Reading(topic=topic, frames=frames, unit=unit, intensity=intensity)
+    return look_into(path, how)[0]
 
 
-def look_into(
-    path: str | Path, *, topic: str | None = None, frames: slice | None = None, unit: Unit = "m"
-) -> tuple[InfoDoc, list[PointCloud]]:
+def look_into(path: str | Path, how: Reading) -> tuple[InfoDoc, list[PointCloud]]:
     """Describe a recording as `describe`, and give the clouds that were read."""
     path = Path(path)
     topics = topics_of(path)
-    names: list[str | None] = [topic]
-    if topic is None:
-        names = [own.name for own in topics if own.of_clouds and own.count] or [None]
-    read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS, unit=unit)
-    found = [read(topic=name) for name in names]
+    names: list[str | None] = [how.topic]
+    if how.topic is None:
+        filled = [own for own in topics if own.count]
+        names = [own.name for own in filled if own.of_clouds]
+        names = names or [own.name for own in filled if own.of_packets] or [None]
+    read = partial(read_recording, path, frames=how.frames, max_points=MAX_POINTS, unit=how.unit)
+    found = [read(topic=name, intensity=how.intensity) for name in names]
     document = InfoDoc(
         path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
-        clouds=[_cloud(each) for each in found],
+        clouds=[_cloud(each, how.intensity) for each in found],
     )
     return document, [each.cloud for each in found]
 
 
-def _cloud(read: ReadRecording) -> CloudDoc:
+def _cloud(read: ReadRecording, named: str | None) -> CloudDoc:
     given, count = read.cloud, read.recording.count
     cloud = with_beam_origin(with_trusted_rings(given))
     rate = _rate(read.headers[0], read.headers[-1])
@@ -92,8 +100,10 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         beam_origin_m=cloud.origin.tolist(),
         told_by_rings=cloud is not given and cloud.ring is not None,
         range_m=np.quantile(ranges, [0, 0.5, 1]).tolist(),
-        intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
-        sensors=guess_sensors(cloud),
+        intensity=None
+        if cloud.intensity is None
+        else _intensity(cloud.intensity, intensities_of(given.fields), named),
+        sensors=[cloud.model] if cloud.model else guess_sensors(cloud),
         odd_coordinates=words,
         units=list(units),
     )
@@ -122,7 +132,9 @@ def _rate(first: FrameHeader, last: FrameHeader) -> float | None:
     return (last.number - first.number) / (last.stamp - first.stamp)
 
 
-def _intensity(intensity: Array) -> IntensityDoc:
+def _intensity(intensity: Array, fields: list[str], named: str | None) -> IntensityDoc:
+    """Describe intensities, and which of several fields they are of: the named or the first."""
+    field = named or next(iter(fields), "")
     low, high = min(0.0, float(intensity.min())), float(intensity.max())
     counts, edges = np.histogram(intensity, INTENSITY_BINS, (low, high if high > low else low + 1))
     # Where all intensities are the same there is no threshold, and extraction refuses the cloud.
@@ -136,5 +148,7 @@ def _intensity(intensity: Array) -> IntensityDoc:
         counts=counts.tolist(),
         threshold=threshold.value if threshold else None,
         threshold_source=threshold.found if threshold else "none: all intensities are the same",
+        field=field,
+        others=[name for name in fields if name != field],
         retro_points=int(np.count_nonzero(intensity >= threshold.value)) if threshold else 0,
     )

@@ -20,6 +20,7 @@ def detect(
     frames: slice | None = None,
     max_points: int = DEFAULT_CONFIG.max_points,
     unit: str = DEFAULT_CONFIG.unit,
+    intensity: str | None = None,
 ) -> Detection:
     """Find the poles in a recording.
 
@@ -41,6 +42,8 @@ def detect(
         Of a cloud with more, so many are kept: the brightest, and the others evenly.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
+    intensity
+        Field of a file that the intensity is read from; None takes the usual one.
 
     Returns
     -------

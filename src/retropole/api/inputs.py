@@ -152,7 +152,7 @@ def read_input(
     ------
     UsageError
         For an unknown sensor or unit, for an array of another shape, for anything else than these
-        three, and where a topic or frames are named of what is no file.
+        three, and where a topic, frames or an intensity are named of what is no file.
     ReadError, MissingExtraError
         As `io.read_cloud`.
     """
@@ -164,6 +164,7 @@ def read_input(
             frames=how.frames,
             max_points=how.max_points,
             unit=unit,
+            intensity=how.intensity,
             progress=listener.progress,
         )
         cloud = read.cloud
@@ -172,8 +173,8 @@ def read_input(
             f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
             "of shape (N, 3) or (N, 4)"
         )
-    elif how.topic is not None or how.frames is not None:
-        raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
+    elif (how.topic, how.frames, how.intensity) != (None, None, None):
+        raise UsageError(f"{role}: topic, frames and intensity are chosen in files, not in arrays")
     else:
         if isinstance(given, PointCloud):
             cloud = only_returns(given, role)

@@ -61,6 +61,8 @@ class PointCloud:
     dropped, thinned, source, fields, notes
         How many points were dropped (not finite, at zero range), and left out of too many; the
         file, what it calls its values, with their types; in words what was lost.
+    model
+        Of LiDAR, where its packets name it: as ``sensors.toml`` calls it, else maker and model.
     """
 
     xyz: Array
@@ -76,6 +78,7 @@ class PointCloud:
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    model: str = ""
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""

@@ -15,7 +15,7 @@ from .options import CLOUD, FILE, run_option, run_options
 @click.command()
 @click.argument("file", type=CLOUD)
 @run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
-@run_options("frames", "unit")
+@run_options("frames", "unit", "intensity")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON, and only that.")
 def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
@@ -46,7 +46,7 @@ def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
     how = RunConfig(**options).of_target
     with progress_on_terminal(as_json) as progress:
         progress("read")
-        document, clouds = look_into(file, topic=how.topic, frames=how.frames, unit=how.unit)
+        document, clouds = look_into(file, how)
         if page is not None:
             progress("write")
             names = [each.topic or file.name for each in document.clouds]

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import MissingExtraError
 from ..io import Frame, ReadRecording
-from ..io.fields import records_of
+from ..io.fields import NANOSECONDS, records_of
 from ..io.live.dds import domain_or_default, message_of, message_type, participant
 from ..io.recordings import CLOUDS
-from ..io.ros import DATATYPES, NANOSECONDS
+from ..io.ros import DATATYPES
 from .transform import Transform, to_quaternion
 
 TOPICS = {"target": "/target/points", "source": "/source/points"}

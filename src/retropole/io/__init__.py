@@ -17,10 +17,11 @@ from .arrays import cloud_from_array as cloud_from_array
 from .arrays import read_bin, read_npy, read_npz, read_pts, read_text
 from .bags import BAGS as BAGS
 from .bags import is_rosbag2
-from .fields import Unit, in_metres, unit_named
+from .fields import Unit, in_metres, intensity_named, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
-from .packets import CAPTURES, open_packets
+from .lvx import LVX, lvx_topics, open_lvx
+from .packets import CAPTURES, open_packets, topics_of_capture
 from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
 from .pcd import write_pcd as write_pcd
@@ -54,7 +55,13 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 """From the suffix of a file of one frame, in lower case, to its reader."""
 
 
-def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
+def open_recording(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    angles: Path | None = None,
+    intensity: str | None = None,
+) -> Recording:
     """Look at a file, a folder of frames or a bag without reading its points.
 
     Parameters
@@ -64,30 +71,56 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
         suffix of `READERS`, or of a ROS 2 bag. The files of a folder are frames in natural
         order (``frame2`` before ``frame10``); hidden files are skipped.
     topic
-        Of a bag, the topic to read; needed where several have point clouds.
+        Of a bag, the topic to read; needed where several have point clouds. Of a capture, the
+        ``IP:port`` of a LiDAR; needed where several sent.
+    angles
+        Of packets, a file of the unit's own angles.
+    intensity
+        Field that the intensity is read from; None takes the first of `fields.INTENSITY`.
 
     Raises
     ------
     ReadError
         Naming the file and what was expected.
     UsageError
-        Where a topic is given, and the path is not a bag.
+        Where a topic is given, and the path is neither a bag nor a capture; where angles are, and
+        it holds no packets.
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    path = Path(path)
+    recording = _opened(Path(path), topic, angles)
+    if intensity is None:
+        return recording
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        coming = recording.read(numbers)
+        while True:
+            with intensity_named(intensity):
+                frame = next(coming, None)
+            if frame is None:
+                return
+            yield frame
+
+    return replace(recording, read=frames)
+
+
+def _opened(path: Path, topic: str | None, angles: Path | None) -> Recording:
     files = _files(path)
     if _is_bag(path):
-        return open_bag(path, topic)
+        return open_bag(path, topic, angles)
+    if path.suffix.lower() in CAPTURES and path.is_file():
+        return open_packets(path, topic, angles)
+    if path.suffix.lower() in LVX and path.is_file():
+        return open_lvx(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
-    if path.suffix.lower() in CAPTURES and path.is_file():
-        return open_packets(path)
+    if angles is not None:
+        raise UsageError(f"{path}: holds no packets, --angles is of no use")
     return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:
-    """List the topics of a bag by name; empty for any other path.
+    """List the topics of a bag by name, or the LiDARs of a capture of several; else nothing.
 
     Raises
     ------
@@ -96,6 +129,10 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
     """
     path = Path(path)
     _files(path)
+    if path.suffix.lower() in CAPTURES and path.is_file():
+        return topics_of_capture(path)
+    if path.suffix.lower() in LVX and path.is_file():
+        return lvx_topics(path)
     return bag_topics(path) if _is_bag(path) else ()
 
 
@@ -131,12 +168,13 @@ def read_cloud(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
+    intensity: str | None = None,
 ) -> PointCloud:
     """Read a file, a folder of files or a bag as one cloud.
 
     Parameters
     ----------
-    path, topic
+    path, topic, intensity
         As `open_recording` takes them.
     frames
         Which frames to combine, by their numbers from 0, as Python slices a list. None takes them
@@ -165,7 +203,9 @@ def read_cloud(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    read = read_recording(path, topic=topic, frames=frames, max_points=max_points, unit=unit)
+    read = read_recording(
+        path, topic=topic, frames=frames, max_points=max_points, unit=unit, intensity=intensity
+    )
     return read.cloud
 
 
@@ -176,6 +216,8 @@ def read_recording(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
+    angles: Path | None = None,
+    intensity: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
@@ -184,6 +226,8 @@ def read_recording(
     ----------
     path, topic, frames, max_points, unit
         As `read_cloud` takes them.
+    angles, intensity
+        As `open_recording` takes them.
     progress
         Called as each of several frames is about to be read, with which of how many it is.
 
@@ -193,8 +237,8 @@ def read_recording(
         As `read_cloud`.
     """
     unit = unit_named(unit)
-    recording = open_recording(path, topic=topic)
-    if unit != "m" and recording.path.suffix.lower() in CAPTURES:
+    recording = open_recording(path, topic=topic, angles=angles, intensity=intensity)
+    if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
     most = sys.maxsize if max_points is None else max_points
@@ -220,7 +264,7 @@ def _files(path: Path) -> list[Path]:
 def _read(path: Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join([*READERS, *BAGS, *PACKETS])
+        known = ", ".join([*READERS, *BAGS, *PACKETS, *LVX])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     with naming(path):
         return replace(reader(path), source=str(path))
@@ -242,7 +286,7 @@ def frames_of(folder: Path) -> list[Path]:
     files = [p for p in named if p.is_file()]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES)]
+        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *CAPTURES, *LVX)]
         raise ReadError(
             f"{folder}: has several recordings, give one of them: {', '.join(sorted(recordings))}"
             if recordings

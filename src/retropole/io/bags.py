@@ -441,6 +441,9 @@ def _folder(path: Path) -> Iterator[Bag]:
     about = _metadata(path)
     storage = str(about["storage_identifier"])
     suffix = {"mcap": ".mcap", "sqlite3": ".db3"}.get(storage)
+    if not storage:  # as some programs leave it, the files tell
+        suffix = next((PurePath(str(name)).suffix for name in about["relative_file_paths"]), None)
+        suffix = suffix if suffix in OPENERS else None
     mode = str(about.get("compression_mode") or "none").lower()
     kind = str(about.get("compression_format") or "")
     is_known = mode == "none" or (mode in ("file", "message") and kind == "zstd")

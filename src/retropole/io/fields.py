@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -33,11 +35,23 @@ RING = (
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
 """Names of the fields in lower case; where a file has several, the first is taken."""
 
+TICKS = {"t": "u4", "time_stamp": "u4", "offset_time": "u4"}
+"""Names and types of times that drivers count in nanoseconds: Ouster's, Nebula's and Livox'."""
+
+UNIX_NANOSECONDS = 1e18, 1e20
+"""Floats of 64 bits in this range are Unix time in nanoseconds, as livox_ros_driver2 writes it."""
+
+SECOND_RETURN = "is_2nd_return"
+"""Seyond's name of what marks the second return of a firing."""
+
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 """What the columns of a table without names are; a fifth could be a colour or a normal."""
 
 IN_SECONDS = ("", "s", "sec", "seconds")
 """Units in the name of a time that are taken for seconds; most names have none."""
+
+NANOSECONDS = 1e9
+"""In a second; bags and some drivers count them."""
 
 MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
@@ -53,6 +67,33 @@ REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
 
 Columns = Mapping[str, NDArray[Any]]
+
+_NAMED: ContextVar[str | None] = ContextVar("the field of the intensity", default=None)
+
+
+@contextmanager
+def intensity_named(name: str | None) -> Iterator[None]:
+    """Within, take intensities from the field of this name, in any spelling; None from `INTENSITY`.
+
+    Every reader of a file comes to its columns in its own way, and to the cloud in this one.
+    """
+    token = _NAMED.set(name)
+    try:
+        yield
+    finally:
+        _NAMED.reset(token)
+
+
+def _named() -> tuple[str, ...]:
+    name = _NAMED.get()
+    return INTENSITY if name is None else (name, name.lower())
+
+
+def intensities_of(names: Iterable[str]) -> list[str]:
+    """Those of names that may be an intensity's, the one that is taken first."""
+    own = [name for name in names if _bare(name) in INTENSITY]
+    return sorted(own, key=lambda name: INTENSITY.index(_bare(name)))
+
 
 T = TypeVar("T")
 
@@ -106,7 +147,7 @@ def has_coordinates(names: Iterable[str]) -> bool:
 
 def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
     """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
-    return _bare(name) in {*INTENSITY, *RING, *TIME, *besides}
+    return not {name, _bare(name)}.isdisjoint((*INTENSITY, *RING, *TIME, *_named(), *besides))
 
 
 class NoReturnsError(ReadError):
@@ -146,6 +187,9 @@ def cloud_from_columns(
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"field {', '.join(missing)} is missing; the fields are: {have}")
+    if _named() != INTENSITY and _find(columns, _named()) is None:
+        have = ", ".join(columns)
+        raise ReadError(f"--intensity {_named()[0]}: no such field; the fields are: {have}")
     parts = [_numbers(own, columns[own]) for own in found.values() if own is not None]
     if len({len(part) for part in parts}) > 1:
         lengths = ", ".join(str(len(part)) for part in parts)
@@ -155,6 +199,10 @@ def cloud_from_columns(
     for axis, part in enumerate(parts):
         xyz[:, axis] = floats(part)
     kept = _is_return(xyz, start)
+    both = np.count_nonzero(kept)
+    if SECOND_RETURN in columns and len(columns[SECOND_RETURN]) == len(kept):
+        kept &= _numbers(SECOND_RETURN, columns[SECOND_RETURN]) == 0
+    second = int(both - np.count_nonzero(kept))
     if not kept.any():
         none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
         raise NoReturnsError(none, len(xyz))
@@ -164,6 +212,8 @@ def cloud_from_columns(
         if own is None or (names is TIME and _unit(own) not in IN_SECONDS):
             return None
         values = _numbers(own, columns[own])
+        if names is TIME and values.dtype.str[1:] == TICKS.get(_bare(own)):
+            values = values / NANOSECONDS
         if len(values) != len(xyz):
             has = f"{own} has {len(values)} values for {len(xyz)} points"
             raise ReadError(f"{has}, expected one per point")
@@ -171,16 +221,20 @@ def cloud_from_columns(
 
     unit = _unit_of_coordinates([own for own in found.values() if own is not None])
     return PointCloud(
-        notes=(unit,) if unit else (),
+        notes=tuple(filter(None, (unit, _left_out_second(second)))),
         xyz=xyz if kept.all() else xyz[kept],
-        intensity=optional(INTENSITY, _intensity),
+        intensity=optional(_named(), _intensity),
         ring=optional(RING, _ring),
         time=optional(TIME, _time),
         origin=start,
-        dropped=int(np.count_nonzero(~kept)),
+        dropped=int(np.count_nonzero(~kept)) - second,
         source=source,
         fields={name: _kind(column) for name, column in columns.items()},
     )
+
+
+def _left_out_second(count: int) -> str:
+    return f"{count:,} second returns ({SECOND_RETURN}) are left out" if count else ""
 
 
 def _unit_of_coordinates(names: list[str]) -> str:
@@ -310,6 +364,9 @@ def _time(values: NDArray[Any]) -> Array | None:
     if values.dtype.kind != "f":
         return None
     seconds = floats(values)
+    first, end = UNIX_NANOSECONDS
+    if len(seconds) and np.all((seconds >= first) & (seconds < end)):
+        return seconds / NANOSECONDS
     with np.errstate(invalid="ignore"):
         # Above any time in seconds (year 5138), below any Unix time in milliseconds.
         plausible = np.all(np.abs(seconds) < 1e11)

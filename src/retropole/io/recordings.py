@@ -39,6 +39,20 @@ def holds_clouds(kind: str) -> bool:
     return kind == CLOUDS or is_of_livox(kind)
 
 
+PACKET_MESSAGES = frozenset(
+    {
+        *("velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan"),
+        *("nebula_msgs/msg/NebulaPackets", "hesai_ros_driver/msg/UdpFrame"),
+        *("rslidar_msg/msg/RslidarPacket", "rslidar_msgs/msg/rslidarScan"),
+        *("robosense_msgs/msg/RobosenseScan", "lslidar_msgs/msg/LslidarPacket"),
+    }
+)
+"""Types of the messages in which drivers publish packets."""
+
+PACKETS_OF = "packets of "
+"""So begins what stands in the place of a type where a capture has several LiDARs."""
+
+
 class FrameHeader(NamedTuple):
     """What is known of a frame apart from its points.
 
@@ -96,6 +110,11 @@ class Topic:
         """Whether its messages are point clouds."""
         return holds_clouds(self.kind)
 
+    @property
+    def of_packets(self) -> bool:
+        """Whether it has packets of which clouds are made."""
+        return self.kind in PACKET_MESSAGES or self.kind.startswith(PACKETS_OF)
+
 
 MAX_MESSAGES = 2**22
 """More are not read: those of 200 topics at 10 Hz for half an hour, and the index of all of them
@@ -140,13 +159,16 @@ class Recording:
     read
         From ascending frame numbers to these frames, each read when it is requested.
     topic
-        Of a bag, the topic that the frames are on.
+        Of a bag, the topic that the frames are on; of a capture, who sent them where several did.
+    model
+        Of packets, the LiDAR that sent them, as `PointCloud` has it.
     """
 
     path: Path
     count: int
     read: Callable[[range], Iterator[Frame]]
     topic: str | None = None
+    model: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ReadError, naming, reported, shortened
+from ..base.errors import ReadError, UsageError, naming, reported, shortened
 from ..base.quantities import counted
 from .bags import opened
-from .fields import Columns, frame_from_columns, noted
+from .fields import NANOSECONDS, Columns, frame_from_columns, noted
+from .packets import packets_in
 from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
 from .unpacking import LARGEST_RECORD
 
@@ -41,9 +42,6 @@ LONGEST_NAME = 1000
 """Characters of a frame's name that are kept. Exports refuse names of more than 500, so that one
 that was cut is not taken for whole."""
 
-NANOSECONDS = 1e9
-"""In a second; bags count them."""
-
 
 def bag_topics(path: Path) -> tuple[Topic, ...]:
     """List the topics of a bag by name."""
@@ -51,8 +49,11 @@ def bag_topics(path: Path) -> tuple[Topic, ...]:
         return bag.topics
 
 
-def open_bag(path: Path, topic: str | None = None) -> Recording:
+def open_bag(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
     """Open a bag, and choose the topic of point clouds: the given one, or the only one.
+
+    Where none has point clouds, one is chosen on which a driver publishes packets. `angles` is as
+    `packets.open_packets` takes it.
 
     Raises
     ------
@@ -60,14 +61,23 @@ def open_bag(path: Path, topic: str | None = None) -> Recording:
         Where rosbags or mcap is not installed.
     ReadError
         Where the bag cannot be read, or not exactly one topic fits; lists those there are.
+    UsageError
+        Where angles are given, and the topic has no packets.
     """
     topics = bag_topics(path)
     chosen = _choose(path, topics, topic)
+    if chosen.of_packets:
+        return packets_in(path, chosen, angles)
+    if angles is not None:
+        raise UsageError(f"{path}: topic {chosen.name} holds no packets, --angles is of no use")
     return Recording(path, chosen.count, partial(_frames, path, chosen), topic=chosen.name)
 
 
 def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
     clouds = [topic for topic in topics if topic.of_clouds]
+    packets = [topic for topic in topics if topic.of_packets]
+    if any(topic.name == name for topic in packets) or not any(own.count for own in clouds):
+        clouds = packets or clouds
     filled = [topic for topic in clouds if topic.count]
     named = next((topic for topic in topics if topic.name == name), None)
     if not clouds:
@@ -75,7 +85,7 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
         fault += _listed(topics, kinds=True)
     elif name is not None and named is None:
         fault = f"has no topic {name}; those of clouds are: {_listed(clouds)}"
-    elif named is not None and not named.of_clouds:
+    elif named is not None and named not in clouds:
         fault = f"topic {name} is of {named.kind}, expected {CLOUDS}; topics of that are: "
         fault += _listed(clouds)
     elif named is not None and not named.count:

@@ -437,6 +437,9 @@ def _beams_line(origin: list[float]) -> str:
 def _intensity_lines(intensity: IntensityDoc) -> list[str]:
     values = f"median {intensity.median:.4g}, 95 % below {intensity.p95:.4g}"
     lines = [f"intensity  {values}, largest {intensity.max:.4g}"]
+    if intensity.others:
+        instead = " or ".join(f"--intensity {name}" for name in intensity.others)
+        lines.append(f"           of the field {intensity.field}; {instead} takes another")
     if intensity.threshold is None:
         return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
     lines += [

@@ -21,7 +21,10 @@ class TopicDoc(msgspec.Struct):
 
 
 class IntensityDoc(msgspec.Struct):
-    """Intensities: quantiles, a histogram over even bins, and where retro-reflectors may begin."""
+    """Intensities: quantiles, a histogram over even bins, and where retro-reflectors may begin.
+
+    `field` is the one that they are of, and `others` those that are called an intensity as well.
+    """
 
     median: float
     p95: float
@@ -31,6 +34,8 @@ class IntensityDoc(msgspec.Struct):
     threshold: float | None
     threshold_source: str
     retro_points: int
+    field: str = ""
+    others: list[str] = []
 
 
 class CloudDoc(msgspec.Struct):

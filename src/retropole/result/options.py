@@ -103,6 +103,8 @@ class Reading(NamedTuple):
         Of a cloud with more, so many are kept, as `io.read_cloud` does.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
+    intensity
+        Field that the intensity is read from; None takes the usual one.
     """
 
     sensor: str = "auto"
@@ -111,6 +113,7 @@ class Reading(NamedTuple):
     frames: slice | None = None
     max_points: int = MAX_POINTS
     unit: Unit = "m"
+    intensity: str | None = None
 
 
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -214,6 +217,15 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Unit | None, told("The same for SOURCE, where it is another.  [default: that of --unit]")
     ] = None
 
+    intensity: Annotated[
+        Text | None,
+        told("Field of the intensity, where several may be; 'retropole info' lists them."),
+    ] = None
+    intensity_source: Annotated[
+        Text | None,
+        told("The same for SOURCE, where it is another.  [default: that of --intensity]"),
+    ] = None
+
     @property
     def source_unit(self) -> Unit:
         """Unit of the source: its own, or else that of the target."""
@@ -233,14 +245,15 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        return Reading(sensor, threshold, topic, slice_of(self.frames), self.max_points, self.unit)
+        how = self.max_points, self.unit, self.intensity
+        return Reading(sensor, threshold, topic, slice_of(self.frames), *how)
 
     @property
     def of_source(self) -> Reading:
         """How recordings of the source are read."""
         sensor, threshold, topic = self.sensor_source, self.threshold_source, self.source_topic
-        frames = slice_of(self.frames)
-        return Reading(sensor, threshold, topic, frames, self.max_points, self.source_unit)
+        how = self.max_points, self.source_unit, self.intensity_source or self.intensity
+        return Reading(sensor, threshold, topic, slice_of(self.frames), *how)
 
 
 DEFAULT_CONFIG = RunConfig()

@@ -13,10 +13,13 @@ import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame, read_frames
-from retropole.io.live import Source
+from retropole.io.bags import opened
+from retropole.io.live import Source, source_of
 from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
-from retropole.io.packets import packets, walk
+from retropole.io.packets import drivers
+from retropole.io.packets.capture import packets, walk
 from tests.io.files import required
+from tests.io.packets.sending import bag_of
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -368,3 +371,37 @@ def test_missing_extras_say_what_to_install(
     begin = VelodyneSource if extra == "velodyne" else partial(OusterSource, metadata=tmp_path)
     with pytest.raises(MissingExtraError, match=rf"retropole\[{extra}\]"):
         begin(free_port())
+
+
+@pytest.mark.parametrize("name", ["hesai_xt32", "hesai_64"])
+def test_sweeps_of_a_model_of_the_tables_are_those_of_its_recording(
+    tmp_path: Path, name: str
+) -> None:
+    path = bag_of(name, tmp_path)
+    recorded = list(read_frames(path))
+    with opened(path) as bag:
+        (topic,) = bag.topics
+        coming = drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
+        sent = [each.payload for each in coming]
+    port = free_port()
+    frames: list[Frame] = []
+    with closing(source_of(f"hesai:{HOME}:{port}")) as source, sender(port) as send:
+        for k in range(0, len(sent), 20):
+            send(sent[k : k + 20])
+            frame = source.newest(0.01)
+            frames += [frame] if frame else []
+    assert frames[0].cloud.notes[0].startswith("angles of Hesai")
+    # The first began before we listened, and the last is not whole.
+    assert [frame.number for frame in frames] == list(range(len(frames)))
+    assert len(frames) >= len(recorded) - 2 - 1
+    for frame in frames:
+        same = [own for own in recorded if len(own.cloud) == len(frame.cloud)]
+        assert any(np.array_equal(own.cloud.xyz, frame.cloud.xyz) for own in same)
+
+
+def test_what_is_of_another_maker_is_said() -> None:
+    port = free_port()
+    with closing(source_of(f"hesai:{HOME}:{port}")) as source, sender(port) as send:
+        send([bytes(1206)] * 3)
+        assert source.newest(0.3) is None
+        assert "none of a Hesai: packets of returns expected, 1206 came" in source.waits_for

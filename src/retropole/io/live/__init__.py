@@ -15,12 +15,20 @@ from ..recordings import Frame
 SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
+    "hesai:PORT": "packets of a Hesai",
+    "robosense:PORT": "packets of a RoboSense",
+    "leishen:PORT": "packets of a Leishen",
+    "livox:PORT": "packets of a Livox",
     "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
     "folder:PATH": "a folder that gets a file for each sweep",
     "bag:PATH": "a bag that is being recorded (.mcap, .db3, or its folder); bag:PATH:/TOPIC",
     "replay:PATH": "a recording, played at its own speed; replay:PATH:/TOPIC",
 }
 """What a source may be, as it is asked for."""
+
+
+MAKERS = ("velodyne", "hesai", "robosense", "leishen", "livox")
+"""Kinds of sources that need nothing but a port."""
 
 
 class Source(Protocol):
@@ -101,11 +109,12 @@ def source_of(
         from .dds import DdsSource
 
         return DdsSource(where, domain=domain, interface=interface)
-    if kind == "velodyne":
-        from .udp import ALL_INTERFACES, VelodyneSource
+    if kind in MAKERS:
+        from .udp import ALL_INTERFACES, TableSource, VelodyneSource
 
         host, _, port = where.rpartition(":")
-        return VelodyneSource(_port(text, port), host or ALL_INTERFACES, senders)
+        listens = _port(text, port), host or ALL_INTERFACES, senders
+        return VelodyneSource(*listens) if kind == "velodyne" else TableSource(kind, *listens)
     if kind == "ouster":
         from .udp import OusterSource
 
@@ -145,7 +154,8 @@ def open_sources(
         As `source_of`; where both are the same; and where senders are named, and none sends
         packets.
     """
-    if senders and not any(text.startswith(("velodyne:", "ouster:")) for text in texts):
+    makers = tuple(f"{maker}:" for maker in (*MAKERS, "ouster"))
+    if senders and not any(text.startswith(makers) for text in texts):
         raise UsageError("--from names who sends packets: give velodyne:PORT or ouster:PORT:FILE")
     if len(set(texts)) < len(texts):
         raise UsageError(f"both LiDARs are {texts[0]}: name two sources")

@@ -15,8 +15,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ...base.errors import MissingExtraError, UsageError, said
+from ..fields import NANOSECONDS
 from ..recordings import CLOUDS, Frame
-from ..ros import NANOSECONDS, frame_of
+from ..ros import frame_of
 from .replay import QUIET
 
 if TYPE_CHECKING:

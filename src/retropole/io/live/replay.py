@@ -15,9 +15,9 @@ from typing import NamedTuple
 from ...base.errors import UsageError
 from .. import open_recording
 from ..bags import opened
-from ..packets import PACKETS
+from ..fields import NANOSECONDS
 from ..recordings import Frame, Recording
-from ..ros import NANOSECONDS, frame_of
+from ..ros import frame_of
 
 QUIET = 2.0
 """Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
@@ -129,10 +129,10 @@ class ReplaySource:
 
 def _entries(recording: Recording) -> Generator[Entry, None, None]:
     """Go through the frames of a recording, each read when it is called for where that can be."""
+    if recording.model:
+        return _of_packets(recording)
     if recording.topic is not None:
         return _of_bag(recording.path, recording.topic)
-    if recording.path.suffix.lower() in PACKETS:
-        return _of_packets(recording)
     return _of_files(recording)
 
 

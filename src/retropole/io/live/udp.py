@@ -1,4 +1,4 @@
-"""Packets that a sensor sends to a port of this computer: Velodyne and Ouster.
+"""Packets that a sensor sends to a port of this computer.
 
 They are decoded as those of a capture are (`io.packets`). A thread receives them, since what the
 system holds back for a program is less than a sweep.
@@ -22,7 +22,11 @@ import numpy as np
 from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
 from ..fields import frame_from_columns
-from ..packets import VELODYNE_SIZE, VELODYNE_START, Sweep, ouster_sweeps, velodyne_sweep
+from ..packets.angles import read_angles
+from ..packets.models import MODELS, Model, recognized
+from ..packets.ouster import ouster_sweeps
+from ..packets.sweeps import Sweep, live
+from ..packets.velodyne import VELODYNE_SIZE, VELODYNE_START, velodyne_sweep
 from ..recordings import Frame, is_unix
 from .replay import QUIET
 
@@ -51,8 +55,8 @@ class _Kind(NamedTuple):
 
     Attributes
     ----------
-    maker, size
-        Its name, and the bytes of its packets.
+    maker, expected
+        Its name, and in words what its packets are.
     misfit
         In words what a packet is that is none of it; empty where it is one.
     decoder
@@ -60,7 +64,7 @@ class _Kind(NamedTuple):
     """
 
     maker: str
-    size: int
+    expected: str
     misfit: Callable[[bytes], str]
     decoder: Callable[[], Decoder]
 
@@ -108,7 +112,7 @@ class _Mailbox:
 
 
 class PacketSource:
-    """A sensor that sends packets to a port; `VelodyneSource` and `OusterSource` are to be used.
+    """A sensor that sends packets to a port: what `VelodyneSource` and others have in common.
 
     The packets of one sender are taken, since two sensors that send to one port would be mixed up
     otherwise: of the first whose packets fit, until it has stopped for `PAUSE`; and instead of one
@@ -182,7 +186,7 @@ class PacketSource:
         came = " and ".join(size for size, _ in self._wrong.most_common(3))
         return (
             f"{counted(self._wrong.total(), 'packet')} came, none of a {self._kind.maker}: "
-            f"{self._kind.size} bytes expected, {came} came"
+            f"{self._kind.expected} expected, {came} came"
         )
 
     def newest(self, wait: float) -> Frame | None:
@@ -191,14 +195,15 @@ class PacketSource:
         if taken is None:
             return None
         number, (sweep, received, sender, notes) = taken
-        start, columns, origin = sweep
         where = f"port {self._port}: sweep {number}"
         with naming(where), reported("sweep"):
-            own = columns()
-        cloud = frame_from_columns(where, own, origin)
+            own = sweep.columns()
+        cloud = frame_from_columns(where, own, sweep.origin)
         # A sensor whose clock was never set counts from when it was switched on.
-        stamp = start if is_unix(start) else received
-        return Frame(number, replace(cloud, notes=notes), stamp, sender=sender)
+        is_known = sweep.stamp is not None and is_unix(sweep.stamp)
+        stamp = sweep.stamp if is_known else received
+        cloud = replace(cloud, notes=(*notes, *sweep.notes), model=sweep.model)
+        return Frame(number, cloud, stamp, sender=sender)
 
     def close(self) -> None:
         """Let go of the port, as `Source` says."""
@@ -310,8 +315,57 @@ class VelodyneSource(PacketSource):
 
             return sweep
 
-        kind = _Kind("Velodyne", VELODYNE_SIZE, _no_velodyne, decoder)
+        kind = _Kind("Velodyne", f"{VELODYNE_SIZE} bytes", _no_velodyne, decoder)
         super().__init__(port, host, kind, senders)
+
+
+class TableSource(PacketSource):
+    """A LiDAR that sends its packets to a port, of a maker whose models are in tables.
+
+    Parameters
+    ----------
+    maker
+        As the tables have it, in any case.
+    port, host, senders
+        As `VelodyneSource` takes them.
+    angles
+        File of the unit's own angles.
+
+    Raises
+    ------
+    UsageError
+        As `VelodyneSource`.
+    """
+
+    def __init__(
+        self,
+        maker: str,
+        port: int,
+        host: str = ALL_INTERFACES,
+        senders: Collection[str] = (),
+        angles: Path | None = None,
+    ) -> None:
+        models = [model for model in MODELS if model.maker.lower() == maker.lower()]
+
+        def misfit(packet: bytes) -> str:
+            return "" if recognized(packet) in models else str(len(packet))
+
+        def decoder() -> Decoder:
+            known: Model | None = None
+            take: Callable[[bytes], Sweep | None] = lambda packet: None  # noqa: E731
+
+            def sweep(packet: bytes, received: float) -> Sweep | None:
+                nonlocal known, take
+                model = recognized(packet)
+                if model is not None and model is not known:
+                    own = None if angles is None else read_angles(angles, model)
+                    known, take = model, live(model, own)
+                return take(packet)
+
+            return sweep
+
+        title = models[0].maker
+        super().__init__(port, host, _Kind(title, "packets of returns", misfit, decoder), senders)
 
 
 class OusterSource(PacketSource):
@@ -390,7 +444,7 @@ class OusterSource(PacketSource):
 
             return sweep
 
-        super().__init__(port, host, _Kind("Ouster", size, misfit, decoder), senders)
+        super().__init__(port, host, _Kind("Ouster", f"{size} bytes", misfit, decoder), senders)
 
 
 def _no_velodyne(packet: bytes) -> str:

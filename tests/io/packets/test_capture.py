@@ -1,20 +1,24 @@
-"""Packets of Velodynes and Ousters give what the manufacturers' libraries read."""
+"""Captures, also damaged ones: packets of Velodynes and Ousters give what the libraries read."""
 
+import random
 import shutil
 import struct
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from retropole.base.errors import MissingExtraError, ReadError, UsageError
-from retropole.io import open_recording, read_cloud, read_frames
-from retropole.io.packets import CAPTURE_HEADER, PACKET_HEADER, walk
+from retropole.base.errors import MissingExtraError, ReadError
+from retropole.io import open_recording, read_cloud, read_frames, topics_of
+from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, datagrams, walk
 from retropole.io.recordings import time_of_recording
 from tests.cli.commands import retropole_here
-from tests.damage import velodyne
+from tests.damage import cut as cut_at_random
+from tests.damage import flip, set_bytes, velodyne
 from tests.io.files import required
+from tests.io.packets.sending import datagram, pcap, pcapng, turning
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -78,7 +82,7 @@ def test_sweeps_are_sliced() -> None:
     np.testing.assert_array_equal(middle.xyz, np.concatenate(parts))
     stamps = [required(frame.stamp) for frame in frames]
     np.testing.assert_allclose(np.diff(stamps)[:2], 0.1, atol=0.01)
-    with pytest.raises(UsageError, match="has no topics"):
+    with pytest.raises(ReadError, match=r"no LiDAR sends from /points; .*Velodyne VLP-16"):
         read_cloud(path, topic="/points")
 
 
@@ -142,7 +146,7 @@ def test_metadata_of_an_ouster_are_found_beside_it(tmp_path: Path, name: str) ->
     [
         (b"", "is empty"),
         (b"no capture of packets", "expected a capture"),
-        (b"\x0a\x0d\x0d\x0a" + bytes(40), "is a pcapng"),
+        (b"\x0a\x0d\x0d\x0a" + bytes(40), "no whole packet in the 44 bytes"),
         (b"\xd4\xc3\xb2\xa1" + bytes(28) + b"\xff" * 8, "no whole packet in the 16 bytes"),
         (b"\xd4\xc3\xb2\xa1\x02\x00\x04\x00" + bytes(12) + b"\1\0\0\0", "metadata"),
     ],
@@ -179,12 +183,15 @@ def test_packets_without_a_return_are_no_sweep(tmp_path: Path) -> None:
         read_cloud(tmp_path / "a.pcap")
 
 
+VELODYNE_PACKET = (b"\xff\xee" + bytes(98)) * 12 + bytes(6)
+
+
 @pytest.mark.parametrize("extra", ["velodyne", "ouster"])
 def test_missing_extras_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extra: str
 ) -> None:
     module = {"velodyne": "velodyne_decoder", "ouster": "ouster.sdk"}[extra]
-    capture(tmp_path / "a.pcap", [b"\xff\xee" + bytes(1204)] if extra == "velodyne" else [b"abc"])
+    capture(tmp_path / "a.pcap", [VELODYNE_PACKET] if extra == "velodyne" else [b"abc"])
     (tmp_path / "a.json").write_text("{}")
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=rf"retropole\[{extra}\]"):
@@ -314,14 +321,85 @@ def test_what_is_no_capture_at_all_is_refused_soon(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".cap"])
-def test_the_suffix_changes_neither_advice_nor_reading(tmp_path: Path, suffix: str) -> None:
-    pytest.importorskip("velodyne_decoder")
+def test_the_suffix_does_not_change_reading(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
-    path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(100))
-    with pytest.raises(ReadError, match=r"is a pcapng, .*'editcap -F pcap' converts it"):
+    for write in (pcap, pcapng):
+        path.write_bytes(write([datagram(payload) for payload in turning("XT16")]))
+        assert len(read_cloud(path)) == 40 * 8 * 16
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_a_pcapng_gives_what_a_pcap_gives(tmp_path: Path, order: str) -> None:
+    sent = [datagram(payload) for payload in turning("XT16")]
+    plain, blocks = tmp_path / "a.pcap", tmp_path / "a.pcapng"
+    plain.write_bytes(pcap(sent))
+    blocks.write_bytes(pcapng(sent, order))
+    for one, two in zip(read_frames(plain), read_frames(blocks), strict=True):
+        np.testing.assert_array_equal(one.cloud.xyz, two.cloud.xyz)
+    found = walk(blocks)
+    np.testing.assert_allclose(found.times, walk(plain).times, atol=1e-6)
+    assert len(found.gaps) == 0
+
+
+def test_damage_of_a_pcapng_costs_the_packet(tmp_path: Path) -> None:
+    data = bytearray(pcapng([datagram(payload) for payload in turning("XT16")]))
+    path = tmp_path / "a.pcapng"
+    size = len(data)
+    data[size - 5 * 640 + 4] ^= 1
+    del data[size - 3 * 640 + 50 : size - 3 * 640 + 60]
+    path.write_bytes(data)
+    cloud = read_cloud(path)
+    assert len(cloud) == 38 * 8 * 16
+    assert "at 2 places" in cloud.notes[0]
+
+
+def test_lidars_of_one_capture_are_told_apart(tmp_path: Path) -> None:
+    first, second = turning("XT16"), turning("XT32M")
+    mixed = [
+        packet
+        for one, two in zip(first, second, strict=True)
+        for packet in (datagram(one), datagram(two, "192.168.1.202", 2000), datagram(bytes(512)))
+    ]
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap(mixed))
+    names = {own.name: (own.kind, own.count) for own in topics_of(path)}
+    assert names == {
+        "192.168.1.201:10000": ("packets of Hesai XT16", 40),
+        "192.168.1.202:2000": ("packets of Hesai XT32M", 40),
+    }
+    with pytest.raises(ReadError, match=r"packets of 2 LiDARs, name one of them: 192\.168\.1\.201"):
         read_cloud(path)
+    cloud = read_cloud(path, topic="192.168.1.202:2000")
+    assert (len(cloud), cloud.model) == (40 * 6 * 32, "Hesai XT32M")
+    assert read_cloud(path, topic="192.168.1.201:10000").model == "Hesai XT16"
+    shown = retropole_here("info", path).stdout
+    assert shown.count("sensor     Hesai") == 2
+
+
+def test_a_capture_of_two_velodynes_gives_each(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    path, both = tmp_path / "one.pcap", tmp_path / "both.pcap"
     path.write_bytes(velodyne())
-    assert len(read_cloud(path)) > 0
+    alone = read_cloud(path)
+    payloads = [each.payload for each, _ in datagrams(path, walk(path))]
+    sent = [datagram(payload, f"10.0.0.{k}") for payload in payloads for k in (1, 2)]
+    both.write_bytes(pcap(sent))
+    cloud = read_cloud(both, topic="10.0.0.2:10000")
+    np.testing.assert_array_equal(cloud.xyz, alone.xyz)
+    assert (alone.model, cloud.model) == ("VLP-16", "VLP-16")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_damaged_packets_of_hesai_give_points_or_an_error(tmp_path: Path, seed: int) -> None:
+    dice = random.Random(seed)
+    write = dice.choice((pcap, pcapng))
+    name = dice.choice(("XT16", "OT128", "Pandar40P", "AT128"))
+    data = bytearray(write([datagram(payload) for payload in turning(name, 12)]))
+    dice.choice((cut_at_random, flip, set_bytes))(data, dice)
+    path = tmp_path / "a.pcap"
+    path.write_bytes(data)
+    with suppress(ReadError):
+        assert len(read_cloud(path)) <= len(data)
 
 
 def test_both_byte_orders_are_walked(tmp_path: Path) -> None:

@@ -1,0 +1,300 @@
+"""Packets as a sensor sends them, in captures and in bags of what drivers publish.
+
+Which LiDAR sent them is recognized from the packets. Frames are sweeps; the first and the last may
+be incomplete.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ...base.datatypes import Array, IntArray
+from ...base.errors import ReadError, naming, reported
+from ...base.quantities import counted
+from ..bags import opened
+from ..fields import Columns, frame_from_columns, noted
+from ..recordings import PACKETS_OF, Frame, Recording, Topic
+from . import drivers
+from .angles import angles_told, read_angles
+from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
+from .interpolated import DIFOP_START
+from .models import Angles, Model, recognized, unknown
+from .ouster import metadata_beside, sweeps_of_capture
+from .sweeps import Sweep, index_of, positions_of, sweeps_of
+from .velodyne import is_velodyne, model_of, velodyne_sweeps
+
+PACKETS = (".pcap", ".pcapng")
+"""Suffixes of packet captures."""
+
+CAPTURES = (*PACKETS, ".cap")
+"""Suffixes that captures have, also those that may be of a format that is not read."""
+
+VELODYNE = "Velodyne"
+
+
+@dataclass
+class Sender:
+    """What one LiDAR sent.
+
+    Attributes
+    ----------
+    title, name
+        Maker and model; what ``sensors.toml`` calls it, where it is in there.
+    model
+        Its table; None of a Velodyne.
+    size
+        Bytes of its packets; those of another size it has not sent.
+    rows
+        Its packets, by their numbers in the recording.
+    angles, told
+        Its own, where a packet told them, and how many packets tell about it.
+    """
+
+    title: str
+    name: str
+    model: Model | None
+    size: int
+    rows: list[int] = field(default_factory=list)
+    angles: Angles | None = None
+    told: int = 0
+
+
+Reading = Callable[[IntArray], Iterator[Datagram]]
+"""From ascending numbers of packets that one LiDAR sent to these packets."""
+
+
+def open_packets(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
+    """Recognize the sensor of a capture, and find its sweeps, which takes a pass through it.
+
+    Parameters
+    ----------
+    path
+        A capture.
+    topic
+        ``IP:port`` of the sender; needed where several LiDARs sent.
+    angles
+        File of the unit's own angles.
+
+    Raises
+    ------
+    MissingExtraError
+        Where the extra for the sensor is not installed.
+    ReadError
+        Where the file is not a capture of such packets, or an Ouster's metadata are missing; where
+        not exactly one sender fits.
+    """
+    with naming(path), reported("capture"):
+        capture = walk(path)
+    senders, sizes, starts = _surveyed(path, capture)
+    if not senders:
+        return _of_ouster(path, capture, sizes)
+    name = _chosen(path, senders, topic)
+    # Of a damaged packet nothing tells who sent it, but that it is as long as others.
+    known = sum(len(each.rows) + each.told for each in senders.values())
+    length = capture.records[senders[name].rows[0], 1]
+    alike = int(np.count_nonzero(capture.records[:, 1] == length))
+    unreadable = max(alike - known, 0) if len(senders) == 1 else 0
+    is_plain = len(senders) == 1 and not unreadable and not len(capture.gaps)
+    with path.open("rb") as file:
+        is_plain &= file.read(4) != PCAPNG_START
+    note = capture.note(unreadable)
+    size = senders[name].size
+
+    def read(rows: IntArray) -> Iterator[Datagram]:
+        payloads = parts_of(path, starts[rows], np.full(len(rows), size))
+        times = capture.times[rows].tolist()
+        return (Datagram(own, name, at) for own, at in zip(payloads, times, strict=True))
+
+    recording = _recording(path, senders[name], read, angles, (note,), is_whole_file=is_plain)
+    return replace(recording, topic=name) if len(senders) > 1 else recording
+
+
+def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], Counter[int], IntArray]:
+    """Survey a capture; besides, where the payload of each packet begins in the file."""
+    starts: list[int] = []
+
+    def coming() -> Iterator[Datagram]:
+        for each, start in datagrams(path, capture):
+            starts.append(start)
+            yield each
+
+    senders, sizes = survey(coming())
+    return senders, sizes, np.array(starts, np.int64)
+
+
+def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recording:
+    """Open a topic of a bag on which a driver publishes packets.
+
+    Raises
+    ------
+    MissingExtraError, ReadError
+        As `open_packets`.
+    """
+
+    def every() -> Iterator[Datagram]:
+        with opened(path) as bag:
+            yield from drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
+
+    def read(rows: IntArray) -> Iterator[Datagram]:
+        coming, at = every(), 0
+        for row in rows.tolist():
+            yield from islice(coming, row - at, row - at + 1)
+            at = row + 1
+
+    senders, sizes = survey(every())
+    if not senders:
+        raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
+    # A bag does not say who sent what: the LiDAR is the one with most packets.
+    sender = max(senders.values(), key=lambda each: len(each.rows))
+    return replace(_recording(path, sender, read, angles, ()), topic=topic.name)
+
+
+def topics_of_capture(path: Path) -> tuple[Topic, ...]:
+    """List the LiDARs of a capture as topics, ``IP:port``, where there are several."""
+    with naming(path), reported("capture"):
+        capture = walk(path)
+    senders, *_ = _surveyed(path, capture)
+    topics = tuple(
+        Topic(name, f"{PACKETS_OF}{own.title}", len(own.rows)) for name, own in senders.items()
+    )
+    return topics if len(topics) > 1 else ()
+
+
+def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]:
+    """Find which LiDARs sent packets, and count the sizes of all other packets."""
+    senders: dict[str, Sender] = {}
+    sizes: Counter[int] = Counter()
+    told: dict[str, bytes] = {}
+    telling = Counter[str]()
+    for row, (payload, name, _) in enumerate(coming):
+        own = senders.get(name)
+        model = recognized(payload)
+        if model is None and not is_velodyne(payload):
+            sizes[len(payload)] += 1
+            telling[name.partition(":")[0]] += payload.startswith(DIFOP_START)
+            if payload and len(told) < 100:
+                told.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
+            continue
+        if own is None:
+            own = senders[name] = _sender(model, payload)
+        if len(payload) == own.size and (model is None) == (own.model is None):
+            own.rows.append(row)
+    for name, own in senders.items():
+        found = (
+            angles_told(own.model, payload)
+            for key, payload in told.items()
+            if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
+        )
+        own.told = telling[name.partition(":")[0]]
+        own.angles = next((each for each in found if each is not None), None)
+    # A damaged address or port looks like another LiDAR, which sends next to nothing.
+    most = max((len(own.rows) for own in senders.values()), default=0)
+    return {name: own for name, own in senders.items() if len(own.rows) > most / 1000}, sizes
+
+
+def _sender(model: Model | None, payload: bytes) -> Sender:
+    if model is not None:
+        return Sender(model.title, model.sensor or model.title, model, len(payload))
+    name = model_of(payload)
+    title = f"{VELODYNE} {name}".rstrip()
+    return Sender(title, name or title, None, len(payload))
+
+
+def _chosen(path: Path, senders: dict[str, Sender], topic: str | None) -> str:
+    listed = ", ".join(
+        f"{name} ({own.title}, {counted(len(own.rows), 'packet')})"
+        for name, own in islice(senders.items(), 10)
+    )
+    if topic is not None and topic not in senders:
+        raise ReadError(f"{path}: no LiDAR sends from {topic}; those that do: {listed}")
+    if topic is None and len(senders) > 1:
+        raise ReadError(f"{path}: has packets of {len(senders)} LiDARs, name one of them: {listed}")
+    return topic or next(iter(senders))
+
+
+def _recording(
+    path: Path,
+    sender: Sender,
+    read: Reading,
+    angles: Path | None,
+    notes: tuple[str, ...],
+    *,
+    is_whole_file: bool = False,
+) -> Recording:
+    """Open what one LiDAR sent."""
+    rows = np.array(sender.rows, np.int64)
+    if sender.model is None:
+        coming = None if is_whole_file else partial(read, rows)
+        return _decoded(
+            path,
+            lambda: velodyne_sweeps(path, coming),
+            sender.name,
+            sizes=f"{sender.size} bytes",
+            notes=notes,
+        )
+    model = sender.model
+    own = sender.angles if angles is None else read_angles(angles, model)
+
+    def payloads(chosen: IntArray | None = None) -> Iterator[bytes]:
+        return (each.payload for each in read(rows if chosen is None else rows[chosen]))
+
+    index = index_of(model, positions_of(model, payloads()), own)
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        for number, sweep in sweeps_of(model, own, index, numbers, payloads):
+            yield _frame(path, number, sweep, sender.name, notes)
+
+    return Recording(path, len(index.rows), frames, model=sender.name)
+
+
+def _decoded(
+    path: Path,
+    sweeps: Callable[[], Iterator[Sweep]],
+    name: str,
+    *,
+    sizes: str,
+    notes: tuple[str, ...],
+) -> Recording:
+    """Open packets that the library of a maker decodes, which is to count their sweeps, too."""
+    count = sum(1 for _ in sweeps())
+    if not count:
+        raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        for number, sweep in enumerate(sweeps()):
+            if number in numbers:
+                yield _frame(path, number, sweep, name, notes)
+            if number == numbers[-1]:
+                return
+
+    return Recording(path, count, frames, model=name)
+
+
+def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, ...]) -> Frame:
+    where = f"{path}: sweep {number}"
+    with naming(where), reported("sweep"):
+        own = sweep.columns()
+    cloud = noted(frame_from_columns(where, own, sweep.origin), *notes, *sweep.notes)
+    stamp = _first(own) if sweep.stamp is None else sweep.stamp
+    return Frame(number, replace(cloud, model=name), stamp)
+
+
+def _first(columns: Columns) -> float | None:
+    time: Array = columns["time"]
+    return float(time.min()) if len(time) else None
+
+
+def _of_ouster(path: Path, capture: Capture, sizes: Counter[int]) -> Recording:
+    """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
+    words = sizes_in_words(capture)
+    metadata = metadata_beside(path, words)
+    note = capture.note(0)
+    read = partial(sweeps_of_capture, path, metadata)
+    return _decoded(path, read, "Ouster", sizes=words, notes=(note,))

@@ -1,0 +1,285 @@
+"""Packets whose blocks say an azimuth each, between which that of each firing is interpolated:
+RoboSense's spinning LiDARs, and Leishen's C series.
+
+Of some LiDARs a block holds two firings of all channels, of others two blocks hold one. Here both
+become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens beside its axis.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.datatypes import Array, BoolArray
+from ...base.errors import ReadError
+from .clocks import seconds
+from .models import Angles, Interpolated, Model, Returns, is_other, rings_of
+
+SMALL = 1e-9
+"""Metres by which a distance as a product may miss the ends of the range, which are kept."""
+
+WIDEST_STEP = 1.0
+"""Degrees from a row to the next; where it is more, the LiDAR was told to leave a sector out. At 20
+turns a second it is 0.4°, with two firings in a row 0.8°."""
+
+STEP_BACK = 0.1
+"""Turns by which packets that came late may be back."""
+
+DIFOP_START = bytes.fromhex("a5ff005a11115555")
+"""First bytes of the packets in which a RoboSense tells what it is."""
+
+UNSET = 0xFF
+"""Sign of an angle that a LiDAR does not know."""
+
+MANY = 0.4
+"""Share of rows at the azimuth of the row before above which each firing is sent twice: then a half
+of all has it, and of packets with three rows as many."""
+
+
+class _Rows(NamedTuple):
+    """Rows of N packets: N x R of S firings each.
+
+    Attributes
+    ----------
+    azimuth
+        (N, R) where each begins, degrees.
+    distance, intensity
+        (N, R, S) as sent.
+    valid
+        (N, R) whether its blocks begin as blocks do.
+    """
+
+    azimuth: Array
+    distance: NDArray[np.uint16]
+    intensity: NDArray[np.uint8]
+    valid: BoolArray
+
+
+def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
+    """Unwrapped position of the first and the last firing of each packet (N, 2), turns."""
+    layout = _layout(model)
+    blocks = _blocks(layout, packets)
+    start, end = (_azimuth(layout, blocks[:, k]) / 360 for k in (0, -layout.blocks_in_row))
+    steps = np.diff(start, prepend=start[:1])
+    # A packet that came late steps back; it does not step on by a turn but for that little.
+    first = start[:1] + np.cumsum(steps - np.floor(steps + STEP_BACK))
+    return np.column_stack([first, first + (end - start) % 1])
+
+
+def decode(
+    model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
+) -> Returns:
+    """Decode packets to returns, ordered by rows and channels.
+
+    Raises
+    ------
+    ReadError
+        Where the model has no table of angles and none are given, or those of another model.
+    """
+    layout = _layout(model)
+    own = angles or model.angles
+    channels, most = len(own.elevation), len(layout.firing_us) * layout.together
+    if not channels:
+        raise ReadError(
+            f"a {model.title} says in DIFOP packets at which angles its channels look, and none "
+            "came; they can be given by --angles FILE"
+        )
+    if channels != most and not (layout.is_halved and 2 * channels == most):
+        raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
+    sent = seconds(layout.clock, packets, layout.stamp)
+    rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
+    distance = np.multiply(rows.distance, model.distance_m, dtype=np.float64)
+    nearest, farthest = model.range_m
+    kept = (distance >= nearest - SMALL) & (distance <= farthest + SMALL)
+    kept &= rows.valid[:, :, None]
+    is_dual = _is_dual(rows.azimuth)
+    if is_dual:
+        kept &= _kept_of_two(rows, distance)
+    # From a row to the one after it in its packet, which of a dual return is the next but one.
+    change = _change(rows.azimuth[:, :-1], rows.azimuth[:, 1:])
+    usual = change[(change > 0) & (change <= WIDEST_STEP)]
+    nominal = float(np.median(usual)) if len(usual) else 0.0
+    ahead = 2 if is_dual else 1
+    step = np.full(rows.azimuth.shape, nominal)
+    step[:, :-ahead] = _change(rows.azimuth[:, :-ahead], rows.azimuth[:, ahead:])
+    step[(step <= 0) | (step > WIDEST_STEP)] = nominal
+    turned = np.cumsum(np.pad(change, ((0, 0), (1, 0))), axis=1)
+    late = np.rint(turned / nominal) * period if nominal else np.zeros(turned.shape)
+    if layout.is_stamped_last:
+        late -= late[:, -1:] + period
+    # A sweep is cut between rows, as the makers' drivers do.
+    turn = np.rint(positions[:, :1] - rows.azimuth[:, :1] / 360)
+    turn = turn + np.rint((rows.azimuth[:, :1] + turned - rows.azimuth) / 360)
+
+    channel = np.arange(kept.shape[2]) % channels
+
+    def every(values: NDArray[Any]) -> NDArray[Any]:
+        return np.broadcast_to(values, kept.shape)[kept]
+
+    return Returns(
+        xyz=_placed(layout, rows.azimuth, step, firing / period, own, distance, kept),
+        intensity=rows.intensity[kept].astype(np.float64),
+        ring=every(rings_of(own.elevation)[channel]),
+        time=every(sent[:, None, None] + late[:, :, None] + firing),
+        turn=every(turn.astype(np.int64)[:, :, None]),
+        packet=every(np.arange(len(packets))[:, None, None]),
+    )
+
+
+def angles_told(model: Model, payload: bytes) -> Angles | None:
+    """Take the unit's own angles from its DIFOP packet; None of any other, or where it has none.
+
+    A LiDAR of half as many channels leaves the second half empty, or repeats the first.
+    """
+    told = _layout(model).difop
+    if told is None or len(payload) not in model.sizes or not payload.startswith(DIFOP_START):
+        return None
+    if told.below:
+        bits = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
+        elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
+        elevation[: told.below] *= -1
+        azimuth = np.zeros(len(elevation))
+    else:
+        slots = _layout(model).channels * _layout(model).blocks_in_row
+        entry = np.dtype([("sign", "u1"), ("value", ">u2")])
+        sent = np.frombuffer(payload, entry, 2 * slots, told.at)
+        degrees = np.where(sent["sign"] == 0, 1, -1) * sent["value"] * told.unit
+        elevation, azimuth = degrees.reshape(2, slots)
+        half = slots // 2
+        is_empty = (sent["sign"][half:slots] == UNSET).all() or not elevation[half:].any()
+        if _layout(model).is_halved and (is_empty or (elevation[half:] == elevation[:half]).all()):
+            elevation, azimuth = elevation[:half], azimuth[:half]
+    steep = np.abs(elevation) > 90
+    if steep.any() or len(set(elevation.tolist())) < len(elevation):
+        return None
+    return Angles(np.radians(elevation), np.radians(azimuth), "the DIFOP packets")
+
+
+def _layout(model: Model) -> Interpolated:
+    assert isinstance(model.layout, Interpolated)
+    return model.layout
+
+
+def _placed(
+    layout: Interpolated,
+    azimuth: Array,
+    step: Array,
+    share: Array,
+    angles: Angles,
+    distance: Array,
+    kept: BoolArray,
+) -> Array:
+    """Coordinates (M, 3) of those kept of returns at some distances (N, R, S).
+
+    Rows begin at azimuths (N, R), and turn by steps (N, R), both degrees, until the next; a share
+    of it (S,) is left behind when each fires.
+    """
+    channel = np.arange(len(share)) % len(angles.elevation)
+    # Few steps differ, so that sines and cosines are those of few angles.
+    steps, of_step = np.unique(step, return_inverse=True)
+    of_step = of_step.reshape(step.shape)
+    on = np.deg2rad(np.outer(steps, share))
+    out, lens = np.cos(angles.elevation)[channel], layout.lens[0] * np.ones(len(share))
+    along = cross = np.zeros(())
+    for scale, ways, turned in (
+        (distance, out, on + angles.azimuth[channel]),
+        (1.0, lens, on + np.deg2rad(layout.lens[1])),
+    ):
+        along = along + scale * (ways * np.cos(turned))[of_step]
+        cross = cross + scale * (ways * np.sin(turned))[of_step]
+    ahead, aside = (f(np.deg2rad(azimuth))[:, :, None] for f in (np.cos, np.sin))
+    forward, right = along * ahead - cross * aside, along * aside + cross * ahead
+    plane = (forward, -right) if layout.is_x_ahead else (right, forward)
+    height = distance * np.sin(angles.elevation)[channel] + layout.lens[2]
+    xyz = np.empty((np.count_nonzero(kept), 3))
+    for axis, values in enumerate((*plane, height)):
+        xyz[:, axis] = values[kept]
+    return xyz
+
+
+def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The blocks of packets (N, B, bytes)."""
+    count, size = layout.count, 4 + 3 * layout.channels
+    body = packets[:, layout.start : layout.start + count * size]
+    return body.reshape(len(packets), count, size)
+
+
+def _azimuth(layout: Interpolated, blocks: NDArray[np.uint8]) -> Array:
+    return np.multiply(_number(layout, blocks[..., 2:4]) % 36000, 0.01, dtype=np.float64)
+
+
+def _number(layout: Interpolated, pairs: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Numbers of 2 bytes (...) of bytes (..., 2)."""
+    high, low = (0, 1) if layout.is_big_endian else (1, 0)
+    number: NDArray[np.uint16] = np.bitwise_or(
+        pairs[..., high].astype(np.uint16) << 8, pairs[..., low]
+    )
+    return number
+
+
+def _rows(layout: Interpolated, packets: NDArray[np.uint8]) -> _Rows:
+    blocks = _blocks(layout, packets)
+    shape = len(packets), layout.count // layout.blocks_in_row, -1
+    firings = blocks[:, :, 4:].reshape(*shape, 3)
+    flags = np.frombuffer(bytes.fromhex(layout.flag), np.uint8)
+    begins = (blocks[:, :, : len(flags)] == flags).all(axis=2)
+    return _Rows(
+        _azimuth(layout, blocks[:, :: layout.blocks_in_row]),
+        np.bitwise_and(_number(layout, firings[..., :2]), layout.distance_bits),
+        firings[..., 2],
+        begins.reshape(shape).all(axis=2),
+    )
+
+
+def _firings(
+    layout: Interpolated, rows: _Rows, channels: int, sent: Array
+) -> tuple[_Rows, Array, float]:
+    """Give rows, when each firing of a row is (S,), and when the next row begins, both seconds.
+
+    Where a row holds two firings of the channels, and packets come twice as often as these take,
+    the second half is the other return of the first one.
+    """
+    slots = rows.distance.shape[2]
+    period, held = layout.period_us * 1e-6, max(slots // channels, 1)
+    firing = np.repeat(layout.firing_us, layout.together)[: slots // held] * 1e-6
+    if held == 1:
+        return rows, firing, period
+    gaps = np.diff(sent)
+    gaps = gaps[gaps > 0]
+    rest = rows.distance.shape[1] * held * period
+    if layout.is_halved and len(gaps) and np.median(gaps) < 0.75 * rest:
+        shape = len(sent), -1, slots // held
+        parts = rows.distance.reshape(shape), rows.intensity.reshape(shape)
+        azimuth = np.repeat(rows.azimuth, held, axis=1)
+        return _Rows(azimuth, *parts, np.repeat(rows.valid, held, axis=1)), firing, period
+    starts = np.repeat(np.arange(held) * period, slots // held)
+    return rows, starts + np.tile(firing, held), held * period
+
+
+def _is_dual(azimuth: Array) -> bool:
+    """Whether each firing is sent twice, from the azimuths of rows (N, R)."""
+    every = azimuth.ravel()
+    return bool(np.mean(every[1:] == every[:-1]) > MANY) if len(every) > 1 else False
+
+
+def _kept_of_two(rows: _Rows, distance: Array) -> BoolArray:
+    """Find what remains (N, R, S) where each firing has two returns, in rows of one azimuth.
+
+    The rows of a packet may be an odd number: the second return is in the next packet then.
+    """
+    azimuth = rows.azimuth.ravel()
+    same = np.append(azimuth[1:] == azimuth[:-1], False)
+    place = np.arange(len(same))
+    begins = np.maximum.accumulate(np.where(np.insert(~same[:-1], 0, True), place, 0))
+    first = np.flatnonzero(same & ((place - begins) % 2 == 0))
+    flat = distance.reshape(len(azimuth), -1)
+    kept = np.ones(flat.shape, bool)
+    kept[first] = is_other(flat[first], flat[first + 1])
+    return kept.reshape(distance.shape)
+
+
+def _change(start: Array, end: Array) -> Array:
+    """From one azimuth to another, degrees from -180 to below 180."""
+    return (end - start + 180) % 360 - 180

@@ -1,0 +1,103 @@
+"""Packets of Hesai's AT128: three mirrors pass one after the other, each is a sweep of 120°.
+
+The azimuth of a block is that of the mirrors; a beam turns twice as far. How each channel leaves a
+mirror is in a correction file of the unit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.datatypes import Array, IntArray
+from ...base.errors import ReadError
+from .blocks import CIRCLE, azimuths, of_blocks, returns_of, steps, unwrapped
+from .models import Angles, Mirrors, Model, Returns, rings_of
+
+FINE = 256 * CIRCLE
+"""Units of an azimuth with its finer part in a whole turn."""
+
+MIRRORS = 3
+"""Sweeps of a turn. They are cut at multiples of 120°, where no mirror looks out: fields start
+between 12.8° and 23.4° after (in the maker's and Tier IV's files), and are 60° wide from 15° on."""
+
+
+def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
+    """Give the sweeps, whole and part, at the first and the last block of each packet (N, 2)."""
+    azimuth = _azimuths(_layout(model), packets)[:, [0, -1]].reshape(-1)
+    return MIRRORS * unwrapped(azimuth, FINE).reshape(-1, 2) / FINE
+
+
+def decode(
+    model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
+) -> Returns:
+    """Decode packets of a few sweeps, as `blocks.decode` does."""
+    angles = angles or model.angles
+    azimuth = _azimuths(_layout(model), packets)
+    kept = returns_of(model, packets)
+    starts = np.radians(_layout(model).starts_deg) if angles.starts is None else angles.starts
+    mirror = azimuth.reshape(-1)[kept.block] * (2 * np.pi / FINE)
+    order = np.argsort(starts)
+    # Before the first start, the last field goes on.
+    field = order[np.searchsorted(starts[order], mirror, side="right") - 1]
+    turned = 2 * ((mirror - starts[field]) % (2 * np.pi)) + angles.azimuth[kept.channel]
+    elevation = angles.elevation[kept.channel]
+    if angles.adjusted is not None:
+        # Steps of 2° around the mirrors; the last goes on to the first.
+        at = mirror / np.radians(2)
+        low = at.astype(np.int64) % 180
+        part = at - np.floor(at)
+        added = [
+            (1 - part) * own[kept.channel, low] + part * own[kept.channel, (low + 1) % 180]
+            for own in angles.adjusted
+        ]
+        turned, elevation = turned + added[0], elevation + added[1]
+    level = kept.distance * np.cos(elevation)
+    xyz = np.column_stack(
+        [level * np.sin(turned), level * np.cos(turned), kept.distance * np.sin(elevation)]
+    )
+    start = np.round(positions[:, :1] * (FINE // MIRRORS)).astype(np.int64)
+    whole = (start + steps(azimuth - azimuth[:, :1], FINE)).reshape(-1)
+    turn = (whole // (FINE // MIRRORS))[kept.block]
+    ring = rings_of(angles.elevation)[kept.channel]
+    return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
+
+
+def _layout(model: Model) -> Mirrors:
+    assert isinstance(model.layout, Mirrors)
+    return model.layout
+
+
+def _azimuths(layout: Mirrors, packets: NDArray[np.uint8]) -> IntArray:
+    return azimuths(layout, packets) * 256 + of_blocks(layout, packets, layout.fine, "u1")
+
+
+def read_corrections(path: Path) -> Angles:
+    """Read a correction file of a unit, .dat, of version 1.5.
+
+    Raises
+    ------
+    ReadError
+        Where it is none, or is cut short.
+    """
+    data = path.read_bytes()[: 2**20]
+    start = data.find(b"\xee\xff")
+    head = data[start : start + 16]
+    if start < 0 or len(head) < 16 or head[2:4] != b"\x01\x05":
+        raise ReadError("is no correction file of an AT128 (version 1.5)")
+    channels, mirrors, unit = head[4], head[5], np.radians(head[15] / 100)
+    kinds = [("starts", "<u4", mirrors), ("ends", "<u4", mirrors), ("azimuth", "<i4", channels)]
+    kinds += [("elevation", "<i4", channels), ("adjusted", "i1", 2 * channels * 180)]
+    layout = np.dtype([(name, kind, (count,)) for name, kind, count in kinds])
+    if len(data) < start + 16 + layout.itemsize or not channels or not mirrors:
+        raise ReadError(f"has {len(data)} bytes, expected {start + 16 + layout.itemsize}")
+    (found,) = np.frombuffer(data, layout, 1, start + 16)
+    return Angles(
+        elevation=found["elevation"] * unit / 256,
+        azimuth=-found["azimuth"] * unit / 256,
+        found=path.name,
+        starts=found["starts"] * unit / 256,
+        adjusted=found["adjusted"].reshape(2, channels, 180) * unit,
+    )

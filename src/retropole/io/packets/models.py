@@ -1,0 +1,358 @@
+"""Models of LiDARs by their packets: each is a table of its maker's file, none is code.
+
+A table says how packets of a model are recognized, what they hold where, and at which angles and
+when each channel fires. What packets of one shape have in common is a family: a layout here, and
+a module with ``positions`` and ``decode``.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from typing import Any, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from ...base.datatypes import Array, BoolArray, IntArray
+from ...base.quantities import counted
+
+MAKERS = ("hesai", "robosense", "leishen", "livox")
+"""Files of tables, one for each maker."""
+
+
+class Returns(NamedTuple):
+    """What packets hold.
+
+    Attributes
+    ----------
+    xyz
+        (M, 3) m, in the sensor's frame, with axes as its manual has them.
+    intensity
+        (M,) as sent, 0 to 255.
+    ring
+        (M,) rank of the elevation from below; None for a model without rings.
+    time
+        (M,) s, when each fired: the packet's own time, and what block and channel add.
+    turn
+        (M,) the sweep, on the scale of the positions of the packets.
+    packet
+        (M,) row of the packet.
+    """
+
+    xyz: Array
+    intensity: Array
+    ring: IntArray | None
+    time: Array
+    turn: IntArray
+    packet: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Angles:
+    """Where the channels of a unit look.
+
+    Attributes
+    ----------
+    elevation, azimuth
+        (C,) rad: above the horizon, and what is added to the azimuth of a firing.
+    found
+        In words: ``the table of the model``, ``angles.csv``, ``the DIFOP of the capture``.
+    starts, adjusted
+        Of mirrors: (K,) where the field of each starts, and (2, C, 180) what is added to azimuth
+        and elevation at each 2°, rad; None where the file has none.
+    """
+
+    elevation: Array
+    azimuth: Array
+    found: str = "the table of the model"
+    starts: Array | None = None
+    adjusted: Array | None = None
+
+
+class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What packets of a family hold where; offsets count bytes from the first of the packet."""
+
+
+class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True):
+    """Of Hesai: blocks of channels, each with one azimuth, to which each channel adds its own.
+
+    Attributes
+    ----------
+    count, channels
+        Blocks of a packet, channels of a block.
+    start, block, channel
+        Bytes before the first block, of a block, and of a channel.
+    azimuth, distance
+        Where in a block the azimuth is (16 bits, 0.01°), and the first channel: distance (16 bits)
+        and intensity (8 bits).
+    returns, date, microseconds
+        Offsets of the return mode, of the date (6 bytes) and of the microseconds (32 bits).
+    block_us, step_us, is_counted_back
+        When the first or, where counted back, the last group of blocks with one azimuth fires,
+        µs after the packet's time, and from group to group.
+    firing_us
+        When each channel fires after its block, µs; several where what a packet says selects one.
+    states, state
+        How one of them is selected, and the offset of what selects it: ``loops`` by a flag, of
+        which sets of channels take turns; ``bits`` by two bits for each block.
+    """
+
+    count: int
+    channels: int
+    start: int
+    block: int
+    channel: int
+    azimuth: int
+    distance: int
+    returns: int
+    date: int
+    microseconds: int
+    block_us: float
+    step_us: float
+    firing_us: tuple[tuple[float, ...], ...]
+    is_counted_back: bool = True
+    states: Literal["", "loops", "bits"] = ""
+    state: int = 0
+
+
+class Mirrors(Blocks, frozen=True, tag="mirrors", kw_only=True):
+    """Of Hesai's AT128: a block has a finer azimuth, and mirrors pass one after the other.
+
+    Attributes
+    ----------
+    fine
+        Where in a block the 1/256 of the azimuth are (8 bits).
+    starts_deg
+        Azimuth at which the field of each mirror starts.
+    """
+
+    fine: int
+    starts_deg: tuple[float, ...]
+
+
+class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", kw_only=True):
+    """Of spinning LiDARs of RoboSense and Leishen: azimuths lie between those of blocks.
+
+    Attributes
+    ----------
+    count, channels, start
+        Blocks of a packet, channels of a block (3 bytes each, after 4 for flag and azimuth), and
+        bytes before the first block.
+    flag
+        What each block begins with (hexadecimal).
+    clock, stamp
+        How the packet's time is written, as `clocks` names it, and where.
+    is_big_endian, is_x_ahead
+        Order of bytes; whether x is at azimuth 0 and y to the left, or y at 0 and x to the right.
+    blocks_in_row
+        Blocks that are one firing of all channels.
+    is_halved
+        Whether the two halves of a block may be the returns of one firing of half as many channels.
+    is_stamped_last
+        Whether the packet's time is that of the end of its last firing, not of the first.
+    period_us, firing_us, together
+        From one firing of all channels to the next, µs; when in it each group of `together`
+        channels fires.
+    lens
+        Where beams start: distance from the axis, m, degrees clockwise from the azimuth, height, m.
+    distance_bits
+        Of a distance, those that are one.
+    difop
+        Where the unit's own angles are in its DIFOP packet.
+    """
+
+    count: int
+    channels: int
+    start: int
+    flag: str
+    clock: str
+    stamp: int
+    period_us: float
+    firing_us: tuple[float, ...]
+    lens: tuple[float, float, float]
+    is_big_endian: bool = True
+    is_x_ahead: bool = True
+    blocks_in_row: int = 1
+    is_halved: bool = False
+    is_stamped_last: bool = False
+    together: int = 1
+    distance_bits: int = 0xFFFF
+    difop: Difop | None = None
+
+
+class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where a RoboSense says its angles: elevations from byte `at`, and azimuths after them.
+
+    Each is a sign and 16 bits, in units of `unit` degrees; or, where the first `below` channels
+    look down and no azimuths follow, 24 bits.
+    """
+
+    at: int
+    unit: float
+    below: int = 0
+
+
+class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True):
+    """Of RoboSense's M1 and E1, and of Livox: where each point is.
+
+    Attributes
+    ----------
+    count, points, start
+        Blocks of a packet, points of a block, and bytes before the first block.
+    block, point
+        Names and types (NumPy's) of what a block begins with and a point has. Of a block, ``late``
+        is µs after the packet's time and ``number`` which of two returns, 1 or 2.
+    form
+        ``coordinates``; ``vector`` (of length 2¹⁵) and distance; ``elevation`` or ``zenith``, 0.01°
+        above `zero`.
+    clock, stamp
+        As `Interpolated` has them.
+    counter
+        Offset of the packet's number in its frame (16 bits); None where frames are `sweep_s` long.
+    span, gap_us
+        Offset of the time from the first to the last point (16 bits, 0.1 µs); else, from block to
+        block, µs.
+    is_dual
+        Whether the two points of a block are returns of one firing.
+    """
+
+    count: int
+    start: int
+    clock: str
+    stamp: int
+    point: tuple[tuple[str, str], ...]
+    form: Literal["coordinates", "vector", "elevation", "zenith"]
+    points: int = 1
+    block: tuple[tuple[str, str], ...] = ()
+    zero: int = 0
+    counter: int | None = None
+    sweep_s: float = 0.1
+    span: int | None = None
+    gap_us: float = 0.0
+    is_dual: bool = False
+
+
+AnyLayout = Blocks | Mirrors | Interpolated | Points
+
+
+class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
+    """How packets of a model are recognized and read.
+
+    Attributes
+    ----------
+    name, maker, port
+        Of the model; the port, UDP, is the one that it sends to unless it was told otherwise.
+    sizes
+        Bytes that its packets may have, without IP and UDP.
+    marks
+        What it is recognized by: bytes (hexadecimal) from an offset on, or the lowest and the
+        highest that they may be.
+    distance_m, range_m
+        Metres of a unit of distance; nearest and farthest return kept, m.
+    elevation_deg, azimuth_deg
+        Of each channel: above the horizon, and what is added to the azimuth of a firing.
+    layout
+        Of its family.
+    source, tried
+        Where the figures come from; on which real packets it was tried, empty for none.
+    sensor
+        Its name in ``sensors.toml``; empty where there is none.
+    """
+
+    name: str
+    maker: str
+    port: int
+    sizes: tuple[int, ...]
+    marks: tuple[tuple[int | str, ...], ...]
+    distance_m: float
+    range_m: tuple[float, float]
+    layout: AnyLayout
+    source: str
+    elevation_deg: tuple[float, ...] = ()
+    azimuth_deg: tuple[float, ...] = ()
+    tried: str = ""
+    sensor: str = ""
+
+    @property
+    def title(self) -> str:
+        """Maker and name."""
+        return f"{self.maker} {self.name}"
+
+    @cached_property
+    def angles(self) -> Angles:
+        """Those of the table, for units whose own are not known."""
+        azimuth = self.azimuth_deg or (0.0,) * len(self.elevation_deg)
+        return Angles(np.radians(self.elevation_deg), np.radians(azimuth))
+
+    @cached_property
+    def signature(self) -> tuple[tuple[slice, bytes, bytes], ...]:
+        """The marks as bytes: where they are, the lowest and the highest."""
+        found = []
+        for at, lowest, *highest in self.marks:
+            low, high = (bytes.fromhex(str(each)) for each in (lowest, *(highest or [lowest])))
+            found.append((slice(int(at), int(at) + len(low)), low, high))
+        return tuple(found)
+
+
+def _tables() -> Iterator[Model]:
+    """Read the tables of all makers; one that is ``like`` another has what it does not say."""
+    for maker in MAKERS:
+        file = files("retropole.io.packets").joinpath(f"{maker}.toml")
+        if not file.is_file():
+            continue
+        tables: dict[str, dict[str, Any]] = tomllib.loads(file.read_text(encoding="utf-8"))
+        for name, own in tables.items():
+            other = tables.get(own.pop("like", ""), {})
+            layout = {**other.get("layout", {}), **own.get("layout", {})}
+            merged = {"name": name, **other, **own, "layout": layout}
+            tables[name] = merged
+            yield msgspec.convert(merged, Model)
+
+
+MODELS: tuple[Model, ...] = tuple(_tables())
+"""All that are known; a variant of a model with packets of another size has the same name."""
+
+_BY_SIZE: dict[int, list[Model]] = {
+    size: [model for model in MODELS if size in model.sizes]
+    for size in sorted({size for model in MODELS for size in model.sizes})
+}
+
+
+def recognized(payload: bytes) -> Model | None:
+    """Find the model that sent a packet of returns, by its size and marks; None where none did."""
+    for model in _BY_SIZE.get(len(payload), ()):
+        for where, low, high in model.signature:
+            if not low <= payload[where] <= high:
+                break
+        else:
+            return model
+    return None
+
+
+NEAR_TWIN = 0.1
+"""Two returns of a firing that are nearer to each other, m, are one; drivers leave one out."""
+
+
+def is_other(first: Array, second: Array) -> BoolArray:
+    """Whether the first of two returns of each firing is another than the second, by distances, m.
+
+    The second is kept in any case.
+    """
+    apart = np.abs(first.astype(np.float32) - second.astype(np.float32))
+    return apart >= np.float32(NEAR_TWIN)
+
+
+def rings_of(elevation: Array) -> IntArray:
+    """Rank each channel (C,) by its elevation, from below."""
+    return np.argsort(np.argsort(elevation, kind="stable"), kind="stable")
+
+
+def unknown(sizes: dict[int, int]) -> str:
+    """Say which packets came that no model sends, by how many there are of each size."""
+    most = sorted(sizes.items(), key=lambda each: -each[1])[:3]
+    came = ", ".join(f"{size} bytes ({counted(count, 'packet')})" for size, count in most)
+    return f"packets of no known model: {came or 'none'}"

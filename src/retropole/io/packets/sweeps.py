@@ -1,0 +1,276 @@
+"""From packets to sweeps: of recordings, read in ranges, and of packets that come now.
+
+Of a recording, one pass reads where in their turns packets are. Then a sweep is decoded from its
+own packets alone, so that few are in memory at a time.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.datatypes import Array, IntArray
+from ..fields import Columns
+from . import blocks, interpolated, mirrors, points
+from .models import Angles, Blocks, Interpolated, Layout, Mirrors, Model, Points, Returns
+
+
+class Sweep(NamedTuple):
+    """A sweep of a LiDAR.
+
+    Attributes
+    ----------
+    stamp
+        Time of recording, s; None for that of its first point.
+    columns
+        Function that gives its columns, of which time is in seconds.
+    origin
+        (3,) of its beams.
+    model, notes
+        What `PointCloud` is to have of it.
+    """
+
+    stamp: float | None
+    columns: Callable[[], Columns]
+    origin: Array
+    model: str = ""
+    notes: tuple[str, ...] = ()
+
+
+FAMILIES: dict[type[Layout], ModuleType] = {
+    Blocks: blocks,
+    Mirrors: mirrors,
+    Interpolated: interpolated,
+    Points: points,
+}
+"""By the layout of a model, the module that decodes its packets."""
+
+AT_ONCE = 1024
+"""Packets whose positions are read at a time: 1.5 MB."""
+
+PILED = 64
+"""Packets that come now are looked at so many at a time: every 5 to 30 ms."""
+
+MOST_HELD = 2**14
+"""Packets that come now are kept at most, where no sweep becomes whole: 1.2 s of an OT128."""
+
+
+def stacked(payloads: Sequence[bytes]) -> NDArray[np.uint8]:
+    """Stack packets of one size (N, size)."""
+    return np.frombuffer(b"".join(payloads), np.uint8).reshape(len(payloads), -1)
+
+
+def positions_of(model: Model, payloads: Iterable[bytes]) -> Array:
+    """Give the positions (N, 2) of packets, of which few are in memory at a time."""
+    parts: list[Array] = []
+    last: list[bytes] = []
+    coming = iter(payloads)
+    while part := list(islice(coming, AT_ONCE)):
+        found = _on(model, [*last, *part], parts[-1] if parts else None)
+        parts.append(found[len(last) :])
+        last = part[-1:]
+    return np.concatenate(parts) if parts else np.zeros((0, 2))
+
+
+def _on(model: Model, payloads: Sequence[bytes], before: Array | None) -> Array:
+    """Give positions that go on from others, the last of which is that of the first packet."""
+    found: Array = FAMILIES[type(model.layout)].positions(model, stacked(payloads))
+    return found if before is None else found + np.round(before[-1, 0] - found[0, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """Which packets hold which sweep.
+
+    Attributes
+    ----------
+    positions
+        (N, 2) of all packets.
+    turns
+        (S,) number of each sweep, on the scale of the positions, in the order of their packets.
+    rows
+        Of each sweep, which packets hold parts of it.
+    """
+
+    positions: Array
+    turns: IntArray
+    rows: list[IntArray]
+
+
+def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
+    """Find the sweeps of packets.
+
+    Parameters
+    ----------
+    model, positions, angles
+        Of the packets, (N, 2) where in their turns they are, and the unit's own angles.
+    """
+    if not len(positions):
+        return Index(positions, np.zeros(0, np.int64), [])
+    margin = _margin(model, angles)
+    first, last = (
+        np.floor(each).astype(np.int64)
+        for each in (positions.min(axis=1) - margin, positions.max(axis=1) + margin)
+    )
+    row = np.arange(len(positions))
+    reach = range(int(min(np.max(last - first), 3)) + 1)
+    is_part = [first + k <= last for k in reach]
+    turn = np.concatenate([(first + k)[own] for k, own in zip(reach, is_part, strict=True)])
+    rows = np.concatenate([row[own] for own in is_part])
+    order = np.lexsort((rows, turn))
+    # A sweep has a packet that begins in it; slivers of channels that look ahead belong to others.
+    turns, begins = np.unique(np.floor(positions[:, 0]).astype(np.int64), return_index=True)
+    starts, ends = (np.searchsorted(turn[order], turns, side) for side in ("left", "right"))
+    turns_by_row = np.argsort(begins, kind="stable")
+    return Index(
+        positions,
+        turns[turns_by_row],
+        [_together(rows[order[starts[k] : ends[k]]]) for k in turns_by_row],
+    )
+
+
+def _margin(model: Model, angles: Angles | None) -> float:
+    """How far channels look ahead or back, turns."""
+    azimuth = (angles or model.angles).azimuth
+    # A firing at 0° ends the sweep before.
+    return float(np.abs(azimuth).max(initial=0.0) / (2 * np.pi)) + 1e-6
+
+
+def _together(rows: IntArray) -> IntArray:
+    """Leave out packets far from the others of a sweep, as a damaged one that names its turn."""
+    near = rows[np.abs(rows - np.median(rows)) <= len(rows)]
+    return near if len(near) else rows[:1]
+
+
+def sweeps_of(
+    model: Model,
+    angles: Angles | None,
+    index: Index,
+    numbers: range,
+    read: Callable[[IntArray], Iterator[bytes]],
+) -> Iterator[tuple[int, Sweep]]:
+    """Decode sweeps, each from its own packets.
+
+    Parameters
+    ----------
+    model, angles, index
+        Of the packets.
+    numbers
+        Ascending, which of the sweeps.
+    read
+        From ascending rows to these packets, one after the other.
+    """
+    needed = np.unique(np.concatenate([index.rows[k] for k in numbers]))
+    coming = zip(needed.tolist(), read(needed), strict=False)
+    held: dict[int, bytes] = {}
+    row = -1
+    for number in numbers:
+        rows = index.rows[number]
+        held = {own: payload for own, payload in held.items() if own >= rows[0]}
+        while row < rows[-1]:
+            row, payload = next(coming, (len(index.positions), b""))
+            held[row] = payload
+        there = np.array([row for row in rows.tolist() if row in held], np.int64)
+        if len(there):
+            payloads = [held[row] for row in there.tolist()]
+            ends = int(index.turns.min()), int(index.turns.max())
+            turn = int(index.turns[number])
+            yield number, sweep(model, angles, payloads, index.positions[there], turn, ends)
+
+
+def sweep(
+    model: Model,
+    angles: Angles | None,
+    payloads: Sequence[bytes],
+    positions: Array,
+    turn: int,
+    ends: tuple[int, int],
+) -> Sweep:
+    """Give a sweep that is decoded when its columns are called for.
+
+    Parameters
+    ----------
+    model, angles, payloads, positions
+        Of the packets that hold parts of it.
+    turn, ends
+        Its number; the first and the last of all, to which what lies before and after belongs.
+    """
+    family = FAMILIES[type(model.layout)]
+
+    def columns() -> Columns:
+        found: Returns = family.decode(model, stacked(payloads), angles, positions)
+        own = np.flatnonzero(np.clip(found.turn, *ends) == turn)
+        named: dict[str, NDArray[np.generic]] = dict(zip("xyz", found.xyz[own].T, strict=True))
+        named |= {"intensity": found.intensity[own], "time": found.time[own]}
+        return named if found.ring is None else {**named, "ring": found.ring[own]}
+
+    used = (angles or model.angles) if model.elevation_deg or angles else None
+    note = f"angles of {model.title}: {used.found}" if used else ""
+    return Sweep(None, columns, np.zeros(3), model.sensor or model.title, (note,) if note else ())
+
+
+def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]:
+    """Give what takes packets of a model as they come, and gives each sweep that is whole.
+
+    The first sweep began before, and is left out. Of several that become whole at once, the newest
+    is given.
+    """
+    margin = _margin(model, angles)
+    held: list[bytes] = []
+    positions = np.zeros((0, 2))
+    coming: list[bytes] = []
+    following: int | None = None
+
+    def take(payload: bytes) -> Sweep | None:
+        nonlocal held, positions, coming, following
+        if held and len(payload) != len(held[0]):
+            return None
+        coming.append(payload)
+        if len(coming) < PILED:
+            return None
+        before = positions if len(positions) else None
+        carried = held[-1:] if before is not None else []
+        found = _on(model, [*carried, *coming], before)[len(carried) :]
+        held, positions, coming = held + coming, np.concatenate([positions, found]), []
+        direction = 1 if positions[-1, 0] >= positions[0, 0] else -1
+        if following is None:
+            following = int(np.floor(positions[0, 0])) + direction
+        # Whole are those before the one that the last packet is in, and whose channels all passed.
+        whole = int(np.floor(positions[-1].min() - margin)) - 1
+        if direction < 0:
+            whole = int(np.floor(positions[-1].max() + margin)) + 1
+        done = None
+        if (whole - following) * direction >= 0:
+            rows = _rows_of(positions, whole, margin)
+            payloads = [held[row] for row in rows.tolist()]
+            done = sweep(model, angles, payloads, positions[rows], whole, (whole - 9, whole + 9))
+            following = whole + direction
+        start = 0
+        if done is not None:
+            kept = _rows_of(positions, following, margin)
+            start = int(kept[0]) if len(kept) else len(held) - 1
+        start = max(start, len(held) - MOST_HELD)
+        held, positions = held[start:], positions[start:]
+        return done
+
+    return take
+
+
+def _rows_of(positions: Array, turn: int, margin: float) -> IntArray:
+    """Find the packets that hold parts of a sweep."""
+    is_part = (positions.min(axis=1) - margin <= turn + 1) & (
+        positions.max(axis=1) + margin >= turn
+    )
+    return np.flatnonzero(is_part)
+
+
+def most_common_size(sizes: Iterable[int]) -> int:
+    """Give the size that most packets have; 0 of none."""
+    return max(Counter(sizes).items(), key=lambda each: each[1], default=(0, 0))[0]
