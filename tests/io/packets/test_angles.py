@@ -60,6 +60,7 @@ def test_commands_take_the_file_and_a_result_keeps_it(tmp_path: Path) -> None:
     shown = retropole_here("info", path, "--angles", unit).stdout
     assert "angles of Hesai XT16: unit.csv" in shown
     result = rp.calibrate(path, path, angles=str(unit))
-    assert (result.config.angles, result.config.angles_source) == (str(unit), None)
+    config = result.document.config
+    assert (config.angles, config.angles_source) == (str(unit), None)
     done = retropole_here("detect", path, "--angles", tmp_path / "no.csv", "--out", tmp_path / "o")
     assert "no.csv" in done.stderr
