@@ -57,6 +57,8 @@ def calibrate(
     unit_source: str | None = None,
     intensity: str | None = None,
     intensity_source: str | None = None,
+    angles: str | None = None,
+    angles_source: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> CalibrationResult:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -109,6 +111,8 @@ def calibrate(
     intensity, intensity_source
         Field of a file that the intensity is read from, where several may be one; of the source,
         where it is another. None takes the usual one.
+    angles, angles_source
+        Of packets, the file of the unit's own angles; None takes those of the table.
     progress
         Called with the name of each step as it starts; while a recording of several frames is read,
         with which of how many.

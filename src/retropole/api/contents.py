@@ -29,6 +29,7 @@ def describe(
     frames: slice | None = None,
     unit: Unit = "m",
     intensity: str | None = None,
+    angles: str | None = None,
 ) -> InfoDoc:
     """Describe a recording without calibrating anything.
 
@@ -44,13 +45,15 @@ def describe(
         Of the coordinates.
     intensity
         Field that it is read from; None takes the usual one.
+    angles
+        Of packets, the file of the unit's own; None takes those of the table.
 
     Raises
     ------
     ReadError, UsageError, MissingExtraError
         As `io.read_cloud`.
     """
-    how = Reading(topic=topic, frames=frames, unit=unit, intensity=intensity)
+    how = Reading(topic=topic, frames=frames, unit=unit, intensity=intensity, angles=angles)
     return look_into(path, how)[0]
 
 
@@ -64,7 +67,8 @@ def look_into(path: str | Path, how: Reading) -> tuple[InfoDoc, list[PointCloud]
         names = [own.name for own in filled if own.of_clouds]
         names = names or [own.name for own in filled if own.of_packets] or [None]
     read = partial(read_recording, path, frames=how.frames, max_points=MAX_POINTS, unit=how.unit)
-    found = [read(topic=name, intensity=how.intensity) for name in names]
+    angles = None if how.angles is None else Path(how.angles)
+    found = [read(topic=name, intensity=how.intensity, angles=angles) for name in names]
     document = InfoDoc(
         path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],

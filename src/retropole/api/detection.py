@@ -21,6 +21,7 @@ def detect(
     max_points: int = DEFAULT_CONFIG.max_points,
     unit: str = DEFAULT_CONFIG.unit,
     intensity: str | None = None,
+    angles: str | None = None,
 ) -> Detection:
     """Find the poles in a recording.
 
@@ -44,6 +45,8 @@ def detect(
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     intensity
         Field of a file that the intensity is read from; None takes the usual one.
+    angles
+        Of packets, the file of the unit's own; None takes those of the table.
 
     Returns
     -------

@@ -165,6 +165,7 @@ def read_input(
             max_points=how.max_points,
             unit=unit,
             intensity=how.intensity,
+            angles=None if how.angles is None else Path(how.angles),
             progress=listener.progress,
         )
         cloud = read.cloud
@@ -173,8 +174,10 @@ def read_input(
             f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
             "of shape (N, 3) or (N, 4)"
         )
-    elif (how.topic, how.frames, how.intensity) != (None, None, None):
-        raise UsageError(f"{role}: topic, frames and intensity are chosen in files, not in arrays")
+    elif (how.topic, how.frames, how.intensity, how.angles) != (None, None, None, None):
+        raise UsageError(
+            f"{role}: topic, frames, intensity and angles are chosen for files, not for arrays"
+        )
     else:
         if isinstance(given, PointCloud):
             cloud = only_returns(given, role)

@@ -47,8 +47,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     Returns
     -------
     RunConfig
-        The same, of Python's own types: the result document holds no others. A sensor's file has
-        its whole path.
+        The same, of Python's own types: the result document holds no others. Files of sensors and
+        of angles have their whole paths.
 
     Raises
     ------
@@ -68,7 +68,10 @@ def checked_options(config: RunConfig) -> RunConfig:
         raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
     rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
     sensors = (name_from(Path(), name) for name in (config.sensor_target, config.sensor_source))
-    return replace(config, **dict(zip(("sensor_target", "sensor_source"), sensors, strict=True)))
+    named = dict(zip(("sensor_target", "sensor_source"), sensors, strict=True))
+    files = (("angles", config.angles), ("angles_source", config.angles_source))
+    named |= {name: str(Path(file).resolve()) for name, file in files if file is not None}
+    return replace(config, **named)
 
 
 LETTER = "a letter of the list of hypotheses, such as a"

@@ -19,7 +19,7 @@ from .out import out_folder
 @placement_arguments
 @out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
-@run_options("unit", "unit_source", "intensity", "intensity_source")
+@run_options("unit", "unit_source", "intensity", "intensity_source", "angles", "angles_source")
 @run_options("poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")

@@ -24,7 +24,7 @@ PICTURE = "detect.svg"
     "threshold_target", "--threshold", help="Intensity from which a return is retro-reflective."
 )
 @run_option("target_topic", "--topic")
-@run_options("frames", "max_points", "unit", "intensity")
+@run_options("frames", "max_points", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
 @click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")

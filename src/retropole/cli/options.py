@@ -103,6 +103,8 @@ METAVARS = {
     "target_topic": "NAME",
     "source_topic": "NAME",
     "frames": "A:B",
+    "angles": "FILE",
+    "angles_source": "FILE",
 }
 """What stands for the values of options in the help, where their type says too little."""
 

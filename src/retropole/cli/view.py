@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "threshold_target", "--threshold", help="Where the sliders start.  [default: as in detect]"
 )
 @run_option("target_topic", "--topic")
-@run_options("frames", "unit", "intensity")
+@run_options("frames", "unit", "intensity", "angles")
 @click.option("--out", type=FILE, help="Page to write.  [default: a temporary file]")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def view(files: tuple[Path, ...], out: Path | None, quiet: bool, **options: Any) -> int:

@@ -105,6 +105,8 @@ class Reading(NamedTuple):
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     intensity
         Field that the intensity is read from; None takes the usual one.
+    angles
+        Of packets, the file of the unit's own angles; None takes those of the table.
     """
 
     sensor: str = "auto"
@@ -114,6 +116,7 @@ class Reading(NamedTuple):
     max_points: int = MAX_POINTS
     unit: Unit = "m"
     intensity: str | None = None
+    angles: str | None = None
 
 
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -225,6 +228,11 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Text | None,
         told("The same for SOURCE, where it is another.  [default: that of --intensity]"),
     ] = None
+    angles: Annotated[
+        Text | None,
+        told("Of packets, the file of the unit's own angles: Hesai's .csv, or .dat of an AT128."),
+    ] = None
+    angles_source: Annotated[Text | None, SAME] = None
 
     @property
     def source_unit(self) -> Unit:
@@ -245,7 +253,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        how = self.max_points, self.unit, self.intensity
+        how = self.max_points, self.unit, self.intensity, self.angles
         return Reading(sensor, threshold, topic, slice_of(self.frames), *how)
 
     @property
@@ -253,7 +261,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         """How recordings of the source are read."""
         sensor, threshold, topic = self.sensor_source, self.threshold_source, self.source_topic
         how = self.max_points, self.source_unit, self.intensity_source or self.intensity
-        return Reading(sensor, threshold, topic, slice_of(self.frames), *how)
+        frames = slice_of(self.frames)
+        return Reading(sensor, threshold, topic, frames, *how, self.angles_source)
 
 
 DEFAULT_CONFIG = RunConfig()

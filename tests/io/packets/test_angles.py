@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import retropole as rp
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import open_recording, read_recording
 from retropole.io.packets.angles import read_angles
+from tests.cli.commands import retropole_here
 from tests.io.packets.sending import datagram, hesai, model_named, pcap
 
 MODEL = model_named("XT16")
@@ -48,3 +50,17 @@ def test_the_notes_say_which_angles_were_used(tmp_path: Path) -> None:
     cloud.write_text("1 2 3\n")
     with pytest.raises(UsageError, match="holds no packets"):
         open_recording(cloud, angles=path)
+
+
+def test_commands_take_the_file_and_a_result_keeps_it(tmp_path: Path) -> None:
+    raw = np.full((30, 8, 16), 2500)
+    payloads = hesai(MODEL, raw, np.arange(240).reshape(30, 8) * 150 % 36_000)
+    path, unit = tmp_path / "a.pcap", table(tmp_path / "unit.csv", 16)
+    path.write_bytes(pcap([datagram(payload) for payload in payloads]))
+    shown = retropole_here("info", path, "--angles", unit).stdout
+    assert "angles of Hesai XT16: unit.csv" in shown
+    result = rp.calibrate(path, path, angles=str(unit))
+    config = result.document.config
+    assert (config.angles, config.angles_source) == (str(unit), None)
+    done = retropole_here("detect", path, "--angles", tmp_path / "no.csv", "--out", tmp_path / "o")
+    assert "no.csv" in done.stderr

@@ -26,7 +26,7 @@ from .angles import angles_told, read_angles
 from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
 from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
-from .ouster import metadata_beside, sweeps_of_capture
+from .ouster import OUSTER, metadata_beside, model_named, sweeps_of_capture
 from .sweeps import Sweep, index_of, positions_of, sweeps_of
 from .velodyne import is_velodyne, model_of, velodyne_sweeps
 
@@ -283,7 +283,9 @@ def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, .
         own = sweep.columns()
     cloud = noted(frame_from_columns(where, own, sweep.origin), *notes, *sweep.notes)
     stamp = _first(own) if sweep.stamp is None else sweep.stamp
-    return Frame(number, replace(cloud, model=name), stamp)
+    # A maker alone says less than the rings of the cloud.
+    model = "" if name in (VELODYNE, OUSTER) else name
+    return Frame(number, replace(cloud, model=model), stamp)
 
 
 def _first(columns: Columns) -> float | None:
@@ -297,4 +299,6 @@ def _of_ouster(path: Path, capture: Capture, sizes: Counter[int]) -> Recording:
     metadata = metadata_beside(path, words)
     note = capture.note(0)
     read = partial(sweeps_of_capture, path, metadata)
-    return _decoded(path, read, "Ouster", sizes=words, notes=(note,))
+    with naming(metadata), reported("file of an Ouster's metadata"):
+        name = model_named(metadata)
+    return _decoded(path, read, name, sizes=words, notes=(note,))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import MissingExtraError, ReadError, naming, reported
+from ...base.sensors import SENSORS
 from ..fields import Columns
 from .sweeps import Sweep
 
@@ -28,6 +30,21 @@ def metadata_beside(path: Path, sizes: str) -> Path:
         f"{path}: its packets are not from a Velodyne ({sizes}); those of an Ouster need the "
         f"sensor's metadata beside them as {same.name}, found {have}"
     )
+
+
+def model_named(metadata: Path) -> str:
+    """Name the model that metadata are of, as ``sensors.toml`` does; else the maker."""
+    found = PRODUCT.search(metadata.read_text(encoding="utf-8", errors="replace"))
+    if found is None:
+        return OUSTER
+    name = f"OS{found[1]}"
+    return name if name in SENSORS else f"{OUSTER} {name}"
+
+
+OUSTER = "Ouster"
+
+PRODUCT = re.compile(r'"prod_line"\s*:\s*"OS-?(\w)')
+"""Where metadata name the product: ``OS-1-64``."""
 
 
 def sweeps_of_capture(path: Path, metadata: Path) -> Iterator[Sweep]:
@@ -55,7 +72,7 @@ def ouster_sweeps(info: Any) -> Callable[[Any], Sweep]:
     origin = info.lidar_to_sensor_transform[:3, 3] / 1000
 
     def sweep(scan: Any) -> Sweep:
-        start = float(scan.get_first_valid_column_timestamp()) / 1e9
+        start = float(scan.timestamp[scan.get_first_valid_column()]) / 1e9
         return Sweep(start, partial(_ouster_columns, scan, rays, ChanField), origin)
 
     return sweep
