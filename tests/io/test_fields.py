@@ -84,7 +84,9 @@ class TestNames:
             for name, value in names.items():
                 found = read_cloud(path, intensity=name).intensity
                 np.testing.assert_array_equal(found, [value] * 3)
-            with pytest.raises(ReadError, match=r"--intensity range: no such field; the fields are"):
+            with pytest.raises(
+                ReadError, match=r"--intensity range: no such field; the fields are"
+            ):
                 read_cloud(path, intensity="range")
 
     def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
