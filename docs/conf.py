@@ -16,6 +16,7 @@ import retropole
 from retropole.base.reasons import Explanation, tables
 from retropole.base.sensors import SENSORS
 from retropole.cli import cli
+from retropole.io.packets.models import MODELS
 
 project = "retropole"
 author = "The retropole authors"
@@ -107,7 +108,29 @@ def sensor_rows() -> str:
     return "".join(f"| {line} |\n" for line in lines)
 
 
-TABLES = {"<!-- reasons -->": reason_entries, "<!-- sensors -->": sensor_rows}
+def model_rows() -> str:
+    """Write the table of models whose packets are read, from the program's own."""
+    names = "model", "channels", "UDP port", "bytes of a packet", "range kept", "tried on", "source"
+    lines = [" | ".join(names), " | ".join(["---"] * len(names))]
+    for model in MODELS:
+        cells = (
+            model.title,
+            str(len(model.elevation_deg) or "–"),
+            str(model.port),
+            ", ".join(map(str, model.sizes)),
+            f"{model.range_m[0]:g} to {model.range_m[1]:g} m",
+            model.tried or "no real packets",
+            model.source,
+        )
+        lines.append(" | ".join(cells))
+    return "".join(f"| {line} |\n" for line in lines)
+
+
+TABLES = {
+    "<!-- reasons -->": reason_entries,
+    "<!-- sensors -->": sensor_rows,
+    "<!-- models -->": model_rows,
+}
 """What stands in a page for a table of the program, and what writes it."""
 
 

@@ -30,6 +30,7 @@ from retropole.cli import run
 from retropole.io import read_cloud
 from tests.io.exports import EXPORTS, write_livox_bag
 from tests.io.files import INTENSITY, WRITERS, XYZ
+from tests.io.packets import sending
 from tests.memory import peak_memory
 
 LONGEST = 10.0
@@ -48,6 +49,7 @@ COMMAND_EVERY = 20
 """Every so many files are also given to a command, which takes longer than reading alone."""
 
 UNPACKED = {".npz": 1100, ".laz": 1000, ".pcd": 300, ".mcap": 300, ".bag": 300, ".db3": 300}
+UNPACKED |= {".pcap": 2, ".pcapng": 2}
 """Bytes that one byte of a format can hold, where it is compressed."""
 
 MOST_ADDED = 2**20
@@ -81,6 +83,7 @@ def recordings(folder: Path) -> dict[str, bytes]:
     found |= {f"{order}.ply": ply(order) for order in ("little", "big")}
     if find_spec("velodyne_decoder") is not None:
         found["velodyne.pcap"] = velodyne()
+    found |= captures()
     if find_spec("apsw") is not None:
         found |= bags(folder)
     return found
@@ -121,6 +124,15 @@ def ply(order: str) -> bytes:
         for xyz, value in zip(XYZ, INTENSITY, strict=True)
     ]
     return header + faces + b"".join(rows)
+
+
+def captures() -> dict[str, bytes]:
+    """Write captures of one Hesai each, as pcap and as pcapng, and of two together."""
+    models = ("XT16", "Pandar40P", "OT128", "AT128", "JT16")
+    sent = {name: [sending.datagram(own) for own in sending.turning(name)] for name in models}
+    found = {f"{name}.pcap": sending.pcap(packets) for name, packets in sent.items()}
+    both = [*sent["XT16"], *(sending.datagram(own, "10.0.0.1") for own in sending.turning("XT16"))]
+    return found | {"two.pcap": sending.pcap(both), "ng.pcapng": sending.pcapng(sent["XT16"])}
 
 
 def velodyne() -> bytes:

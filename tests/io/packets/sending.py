@@ -72,6 +72,16 @@ def pcapng(packets: Sequence[bytes], order: str = "<") -> bytes:
     return b"".join(parts)
 
 
+def turning(name: str, packets: int = 40) -> list[bytes]:
+    """Write packets of a Hesai that turns by 1.5 degrees a block and sees a wall all around."""
+    model = model_named(name)
+    layout = model.layout
+    assert isinstance(layout, Blocks)
+    raw = np.full((packets, layout.count, layout.channels), 2500)
+    azimuth = np.arange(packets * layout.count).reshape(packets, -1) * 150 % 36_000
+    return hesai(model, raw, azimuth << 8 if isinstance(layout, Mirrors) else azimuth)
+
+
 def hesai(model: Model, distance: NDArray[np.int64], azimuth: NDArray[np.int64]) -> list[bytes]:
     """Write packets of Hesai as a table says: single returns.
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from retropole.io import read_frames, read_pcd
+from retropole.io import read_frames
 from retropole.io.packets import blocks
 from retropole.io.packets.models import Blocks, recognized, rings_of
+from retropole.io.pcd import read_pcd
 from tests.io.files import required
 from tests.io.packets.sending import REAL, bag_of, hesai, model_named
 

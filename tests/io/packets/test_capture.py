@@ -13,13 +13,12 @@ import pytest
 from retropole.base.errors import MissingExtraError, ReadError
 from retropole.io import open_recording, read_cloud, read_frames, topics_of
 from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, datagrams, walk
-from retropole.io.packets.models import Blocks, Model
 from retropole.io.recordings import time_of_recording
 from tests.cli.commands import retropole_here
 from tests.damage import cut as cut_at_random
 from tests.damage import flip, set_bytes, velodyne
 from tests.io.files import required
-from tests.io.packets.sending import datagram, hesai, model_named, pcap, pcapng
+from tests.io.packets.sending import datagram, pcap, pcapng, turning
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -325,22 +324,13 @@ def test_what_is_no_capture_at_all_is_refused_soon(tmp_path: Path) -> None:
 def test_the_suffix_does_not_change_reading(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     for write in (pcap, pcapng):
-        path.write_bytes(write([datagram(payload) for payload in turning(model_named("XT16"))]))
+        path.write_bytes(write([datagram(payload) for payload in turning("XT16")]))
         assert len(read_cloud(path)) == 40 * 8 * 16
-
-
-def turning(model: Model, packets: int = 40) -> list[bytes]:
-    """Write packets of a LiDAR that turns by 1.5 degrees a block and sees a wall all around."""
-    layout = model.layout
-    assert isinstance(layout, Blocks)
-    raw = np.full((packets, layout.count, layout.channels), 2500)
-    azimuth = np.arange(packets * layout.count).reshape(packets, -1) * 150 % 36_000
-    return hesai(model, raw, azimuth)
 
 
 @pytest.mark.parametrize("order", "<>")
 def test_a_pcapng_gives_what_a_pcap_gives(tmp_path: Path, order: str) -> None:
-    sent = [datagram(payload) for payload in turning(model_named("XT16"))]
+    sent = [datagram(payload) for payload in turning("XT16")]
     plain, blocks = tmp_path / "a.pcap", tmp_path / "a.pcapng"
     plain.write_bytes(pcap(sent))
     blocks.write_bytes(pcapng(sent, order))
@@ -352,7 +342,7 @@ def test_a_pcapng_gives_what_a_pcap_gives(tmp_path: Path, order: str) -> None:
 
 
 def test_damage_of_a_pcapng_costs_the_packet(tmp_path: Path) -> None:
-    data = bytearray(pcapng([datagram(payload) for payload in turning(model_named("XT16"))]))
+    data = bytearray(pcapng([datagram(payload) for payload in turning("XT16")]))
     path = tmp_path / "a.pcapng"
     size = len(data)
     data[size - 5 * 640 + 4] ^= 1
@@ -364,7 +354,7 @@ def test_damage_of_a_pcapng_costs_the_packet(tmp_path: Path) -> None:
 
 
 def test_lidars_of_one_capture_are_told_apart(tmp_path: Path) -> None:
-    first, second = turning(model_named("XT16")), turning(model_named("XT32M"))
+    first, second = turning("XT16"), turning("XT32M")
     mixed = [
         packet
         for one, two in zip(first, second, strict=True)
@@ -391,7 +381,7 @@ def test_a_capture_of_two_velodynes_gives_each(tmp_path: Path) -> None:
     path, both = tmp_path / "one.pcap", tmp_path / "both.pcap"
     path.write_bytes(velodyne())
     alone = read_cloud(path)
-    payloads = [each.payload for each in datagrams(path, walk(path))]
+    payloads = [each.payload for each, _ in datagrams(path, walk(path))]
     sent = [datagram(payload, f"10.0.0.{k}") for payload in payloads for k in (1, 2)]
     both.write_bytes(pcap(sent))
     cloud = read_cloud(both, topic="10.0.0.2:10000")
@@ -404,7 +394,7 @@ def test_damaged_packets_of_hesai_give_points_or_an_error(tmp_path: Path, seed: 
     dice = random.Random(seed)
     write = dice.choice((pcap, pcapng))
     name = dice.choice(("XT16", "OT128", "Pandar40P", "AT128"))
-    data = bytearray(write([datagram(payload) for payload in turning(model_named(name), 12)]))
+    data = bytearray(write([datagram(payload) for payload in turning(name, 12)]))
     dice.choice((cut_at_random, flip, set_bytes))(data, dice)
     path = tmp_path / "a.pcap"
     path.write_bytes(data)

@@ -1,6 +1,7 @@
 """Messages of drivers give the packets that were put in, in every layout and encoding."""
 
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -44,17 +45,14 @@ def written(kind: str, layout: dict[str, str], *, is_ros1: bool) -> tuple[bytes,
             data.ljust(length if max(sizes, key=len) else 0, b"\xaa"), np.uint8
         ),
     }
-    packets = [
-        store.types[inner](
-            **{k: values[k](data) for k in store.types[inner].__dataclass_fields__ if k in values}
-        )
-        for data in sent
-    ]
+    made: Any = store.types[inner]
+    names = [field.name for field in fields(made) if field.name in values]
+    packets = [made(**{name: values[name](data) for name in names}) for data in sent]
     if not has_packets:
         whole = packets[0]
     else:
-        fields = {"header": header} if "header" in layout["frame"] else {}
-        whole = store.types[kind](**fields, packets=packets)
+        own = {"header": header} if "header" in layout["frame"] else {}
+        whole = store.types[kind](**own, packets=packets)
     write = store.serialize_ros1 if is_ros1 else store.serialize_cdr
     return bytes(write(whole, kind)), sent
 

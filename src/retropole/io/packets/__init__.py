@@ -23,7 +23,7 @@ from ..fields import Columns, frame_from_columns, noted
 from ..recordings import PACKETS_OF, Frame, Recording, Topic
 from . import drivers
 from .angles import angles_told, read_angles
-from .capture import PCAPNG_START, Capture, Datagram, datagrams, sizes_in_words, walk
+from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
 from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
 from .ouster import metadata_beside, sweeps_of_capture
@@ -66,8 +66,8 @@ class Sender:
     told: int = 0
 
 
-Reading = Callable[[IntArray | None], Iterator[Datagram]]
-"""From ascending numbers of packets, or None for all, to these packets."""
+Reading = Callable[[IntArray], Iterator[Datagram]]
+"""From ascending numbers of packets that one LiDAR sent to these packets."""
 
 
 def open_packets(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
@@ -92,8 +92,7 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
     """
     with naming(path), reported("capture"):
         capture = walk(path)
-    read = partial(datagrams, path, capture)
-    senders, sizes = survey(read(None))
+    senders, sizes, starts = _surveyed(path, capture)
     if not senders:
         return _of_ouster(path, capture, sizes)
     name = _chosen(path, senders, topic)
@@ -106,8 +105,28 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
     with path.open("rb") as file:
         is_plain &= file.read(4) != PCAPNG_START
     note = capture.note(unreadable)
+    size = senders[name].size
+
+    def read(rows: IntArray) -> Iterator[Datagram]:
+        payloads = parts_of(path, starts[rows], np.full(len(rows), size))
+        times = capture.times[rows].tolist()
+        return (Datagram(own, name, at) for own, at in zip(payloads, times, strict=True))
+
     recording = _recording(path, senders[name], read, angles, (note,), is_whole_file=is_plain)
     return replace(recording, topic=name) if len(senders) > 1 else recording
+
+
+def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], Counter[int], IntArray]:
+    """Survey a capture; besides, where the payload of each packet begins in the file."""
+    starts: list[int] = []
+
+    def coming() -> Iterator[Datagram]:
+        for each, start in datagrams(path, capture):
+            starts.append(start)
+            yield each
+
+    senders, sizes = survey(coming())
+    return senders, sizes, np.array(starts, np.int64)
 
 
 def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recording:
@@ -119,18 +138,17 @@ def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recordin
         As `open_packets`.
     """
 
-    def read(rows: IntArray | None) -> Iterator[Datagram]:
+    def every() -> Iterator[Datagram]:
         with opened(path) as bag:
-            coming = drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
-            if rows is None:
-                yield from coming
-                return
-            at = 0
-            for row in rows.tolist():
-                yield next(islice(coming, row - at, None))
-                at = row + 1
+            yield from drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
 
-    senders, sizes = survey(read(None))
+    def read(rows: IntArray) -> Iterator[Datagram]:
+        coming, at = every(), 0
+        for row in rows.tolist():
+            yield from islice(coming, row - at, row - at + 1)
+            at = row + 1
+
+    senders, sizes = survey(every())
     if not senders:
         raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
     # A bag does not say who sent what: the LiDAR is the one with most packets.
@@ -142,7 +160,7 @@ def topics_of_capture(path: Path) -> tuple[Topic, ...]:
     """List the LiDARs of a capture as topics, ``IP:port``, where there are several."""
     with naming(path), reported("capture"):
         capture = walk(path)
-    senders, _ = survey(datagrams(path, capture))
+    senders, *_ = _surveyed(path, capture)
     topics = tuple(
         Topic(name, f"{PACKETS_OF}{own.title}", len(own.rows)) for name, own in senders.items()
     )

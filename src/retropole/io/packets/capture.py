@@ -146,11 +146,31 @@ for."""
 
 def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterator[Step]:
     """Walk through the records of a pcap."""
+    header = struct.Struct(f"{order.mark}4I")
     at = CAPTURE_HEADER
     while at < size:
-        record, following = _record(file, at, size, order, tries)
-        yield record, following, at
-        at = following
+        # As long as each leads to another, they are read from a block at once.
+        file.seek(at)
+        block = file.read(LARGE_BLOCK)
+        last, here = len(block) - PACKET_HEADER, 0
+        while True:
+            second, part, length, _ = header.unpack_from(block, here) if here <= last else (0,) * 4
+            following = here + PACKET_HEADER + length
+            if not 0 < length <= MAX_PACKET or part >= 10**9 or following > last:
+                break
+            _, part_after, length_after, _ = header.unpack_from(block, following)
+            after = at + following + PACKET_HEADER + length_after
+            if not 0 < length_after <= MAX_PACKET or part_after >= 10**9 or after > size:
+                break
+            start = at + here + PACKET_HEADER
+            record = Record(start, length, second + part * order.tick, order.link)
+            yield record, start + length, at + here
+            here = following
+        at += here
+        if at < size:
+            found, end = _record(file, at, size, order, tries)
+            yield found, end, at
+            at = end
 
 
 def _blocks(file: BinaryIO, size: int, tries: list[int]) -> Iterator[Step]:
@@ -327,40 +347,56 @@ def _follow(file: BinaryIO, at: int, size: int, order: str) -> bool:
 
 def packets(path: Path, capture: Capture) -> Iterator[bytes]:
     """Read the packets of a capture one after the other."""
+    starts, sizes = capture.records.T
+    return parts_of(path, starts, sizes)
+
+
+def parts_of(path: Path, starts: IntArray, sizes: IntArray) -> Iterator[bytes]:
+    """Read parts of a file (N,) by where they begin, ascending, and their sizes."""
     with path.open("rb") as file:
-        for start, size in capture.records.tolist():
-            file.seek(start)
-            yield file.read(size)
+        for k in range(0, len(starts), READ_AT_ONCE):
+            own = slice(k, k + READ_AT_ONCE)
+            first, end = int(starts[k]), int(np.max(starts[own] + sizes[own]))
+            places = zip(starts[own].tolist(), sizes[own].tolist(), strict=True)
+            if end - first <= LARGE_BLOCK:
+                file.seek(first)
+                block = file.read(end - first)
+                yield from (block[at - first : at - first + size] for at, size in places)
+                continue
+            for at, size in places:
+                file.seek(at)
+                yield file.read(size)
 
 
-def datagrams(path: Path, capture: Capture, rows: IntArray | None = None) -> Iterator[Datagram]:
-    """Read what UDP carries in packets of a capture: in all, or in some rows of its records.
+def datagrams(path: Path, capture: Capture) -> Iterator[tuple[Datagram, int]]:
+    """Read what UDP carries in the packets of a capture, and where it begins in the file.
 
     A packet that carries none, or is damaged, gives an empty payload.
     """
-    chosen = np.arange(len(capture.records)) if rows is None else rows
     names: dict[bytes, str] = {}
-    with path.open("rb") as file:
-        for row in chosen.tolist():
-            start, size = capture.records[row].tolist()
-            file.seek(start)
-            packet = file.read(size)
-            at = _ip(packet, int(capture.links[row]))
-            length = (packet[at] & 15) * 4 if at >= 0 and at + 28 <= size else 0
-            whole = int.from_bytes(packet[at + 2 : at + 4], "big") if length >= 20 else 0
-            is_udp = (
-                length + 8 <= whole <= size - at and packet[at] >> 4 == 4 and packet[at + 9] == UDP
-            )
-            if not is_udp:
-                yield Datagram(b"", "", capture.times[row])
-                continue
-            udp = at + length
-            key = packet[at + 12 : at + 16] + packet[udp : udp + 2]
-            if key not in names:
-                address = ".".join(str(byte) for byte in key[:4])
-                names[key] = f"{address}:{int.from_bytes(key[4:], 'big')}"
-            yield Datagram(packet[udp + 8 : at + whole], names[key], capture.times[row])
+    starts, links, times = (
+        each.tolist() for each in (capture.records[:, 0], capture.links, capture.times)
+    )
+    for packet, start, link, time in zip(packets(path, capture), starts, links, times, strict=True):
+        at = _ip(packet, link)
+        size = len(packet) - at
+        if at < 0 or size < 28 or packet[at] >> 4 != 4 or packet[at + 9] != UDP:
+            yield Datagram(b"", "", time), start
+            continue
+        udp = at + (packet[at] & 15) * 4
+        whole = packet[at + 2] << 8 | packet[at + 3]
+        if not udp - at + 8 <= whole <= size:
+            yield Datagram(b"", "", time), start
+            continue
+        key = packet[at + 12 : at + 16] + packet[udp : udp + 2]
+        if key not in names:
+            address = ".".join(str(byte) for byte in key[:4])
+            names[key] = f"{address}:{int.from_bytes(key[4:], 'big')}"
+        yield Datagram(packet[udp + 8 : at + whole], names[key], time), start + udp + 8
 
+
+READ_AT_ONCE = 64
+"""Parts of a file that are read at once where they lie together."""
 
 UDP = 17
 """Number of UDP in an IP packet."""

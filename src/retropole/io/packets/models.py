@@ -331,7 +331,10 @@ _BY_SIZE: dict[int, list[Model]] = {
 def recognized(payload: bytes) -> Model | None:
     """Find the model that sent a packet of returns, by its size and marks; None where none did."""
     for model in _BY_SIZE.get(len(payload), ()):
-        if all(low <= payload[where] <= high for where, low, high in model.signature):
+        for where, low, high in model.signature:
+            if not low <= payload[where] <= high:
+                break
+        else:
             return model
     return None
 

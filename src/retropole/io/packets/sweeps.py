@@ -145,7 +145,8 @@ def _margin(model: Model, angles: Angles | None) -> float:
 
 def _together(rows: IntArray) -> IntArray:
     """Leave out packets far from the others of a sweep, as a damaged one that names its turn."""
-    return rows[np.abs(rows - np.median(rows)) <= len(rows)]
+    near = rows[np.abs(rows - np.median(rows)) <= len(rows)]
+    return near if len(near) else rows[:1]
 
 
 def sweeps_of(
@@ -169,13 +170,12 @@ def sweeps_of(
     needed = np.unique(np.concatenate([index.rows[k] for k in numbers]))
     coming = zip(needed.tolist(), read(needed), strict=False)
     held: dict[int, bytes] = {}
+    row = -1
     for number in numbers:
         rows = index.rows[number]
-        held = {row: payload for row, payload in held.items() if row >= rows[0]}
-        while not held or max(held) < rows[-1]:
-            row, payload = next(coming, (-1, b""))
-            if row < 0:
-                break
+        held = {own: payload for own, payload in held.items() if own >= rows[0]}
+        while row < rows[-1]:
+            row, payload = next(coming, (len(index.positions), b""))
             held[row] = payload
         there = np.array([row for row in rows.tolist() if row in held], np.int64)
         if len(there):
