@@ -24,7 +24,8 @@ from retropole.simulation.pairs import (
     Recorders,
     are_in_view,
 )
-from retropole.simulation.scanning import DELAY, SWEEP_SECONDS, Mover, draw_movers
+from retropole.base.sensors import SWEEP_SECONDS
+from retropole.simulation.scanning import DELAY, Mover, draw_movers
 from retropole.simulation.scenes import (
     FOOT_HEIGHT,
     MAX_LEAN,

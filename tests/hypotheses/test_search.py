@@ -152,7 +152,7 @@ def bare_scan(sensor: str | None, frames: int, threshold_source: str) -> Scan:
 @pytest.mark.parametrize(
     ("sensor", "frames", "found", "said"),
     [
-        ("Mid-360", 1, "auto", "one of the Mid-360 has few returns on a pole: record some seconds"),
+        ("Mid-360", 1, "auto", "one of the Mid-360 has few returns on a pole: record 1.5 s or more, 15 sweeps"),
         (None, 1, "auto", "one of a LiDAR without rings has few returns on a pole"),
         ("Mid-360", 5, "auto", "check the tape and the threshold"),
         ("VLP-16", 1, "auto", "check the tape and the threshold"),

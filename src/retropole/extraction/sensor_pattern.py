@@ -20,11 +20,15 @@ from ..base.quantities import counted
 from ..base.sensors import Sensor
 from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
 from ..io.beams import (
+    BEYOND_VIEW,
+    MANY_BEYOND,
     MAX_RING_SPREAD,
     MIN_RING_POINTS,
     RING_SAMPLE,
+    azimuth_arc,
     elevations,
     guess_sensors,
+    is_wider,
     ring_spread,
 )
 
@@ -88,15 +92,6 @@ def _seen_radius(distance: float, radius: float, divergence: float) -> float:
     return radius + distance * divergence / 2
 
 
-BEYOND_VIEW = float(np.radians(2.0))
-"""So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
-of one model differ by some tenths of a degree; the largest step between rings at the end of a field
-of view is 10° (RS-LiDAR-32), inside it."""
-
-MANY_BEYOND = 0.05
-"""Part of the points of a cloud without rings that may be beyond it: near returns, since not all
-beams start in one point."""
-
 MOST_LINES = 8
 """A LiDAR without rings has no more lasers that its driver may number instead: a Mid-360 has 4."""
 
@@ -129,7 +124,7 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
         return
     numbers, counts = np.unique(cloud.ring, return_counts=True)
     rings = numbers[counts >= MIN_RING_POINTS]
-    known = len(sensor.elevations)
+    known = sensor.rings
     too_many = {"sensor": sensor.name, "rings": len(rings), "most": known}
     if known and len(rings) > known:
         what = f"{counted(len(rings), 'ring')}, the {sensor.name} has {known}"
@@ -150,6 +145,9 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
             f"rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees from {_span(sensor)}",
             {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
         )
+    if is_wider(cloud, sensor):
+        values = {"sensor": sensor.name, "azimuths_deg": float(np.degrees(azimuth_arc(cloud)))}
+        raise _refusal(cloud, _wider(cloud, sensor), values)
 
 
 def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
@@ -208,12 +206,25 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     share = float(np.mean(_beyond(elevation, sensor)))
-    if share <= MANY_BEYOND:
+    if share > MANY_BEYOND:
+        what = (
+            f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} "
+            f"sees ({_span(sensor)})"
+        )
+    elif is_wider(cloud, sensor):
+        what = f"{_named(cloud)} has {_wider(cloud, sensor)}"
+    else:
         return ""
     return (
-        f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} sees "
-        f"({_span(sensor)}): another LiDAR recorded it, or its points were turned or moved since, "
-        "so that where the beams start is not known"
+        f"{what}: another LiDAR recorded it, or its points were turned or moved since, so that "
+        "where the beams start is not known"
+    )
+
+
+def _wider(cloud: PointCloud, sensor: Sensor) -> str:
+    return (
+        f"azimuths over {np.degrees(azimuth_arc(cloud)):.0f}°, the {sensor.name} sees "
+        f"{np.degrees(sensor.turn):.0f}°"
     )
 
 
