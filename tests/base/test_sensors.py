@@ -23,7 +23,8 @@ from retropole.simulation import simulate_pair
 
 NAMES = (
     *("VLP-16", "VLP-32C", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
-    *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360"),
+    *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360", "Avia"),
+    *("HAP", "AT128", "JT128", "RS-LiDAR-M1", "RS-E1", "RS-Airy", "Falcon K"),
 )
 
 

@@ -49,7 +49,7 @@ def test_sizes_follow_the_manufacturer() -> None:
         sizes = sizes_of(sensor)
         assert sizes.width == STATED_WIDTH < Sizes().width
         assert sizes.zero >= MIN_ZERO
-        spinning = sensor.pattern == "spinning"
+        spinning = sensor.pattern == "spinning" and sensor.sees_all_around
         assert sizes.bend == (SPINNING_BEND if spinning else Sizes().bend)
         if sensor.range_accuracy is None:
             assert sizes == replace(Sizes(), width=STATED_WIDTH, bend=sizes.bend)

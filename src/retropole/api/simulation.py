@@ -98,6 +98,7 @@ def simulate_site(
     radius: float = DEFAULT_CONFIG.radius_m,
     nuisances: str = "typical",
     survey: bool = False,
+    frames: int = 1,
 ) -> SimulatedSite:
     """Draw a site of several LiDARs with taped poles, and scan it.
 
@@ -115,6 +116,8 @@ def simulate_site(
         Names of sensors, taken in turn; none takes those of the kind.
     survey
         Survey the poles of the first placement and four control points.
+    frames
+        How many sweeps each LiDAR records.
 
     Raises
     ------
@@ -133,6 +136,7 @@ def simulate_site(
         radius=radius,
         noise=_noise(nuisances),
         survey=Survey(placements=(0,), points=4) if survey else None,
+        frames=frames,
     )
 
 

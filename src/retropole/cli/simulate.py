@@ -13,6 +13,16 @@ from .options import SEED, Whole, run_options
 from .out import out_folder
 
 
+SWEEPS = click.option(
+    "--sweeps",
+    "frames",
+    type=Whole(1, 200),
+    default=1,
+    help="Of each LiDAR, 0.1 s each; a recording of several is a folder of them.",
+)
+"""How long each LiDAR records."""
+
+
 @click.command("site")
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
 @out_folder("", default=Path("retropole-site"))
@@ -24,6 +34,7 @@ from .out import out_folder
 @click.option("--poles", type=Whole(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]")
 @click.option("--sensor", "sensors", multiple=True, help="Name; several are taken in turn.")
 @run_options("radius_m")
+@SWEEPS
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -103,6 +114,7 @@ class _OrSite(click.Group):
     help="In view of both; 0: the same place as with 2, before they are set up.",
 )
 @run_options("radius_m")
+@SWEEPS
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -119,6 +131,8 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
       retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
+      retropole simulate street --sensor-source Mid-360 --sweeps 20 --seed 1 --out m
+      retropole calibrate m/lidar0 m/lidar1
       retropole simulate street --seed 1 --poles 0 --out bare
       retropole plan bare/lidar0.pcd bare/lidar1.pcd
     """
@@ -128,7 +142,7 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
         pair = run(scene, radius=radius_m, **drawn)
-        write_pair(pair, out)
+        recordings = write_pair(pair, out)
     if not quiet:
-        show_written(*(out / name for name in ("lidar0.pcd", "lidar1.pcd", "truth.json")))
+        show_written(*(out / name for name in (*recordings, "truth.json")))
     return 0

@@ -109,13 +109,9 @@ def choose_with_candidates(
 def explained(refusal: Refusal, placements: Sequence[Placement]) -> Refusal:
     """Say why a LiDAR sees too few poles, if its recordings show it: no threshold helps then."""
     name = refusal.values.get("lidar")
-    if refusal.code != "too_few_poles":
+    if refusal.code != "too_few_poles" or name not in ("target", "source"):
         return refusal
-    scans = [scan for each in placements for scan in (each.target, each.source)]
-    if name in ("target", "source"):
-        scans = scans[name == "source" :: 2]
-    else:
-        scans = [scan for scan in scans if len(scan.poles) < 2]
+    scans = (each.target if name == "target" else each.source for each in placements)
     why = next(filter(None, map(why_few_poles, scans)), "")
     if not why:
         return refusal

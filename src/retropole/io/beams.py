@@ -86,6 +86,7 @@ MANY_BEYOND = 0.05
 """Part of the points of a cloud without rings that may be beyond it: near returns, since not all
 beams start in one point."""
 
+
 def is_wider(cloud: PointCloud, sensor: Sensor) -> bool:
     """Whether a cloud has azimuths over more than a sensor sees, wherever its first one is."""
     if sensor.sees_all_around:

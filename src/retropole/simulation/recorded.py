@@ -146,7 +146,7 @@ def _sent_beams(
     seen = np.zeros((len(sensor.elevations), count), dtype=bool)
     seen[own, np.round(column).astype(np.int64) % count] = True
     ring, turn = np.nonzero(~seen)
-    missing = _rays(turn * sensor.azimuth_step, sensor.elevations[ring]) @ basis
+    missing = _rays(np.asarray(turn * sensor.azimuth_step), sensor.elevations[ring]) @ basis
     if not sensor.sees_all_around:
         # Such lines are swept about the z axis of the sensor.
         kept = sensor.has_in_view(missing)

@@ -72,9 +72,9 @@ def _lines(sensor: Sensor, rng: np.random.Generator) -> Sweep:
     count = round(sensor.turn / sensor.azimuth_step)
     start = rng.uniform(0, sensor.azimuth_step)
     azimuths = sensor.azimuth_span[0] + start + np.arange(count) * (sensor.turn / count)
-    elevations = sensor.elevations
+    elevations: Array = sensor.elevations
     if len(sensor.rise):
-        elevations = elevations + sensor.risen(azimuths)[:, None]
+        elevations = elevations + sensor.risen(np.asarray(azimuths))[:, None]
     up, level = np.sin(elevations), np.cos(elevations)
     x, y = np.cos(azimuths)[:, None] * level, np.sin(azimuths)[:, None] * level
     rays = np.stack(np.broadcast_arrays(x, y, up), axis=-1).reshape(-1, 3)
@@ -97,7 +97,7 @@ def _rosette(sensor: Sensor, begun: int) -> Sweep:
         up = low + (high - low) * along
     level = np.sqrt(1 - up**2)
     rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=1)
-    time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
+    time: Array = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
     return Sweep(rays, np.zeros(sensor.points, dtype=np.int64), time)
 
 

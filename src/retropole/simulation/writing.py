@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..base.datatypes import PointCloud
 from ..base.files import write_together
 from ..io.pcd import pcd_of
 from .pairs import SimulatedPair
@@ -19,25 +20,52 @@ from .raycast import Cylinder
 from .sites import SimulatedSite
 
 
-def write_pair(pair: SimulatedPair, out: Path) -> None:
+def write_pair(pair: SimulatedPair, out: Path) -> tuple[str, str]:
     """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder.
 
-    The three are never of two runs.
+    The three are never of two runs. Of several sweeps each has a file in ``lidar0`` and ``lidar1``.
+
+    Returns
+    -------
+    tuple of str
+        The names of both recordings.
     """
     target, source = pair.devices
+    several = pair.target.frame is not None
+    names = ("lidar0", "lidar1") if several else ("lidar0.pcd", "lidar1.pcd")
     truth = {
         "T_target_source": pair.T_target_source,
         "T_world_target": pair.T_world_target,
         "T_world_source": pair.T_world_source,
-        "target": "lidar0.pcd",
-        "source": "lidar1.pcd",
+        "target": names[0],
+        "source": names[1],
         "sensors": [sensor.name for sensor in pair.sensors],
         "noise": asdict(pair.noise),
         "devices": {"target": target.as_dict(), "source": source.as_dict()},
         "poles": truth_of_poles(pair.poles, pair.returns_on_poles),
     }
-    clouds = {out / "lidar0.pcd": pcd_of(pair.target), out / "lidar1.pcd": pcd_of(pair.source)}
-    write_together({out / "truth.json": _json(truth), **clouds})
+    clouds = {out / name: own for name, own in zip(names, (pair.target, pair.source), strict=True)}
+    _write(out / "truth.json", _json(truth), clouds)
+    return names
+
+
+def _write(first: Path, words: bytes, clouds: Mapping[Path, PointCloud]) -> None:
+    """Write recordings, and before them the file that tells of them.
+
+    Of several sweeps a recording is a folder, out of which those of a run before are taken.
+    """
+    files = {first: words}
+    for path, cloud in clouds.items():
+        if cloud.frame is None:
+            files[path] = pcd_of(cloud)
+            continue
+        sweeps = np.unique(cloud.frame)
+        own = {path / f"{k:03}.pcd": pcd_of(cloud.select(cloud.frame == k)) for k in sweeps}
+        for left in path.glob("[0-9][0-9][0-9].pcd"):
+            if left not in own:
+                left.unlink()
+        files.update(own)
+    write_together(files)
 
 
 def _json(truth: Mapping[str, Any]) -> bytes:
@@ -87,21 +115,23 @@ def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = 
         What else ``truth.json`` says.
     """
     recordings = {
-        out / _file(site, lidar, placement): pcd_of(cloud)
+        out / _file(site, lidar, placement): cloud
         for lidar, own in enumerate(site.clouds)
         for placement, cloud in enumerate(own)
         if cloud is not None
     }
     truth = _json({**_truth(site), **(more or {})})
-    site_file = _site_file(site).encode()
-    write_together({out / "truth.json": truth, out / "site.toml": site_file, **recordings})
+    _write(out / "truth.json", truth, recordings)
+    write_together({out / "site.toml": _site_file(site).encode()})
 
 
 def _file(site: SimulatedSite, lidar: int, placement: int) -> str:
     """Name of the file of a recording; empty where there is none."""
-    if site.clouds[lidar][placement] is None:
+    cloud = site.clouds[lidar][placement]
+    if cloud is None:
         return ""
-    return f"{site.names[lidar]}_{site.placements[placement]}.pcd"
+    end = ".pcd" if cloud.frame is None else ""
+    return f"{site.names[lidar]}_{site.placements[placement]}{end}"
 
 
 def _truth(site: SimulatedSite) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def why_few_poles(scan: Scan) -> str:
         )
     sweeps = 1 if cloud.frame is None else len(np.unique(cloud.frame))
     # Sweeps may have been put together before.
-    if max(sweeps, len(cloud) / (0.7 * sensor.points)) >= sensor.sweeps:
+    if max(sweeps, len(cloud) / sensor.points) >= sensor.sweeps:
         return ""
     return (
         f"it is {counted(sweeps, 'sweep')}, and so few of the {sensor.name} have few returns on a "

@@ -11,7 +11,7 @@ it would make an answer surer than it is, and as both clouds a perfect one.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from ..base import quantities, se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, Placement, PointCloud, Pole
 from ..base.errors import Reason, Refusal
+from ..base.uncertainty import MAD_TO_SIGMA
 from ..io.recordings import time_of_recording
 from .registration import SAMPLE, Registration, Surface, prepare, register, surface_of
 from .sweeps import numbered, order_of
@@ -206,6 +207,9 @@ SECTORS = 8
 """Parts of the surroundings, by azimuth, each with as many points: what the turn is without each
 shows how certain it is."""
 
+RUNS_APART = 5
+"""Runs of frames that are compared one with the next, of a LiDAR without rings."""
+
 TURN_SIGMAS = 5.0
 """A turn must also exceed this multiple of its own σ. Single sweeps of a LiDAR that does not repeat
 its pattern show other points of the same surfaces: of 96 still Mid-360 recordings the turn was up
@@ -297,6 +301,8 @@ def turned_by(cloud: PointCloud) -> float:
         turn = se3.rotation_angle(moved.T_target_source[:3, :3])
         if turn > MAX_TURN and turn < TURN_SIGMAS * _turn_sigma(first, last, cloud.origin, moved):
             return 0.0
+        if turn > MAX_TURN and cloud.ring is None and turn < TURN_SIGMAS * _scatter(cloud, frames):
+            return 0.0
     except Refusal:
         return 0.0
     return turn
@@ -329,6 +335,26 @@ def _turn_sigma(first: Surface, last: Surface, origin: Array, moved: Registratio
     apart = np.array(steps) - np.mean(steps, axis=0)
     covariance = (SECTORS - 1) / SECTORS * apart.T @ apart
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+
+
+def _scatter(cloud: PointCloud, frames: IntArray) -> float:
+    """1 σ of the turn from one run of frames to the next, rad; infinite for fewer than `RUNS_APART`.
+
+    LiDARs that do not repeat their pattern see other points of rough and far surfaces each time,
+    whatever sectors they are in. A steady turn is in all steps, a jolt in one: both are left out.
+    """
+    if len(frames) < RUNS_APART:
+        return np.inf
+    runs = np.array_split(frames, RUNS_APART)
+    made = [prepare(cloud.xyz[np.isin(cloud.frame, run)], SCORING_VOXEL) for run in runs]
+    turns = np.array(
+        [
+            se3.log_so3(_registered(a, b, np.eye(4)).T_target_source[:3, :3])
+            for a, b in pairwise(made)
+        ]
+    )
+    off = se3.lengths(turns - np.median(turns, axis=0))
+    return float(MAD_TO_SIGMA * np.median(off))
 
 
 class Drift(NamedTuple):
