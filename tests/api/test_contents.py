@@ -21,7 +21,9 @@ from tests.tiers import first_of
 
 def scan_of(name: str) -> PointCloud:
     rng = np.random.default_rng(1)
-    return simulate_pair("street", rng, sensor_target=name, sensor_source=name).target
+    # Half of the rings of a hemispherical LiDAR see nothing but the sky of a street.
+    place = "corridor" if name == "JT128" else "street"
+    return simulate_pair(place, rng, sensor_target=name, sensor_source=name).target
 
 
 @pytest.fixture(scope="module")

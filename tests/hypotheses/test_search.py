@@ -156,7 +156,7 @@ def bare_scan(sensor: str | None, frames: int, threshold_source: str) -> Scan:
             "Mid-360",
             1,
             "auto",
-            "it is 1 sweep, and so few of the Mid-360 have few returns on a pole",
+            "it is 1 sweep, and so few of the Mid-360 have few returns",
         ),
         ("Mid-360", 5, "auto", "it is 5 sweeps, and so few of the Mid-360"),
         ("Mid-360", 5, "auto", "record 1.5 s or more, 15 sweeps"),

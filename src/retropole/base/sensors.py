@@ -246,7 +246,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         elevations = np.radians(np.sort(self._rings()))
         rise = np.radians(self.rise_deg)
         span = np.radians(self.rosette_deg) if self.rosette_deg else elevations[[0, -1]]
-        span = span + [rise.min(initial=0.0), rise.max(initial=0.0)]
+        span = span + np.array([rise.min(initial=0.0), rise.max(initial=0.0)])
         first, last = np.radians(self.azimuth_deg)
         columns = round((last - first) / float(np.radians(self.azimuth_step_deg or 360.0)))
         return Sensor(

@@ -12,7 +12,6 @@ from .common import progress_on_terminal, show_written
 from .options import SEED, Whole, run_options
 from .out import out_folder
 
-
 SWEEPS = click.option(
     "--sweeps",
     "frames",

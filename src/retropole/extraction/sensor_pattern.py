@@ -40,15 +40,22 @@ ORDINARY_DIVERGENCE = 0.003
 """Full angle of most sensors' beams, rad."""
 
 
+ORDINARY_NOISE, NOISY = 0.010, 0.015
+"""1 σ of the ranges of most sensors, metres, for which the limits are; with up to so much more they
+were set, and nothing is granted."""
+
+
 @dataclass(frozen=True)
 class Beams:
-    """What is known of the beams that met a line: full angle, and step of the sweep, rad.
+    """What is known of the beams that met a line: full angle, and step of the sweep, rad; and 1 σ of
+    their ranges, metres.
 
     Zero where it is not known: nothing is then granted for it.
     """
 
     divergence: float = 0.0
     step: float = 0.0
+    noise: float = 0.0
 
 
 UNKNOWN = Beams()
@@ -56,11 +63,15 @@ UNKNOWN = Beams()
 
 def beams_by(sensor: Sensor | None) -> Beams:
     """The beams of a sensor; None where it is not known."""
-    return UNKNOWN if sensor is None else Beams(sensor.divergence, sensor.azimuth_step)
+    return (
+        UNKNOWN
+        if sensor is None
+        else Beams(sensor.divergence, sensor.azimuth_step, sensor.range_noise)
+    )
 
 
 def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
-    """Scatter, metres, that wide beams add to that which returns on a pole have by ordinary ones.
+    """Scatter, metres, that wide or noisy beams add to that of returns on a pole by ordinary ones.
 
     A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
     the pole looks wider by half a beam on either side. The limits here hold for beams of
@@ -75,7 +86,9 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
     """
     seen = _seen_radius(distance, radius, beams.divergence)
     ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
-    return float(RMS_PER_RADIUS * np.sqrt(max(seen**2 - ordinary**2, 0.0)))
+    wide = RMS_PER_RADIUS**2 * max(seen**2 - ordinary**2, 0.0)
+    noisy = beams.noise**2 - ORDINARY_NOISE**2 if beams.noise > NOISY else 0.0
+    return float(np.sqrt(wide + noisy))
 
 
 def returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
