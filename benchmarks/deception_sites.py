@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array, PointCloud
-from retropole.base.sensors import Sensor
+from retropole.base.sensors import SWEEP_SECONDS, Sensor
 from retropole.simulation import Cylinder, Device, NoiseModel, Surface, scan
 from retropole.simulation.pairs import (
     LIDAR_SPACING,
@@ -24,7 +24,7 @@ from retropole.simulation.pairs import (
     Recorders,
     are_in_view,
 )
-from retropole.simulation.scanning import DELAY, SWEEP_SECONDS, Mover, draw_movers
+from retropole.simulation.scanning import DELAY, Mover, draw_movers
 from retropole.simulation.scenes import (
     FOOT_HEIGHT,
     MAX_LEAN,

@@ -22,7 +22,9 @@ from tests.tiers import first_of
 
 def scan_of(name: str) -> PointCloud:
     rng = np.random.default_rng(1)
-    return simulate_pair("street", rng, sensor_target=name, sensor_source=name).target
+    # Half of the rings of a hemispherical LiDAR see nothing but the sky of a street.
+    place = "corridor" if name == "JT128" else "street"
+    return simulate_pair(place, rng, sensor_target=name, sensor_source=name).target
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +103,7 @@ def test_no_intensity_and_one_for_all(tmp_path: Path, cloud: PointCloud) -> None
         assert "tape cannot be told" in describe_info(describe(tmp_path / name))
 
 
-@pytest.mark.parametrize("name", [name for name, own in SENSORS.items() if len(own.elevations)])
+@pytest.mark.parametrize("name", [name for name, own in SENSORS.items() if own.rings])
 @pytest.mark.parametrize("direction", first_of([1, -1]))
 def test_a_sensor_is_among_those_its_rings_fit(name: str, direction: int) -> None:
     scan = scan_of(name)

@@ -23,7 +23,8 @@ from retropole.simulation import simulate_pair
 
 NAMES = (
     *("VLP-16", "VLP-32C", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
-    *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360"),
+    *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360", "Avia"),
+    *("HAP", "AT128", "JT128", "RS-LiDAR-M1", "RS-E1", "RS-Airy", "Falcon K"),
 )
 
 
@@ -82,7 +83,7 @@ def test_auto_threshold_counts_from_the_bottom_of_the_scale(darkest: float, odd:
     assert plain < intensity.max()
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n != "Mid-360"])
+@pytest.mark.parametrize("name", [n for n in NAMES if SENSORS[n].rings])
 def test_auto_threshold_parts_tape_from_the_rest(name: str) -> None:
     pair = simulate_pair(
         "street", np.random.default_rng(1), sensor_target=name, sensor_source="Pandar64"
@@ -145,7 +146,8 @@ def test_a_file_is_like_a_model_in_all_it_does_not_say(tmp_path: Path) -> None:
     np.testing.assert_array_equal(given.elevations, model.elevations)
     same = replace(given, name="", aliases=(), range_noise=0.0, errors={}, elevations=np.zeros(0))
     of_model = replace(model, name="", aliases=(), range_noise=0.0, elevations=np.zeros(0))
-    assert {**vars(same), "elevations": 0} == {**vars(of_model), "elevations": 0}
+    arrays = {"elevations": 0, "rise": 0}
+    assert {**vars(same), **arrays} == {**vars(of_model), **arrays}
     sizes = replace(sizes_of(model), zero=0.001, bend=float(np.radians(0.001)))
     assert sizes_of(given) == sizes
 
@@ -182,6 +184,12 @@ def test_a_file_may_describe_a_model_that_is_not_known(tmp_path: Path) -> None:
         (LIKE + "elevations_deg = [nan]", "90°"),
         (LIKE + "rosette_deg = [0, 100]\npoints = 9", "90°"),
         ('like = "Mid-360"\npoints = 0', "points"),
+        (LIKE + "azimuth_deg = [60, -60]", "azimuth_deg"),
+        (LIKE + "azimuth_deg = [-200, 200]", "azimuth_deg"),
+        (LIKE + "azimuth_deg = [nan, 60]", "azimuth_deg"),
+        (LIKE + "round = true", "round"),
+        (LIKE + "rise_deg = [0, 90]", "rise_deg"),
+        ('like = "HAP"\nrise_deg = [1]', "rise_deg"),
         (LIKE + "[errors]\nzero_m = -0.001", "errors.zero_m"),
         (LIKE + "[errors]\nzero_m = nan", "errors.zero_m"),
         (LIKE + "[errors]\nzero = 0.001", "zero"),
@@ -190,6 +198,32 @@ def test_a_file_may_describe_a_model_that_is_not_known(tmp_path: Path) -> None:
 def test_what_describes_no_sensor_is_told(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(UsageError, match=re.escape(told)):
         find_sensor(a_file(tmp_path, text))
+
+
+def test_a_file_may_limit_the_azimuths(tmp_path: Path) -> None:
+    sensor = find_sensor(a_file(tmp_path, WHOLE + "azimuth_deg = [-60, 30]\nrise_deg = [1, 0]"))
+    assert not sensor.sees_all_around
+    assert sensor.points == 6 * 450
+    assert np.degrees(sensor.elevation_span) == pytest.approx((-14, 6))
+    azimuth = np.radians([-60, -15, 30, 31, 180])
+    np.testing.assert_allclose(np.degrees(sensor.risen(azimuth[:3])), [1, 0.5, 0], atol=1e-9)
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(5)], axis=1)
+    assert sensor.has_in_view(5 * rays, -1e-9).tolist() == [True, True, True, False, False]
+    assert sensor.has_in_view(rays, np.radians(10)).tolist() == [False, True, False, False, False]
+    assert SENSORS["XT32"].has_in_view(rays, 1.0).all()
+
+
+def test_a_round_field_is_narrow_above_and_below() -> None:
+    avia = SENSORS["Avia"]
+    azimuth, up = np.radians([[30, 0], [30, 30]])
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(up)], axis=1)
+    assert avia.has_in_view(rays).tolist() == [False, True]
+    assert avia.has_in_view(rays * [1, 1, 0]).all()
+
+
+def test_how_long_to_record_is_known_of_patterns_that_do_not_repeat() -> None:
+    asked = {name: sensor.seconds for name, sensor in SENSORS.items() if sensor.sweeps > 1}
+    assert asked == {"Mid-360": 1.5, "Avia": 0.5}
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import retropole as rp
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.base.sensors import SENSORS, find_sensor
+from retropole.base.sensors import SENSORS, Sensor, find_sensor
 from retropole.base.systematic import SPINNING_BEND, Sizes, sizes_of
 from retropole.extraction.certainty import doubt_of
 from retropole.extraction.lines import fit_line
@@ -35,6 +35,7 @@ WRONG = [
     ("PandarQT", "Pandar64"),
     ("OS1", "C32"),
     ("VLP-16", "Mid-360"),
+    ("XT32", "AT128"),
 ]
 
 
@@ -93,6 +94,34 @@ def test_a_few_wrong_numbers_are_no_rings() -> None:
     check_sensor(replace(cloud, ring=ring), SENSORS["VLP-16"])
 
 
+def a_narrow(name: str) -> Sensor:
+    return replace(SENSORS[name], azimuth_span=(-0.8, 0.8))
+
+
+def test_azimuths_beyond_the_field_of_view_contradict_a_name() -> None:
+    cloud, narrow = cloud_of("VLP-16"), a_narrow("VLP-16")
+    with pytest.raises(Refusal, match="azimuths over .*, the VLP-16 sees 92°") as caught:
+        check_sensor(cloud, narrow)
+    assert caught.value.code == "wrong_sensor"
+    assert sensor_doubt(cloud, narrow) == ""
+    bare = replace(cloud, ring=None)
+    check_sensor(bare, narrow)
+    assert "has azimuths over" in sensor_doubt(bare, narrow)
+
+
+def test_where_the_field_of_view_begins_does_not_count() -> None:
+    narrow = a_narrow("VLP-16")
+    cloud = cloud_of("VLP-16")
+    azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
+    # A driver may have y ahead; a few returns are of the LiDAR's own housing.
+    part = cloud.select(
+        (np.abs(np.abs(azimuth) - np.pi) < 0.78) | (np.arange(len(cloud)) % 90 == 0)
+    )
+    for seen in (part, replace(part, ring=None)):
+        check_sensor(seen, narrow)
+        assert sensor_doubt(seen, narrow) == ""
+
+
 @pytest.mark.full
 def test_rings_of_another_sensor_are_doubted() -> None:
     doubt = sensor_doubt(cloud_of("VLP-16"), SENSORS["Pandar64"])
@@ -112,7 +141,7 @@ def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
 @pytest.mark.parametrize("name", SENSORS)
 def test_rings_that_are_cones_say_that_a_lidar_spins(name: str) -> None:
     cloud, sensor = cloud_of(name), SENSORS[name]
-    bend = SPINNING_BEND if sensor.pattern == "spinning" else Sizes().bend
+    bend = SPINNING_BEND if sensor.rings else Sizes().bend
     assert error_sizes(cloud, None) == replace(Sizes(), bend=bend)
     # In any frame, if where its beams start is known, and in no other.
     T = se3.random(np.random.default_rng(4))

@@ -152,9 +152,17 @@ def bare_scan(sensor: str | None, frames: int, threshold_source: str) -> Scan:
 @pytest.mark.parametrize(
     ("sensor", "frames", "found", "said"),
     [
-        ("Mid-360", 1, "auto", "one of the Mid-360 has few returns on a pole: record some seconds"),
+        (
+            "Mid-360",
+            1,
+            "auto",
+            "it is 1 sweep, and so few of the Mid-360 have few returns",
+        ),
+        ("Mid-360", 5, "auto", "it is 5 sweeps, and so few of the Mid-360"),
+        ("Mid-360", 5, "auto", "record 1.5 s or more, 15 sweeps"),
         (None, 1, "auto", "one of a LiDAR without rings has few returns on a pole"),
-        ("Mid-360", 5, "auto", "check the tape and the threshold"),
+        ("Mid-360", 11, "auto", "check the tape and the threshold"),
+        ("HAP", 1, "auto", "check the tape and the threshold"),
         ("VLP-16", 1, "auto", "check the tape and the threshold"),
         ("VLP-16", 1, f"auto: 78%; {LITTLE}", "nothing there is distinctly brighter than the rest"),
     ],

@@ -27,8 +27,8 @@ from retropole.simulation.scanning import (
     LabelledScan,
     Mover,
     Sway,
-    beams,
     draw_movers,
+    sweeps,
     wet_loss,
 )
 from tests.simulation.rooms import HALF, X, Y, ranges_and_rays, scan_room, walls
@@ -122,7 +122,8 @@ def test_the_threshold_separates_tape_from_diffuse_returns(sensor: str) -> None:
 @pytest.mark.parametrize("sensor", list(SENSORS))
 def test_beams_are_unit_vectors_within_the_field_of_view(sensor: str) -> None:
     model = find_sensor(sensor)
-    rays, rings, times = beams(model, np.random.default_rng(0))
+    (sent,) = sweeps(model, np.random.default_rng(0), 1)
+    rays, rings, times = sent
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
     elevation = np.arcsin(rays[:, 2])
     low, high = model.elevation_span
@@ -130,17 +131,47 @@ def test_beams_are_unit_vectors_within_the_field_of_view(sensor: str) -> None:
     assert elevation.max() <= high + 1e-9
     assert len(rays) == len(rings) == len(times) == model.points
     if model.pattern == "spinning":
-        np.testing.assert_allclose(elevation, model.elevations[rings], atol=1e-9)
+        azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+        line = model.elevations[rings] + model.risen(azimuth)
+        np.testing.assert_allclose(elevation, line, atol=1e-9)
+    assert np.mean(model.has_in_view(rays, -1e-6)) > 0.998
 
 
 @pytest.mark.full
 def test_a_rosette_fills_its_field_of_view_and_never_repeats() -> None:
-    model, rng = find_sensor("Mid-360"), np.random.default_rng(1)
-    first, second = beams(model, rng)[0], beams(model, rng)[0]
+    model = find_sensor("Mid-360")
+    first, second = (each.rays for each in sweeps(model, np.random.default_rng(1), 2))
     # Equal solid angles hold equal numbers: the sine of the elevation is uniform.
     counts = np.histogram(first[:, 2], 10, tuple(np.sin(model.elevation_span)))[0]
     assert counts.min() > 0.95 * counts.max()
     assert not np.any(np.all(np.isclose(first, second), axis=1))
+    # It continues: two sweeps cover the field as one sequence of twice the length does.
+    longer = replace(model, points=2 * model.points)
+    (both,) = sweeps(longer, np.random.default_rng(1), 1)
+    np.testing.assert_allclose(np.concatenate([first, second]), both.rays)
+
+
+@pytest.mark.parametrize("name", ["Avia", "HAP"])
+def test_a_rosette_with_a_limited_view_covers_it_evenly(name: str) -> None:
+    model = find_sensor(name)
+    (sent,) = sweeps(model, np.random.default_rng(1), 1)
+    azimuth = np.arctan2(sent.rays[:, 1], sent.rays[:, 0]) / (model.turn / 2)
+    elevation = np.arcsin(sent.rays[:, 2]) / model.elevation_span[1]
+    assert np.abs([azimuth.min(), azimuth.max()]) == pytest.approx(1.0, abs=0.01)
+    assert (np.hypot(azimuth, elevation).max() < 1.001) == model.is_round
+    quarters = np.histogram2d(azimuth, elevation, (2, 2))[0]
+    assert quarters.min() > 0.97 * quarters.max()
+
+
+def test_lines_start_and_end_with_the_field_and_rise() -> None:
+    model = replace(find_sensor("XT32"), azimuth_span=(-1.0, 0.5), rise=np.array([0.1, 0.0, 0.05]))
+    (sent,) = sweeps(model, np.random.default_rng(1), 1)
+    azimuth = np.arctan2(sent.rays[:, 1], sent.rays[:, 0])
+    assert azimuth.min() >= -1.0
+    assert azimuth.max() <= 0.5 + model.azimuth_step
+    lowest = np.arcsin(sent.rays[sent.rings == 0, 2]) - model.elevations[0]
+    assert (lowest[0], lowest.min(), lowest[-1]) == pytest.approx((0.1, 0.0, 0.05), abs=2e-3)
+    assert sent.times.max() < 0.1
 
 
 @pytest.mark.full

@@ -144,7 +144,7 @@ class Watch:
         self._wish, self._out, self._clock, self._start = wish, out, clock, clock()
         read = wish.config.of_target, wish.config.of_source
         self._lidars = [
-            Watched(source, View(name), sensor_or_auto(how.sensor), how.threshold)
+            Watched(source, View(name, sensor=sensor_or_auto(how.sensor)), how.threshold)
             for source, name, how in zip(sources, wish.names, read, strict=True)
         ]
         self._words: deque[str] = deque(maxlen=40)

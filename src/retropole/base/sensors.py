@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import UsageError, said
 from .se3 import Array
@@ -33,8 +34,18 @@ class Sensor:
         Between two firings of a ring at 10 Hz, rad.
     elevation_span
         Lowest and highest elevation, rad.
+    azimuth_span
+        First and last azimuth of the field of view, rad, about the z axis from x; a turn for most.
     pattern
-        ``spinning``, or ``rosette`` for scans that do not repeat.
+        ``spinning`` where a line of beams for each ring is swept over the azimuths, or ``rosette``
+        for scans that do not repeat.
+    rise
+        (K,) how much higher than `elevations` the lines are, rad, at azimuths spaced evenly over
+        the field of view; empty where they are straight.
+    is_numbered
+        Whether drivers number the lines, as rings.
+    is_round
+        Whether the field of view is an ellipse, as two prisms sweep it.
     points
         Returns of one sweep at most.
     range_noise
@@ -75,7 +86,79 @@ class Sensor:
     range_accuracy: float | None = None
     retro_accuracy: float | None = None
     errors: Mapping[str, float] = field(default_factory=dict)
+    azimuth_span: tuple[float, float] = (0.0, 2 * np.pi)
+    rise: Array = field(default_factory=lambda: np.zeros(0))
+    is_numbered: bool = True
+    is_round: bool = False
 
+    @property
+    def turn(self) -> float:
+        """Width of the field of view in azimuth, rad."""
+        return self.azimuth_span[1] - self.azimuth_span[0]
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether its field of view is a full turn."""
+        return self.turn > 2 * np.pi - 1e-6
+
+    @property
+    def rings(self) -> int:
+        """How many rings its clouds have at most; 0 where none are numbered."""
+        return len(self.elevations) if self.is_numbered else 0
+
+    @property
+    def sweeps(self) -> int:
+        """How many sweeps show as much as one of a LiDAR whose lines repeat: beams spread evenly
+        are then `DENSE` apart.
+        """
+        if self.pattern == "spinning":
+            return 1
+        low, high = np.sin(self.elevation_span)
+        view = self.turn * (high - low) * (np.pi / 4 if self.is_round else 1.0)
+        return int(np.ceil(view / (DENSE**2 * self.points)))
+
+    @property
+    def seconds(self) -> float:
+        """How long to record at least, s: `sweeps`, to the next half of a second."""
+        return float(np.ceil(2 * self.sweeps * SWEEP_SECONDS) / 2)
+
+    def risen(self, azimuth: Array) -> Array:
+        """How much higher than their elevation the lines are at azimuths (N,), rad."""
+        if not len(self.rise):
+            return np.zeros_like(azimuth)
+        low = self.azimuth_span[0]
+        at = np.linspace(0, self.turn, len(self.rise))
+        return np.interp((azimuth - low) % (2 * np.pi), at, self.rise)
+
+    def has_in_view(self, rays: Array, margin: Array | float = 0.0) -> NDArray[np.bool_]:
+        """Which directions (N, 3) are in its azimuths, farther from their ends than a margin.
+
+        Parameters
+        ----------
+        rays
+            (N, 3) in the sensor's frame, of any length.
+        margin
+            (N,) rad, negative to grant as much.
+        """
+        if self.sees_all_around:
+            return np.ones(len(rays), dtype=bool)
+        middle = np.mean(self.azimuth_span)
+        off = np.arctan2(rays[:, 1], rays[:, 0]) - middle
+        off = np.abs((off + np.pi) % (2 * np.pi) - np.pi)
+        half = np.full(len(rays), self.turn / 2)
+        if self.is_round:
+            low, high = self.elevation_span
+            up = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+            half *= np.sqrt(np.clip(1 - ((2 * up - low - high) / (high - low)) ** 2, 0, 1))
+        return np.asarray(off + margin <= half)
+
+
+SWEEP_SECONDS = 0.1
+"""Time of one sweep: LiDARs run at 10 Hz by default."""
+
+DENSE = float(np.radians(0.3))
+"""Of beams spread evenly, rad: as many to a solid angle as 32 rings 1° apart have within 0.1°, or
+0.5° apart every 0.2°."""
 
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
@@ -124,6 +207,10 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     accuracy_m: float | None = None
     retro_accuracy_m: float | None = None
     errors: ListedErrors = ListedErrors()
+    azimuth_deg: tuple[float, float] = (0.0, 360.0)
+    rise_deg: tuple[float, ...] = ()
+    numbered: bool = True
+    round: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no LiDAR has; `msgspec` says where it stands."""
@@ -139,6 +226,15 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             )
         if not (np.abs([*self._rings(), *(self.rosette_deg or ())]) <= 90.0).all():
             raise ValueError("elevations_deg and rosette_deg lie within 90° of the horizon")
+        first, last = self.azimuth_deg
+        if not (-360.0 <= first < last <= 360.0 and last - first <= 360.0):
+            raise ValueError("azimuth_deg is the first and the last azimuth, at most a turn apart")
+        if self.round and not self.rosette_deg:
+            raise ValueError("round is the field of a rosette")
+        if not all(abs(rise) <= 45.0 for rise in self.rise_deg) or (
+            self.rise_deg and self.rosette_deg
+        ):
+            raise ValueError("rise_deg is how much higher scan lines are, 45° at most")
 
     def _rings(self) -> list[float]:
         """Elevations of single rings, in degrees."""
@@ -148,7 +244,11 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def sensor(self, name: str) -> Sensor:
         """Give it its name, in SI units."""
         elevations = np.radians(np.sort(self._rings()))
+        rise = np.radians(self.rise_deg)
         span = np.radians(self.rosette_deg) if self.rosette_deg else elevations[[0, -1]]
+        span = span + np.array([rise.min(initial=0.0), rise.max(initial=0.0)])
+        first, last = np.radians(self.azimuth_deg)
+        columns = round((last - first) / float(np.radians(self.azimuth_step_deg or 360.0)))
         return Sensor(
             name=name,
             aliases=self.aliases,
@@ -156,7 +256,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             azimuth_step=float(np.radians(self.azimuth_step_deg)),
             elevation_span=(float(span[0]), float(span[1])),
             pattern="rosette" if self.rosette_deg else "spinning",
-            points=self.points or len(elevations) * round(360 / self.azimuth_step_deg),
+            points=self.points or len(elevations) * columns,
             range_noise=self.noise_m,
             divergence=self.divergence_mrad / 1000,
             min_range=self.range_m[0],
@@ -168,6 +268,10 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             range_accuracy=self.accuracy_m,
             retro_accuracy=self.retro_accuracy_m,
             errors=self.errors.sizes(),
+            azimuth_span=(float(first), float(last)),
+            rise=rise,
+            is_numbered=self.numbered,
+            is_round=self.round,
         )
 
 

@@ -123,7 +123,8 @@ def sizes_of(sensor: Sensor | None) -> Sizes:
     """
     if sensor is None:
         return Sizes()
-    bend = SPINNING_BEND if sensor.pattern == "spinning" else Sizes().bend
+    turns = sensor.pattern == "spinning" and sensor.sees_all_around
+    bend = SPINNING_BEND if turns else Sizes().bend
     sizes = replace(Sizes(), bend=bend, width=STATED_WIDTH)
     if sensor.range_accuracy is not None:
         retro = sensor.retro_accuracy

@@ -20,11 +20,15 @@ from ..base.quantities import counted
 from ..base.sensors import Sensor
 from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
 from ..io.beams import (
+    BEYOND_VIEW,
+    MANY_BEYOND,
     MAX_RING_SPREAD,
     MIN_RING_POINTS,
     RING_SAMPLE,
+    azimuth_arc,
     elevations,
     guess_sensors,
+    is_wider,
     ring_spread,
 )
 
@@ -36,15 +40,22 @@ ORDINARY_DIVERGENCE = 0.003
 """Full angle of most sensors' beams, rad."""
 
 
+ORDINARY_NOISE, NOISY = 0.010, 0.015
+"""1 σ of the ranges of most sensors, metres, for which the limits are; with up to so much more they
+were set, and nothing is granted."""
+
+
 @dataclass(frozen=True)
 class Beams:
-    """What is known of the beams that met a line: full angle, and step of the sweep, rad.
+    """What is known of the beams that met a line: full angle, and step of the sweep, rad; and 1 σ of
+    their ranges, metres.
 
     Zero where it is not known: nothing is then granted for it.
     """
 
     divergence: float = 0.0
     step: float = 0.0
+    noise: float = 0.0
 
 
 UNKNOWN = Beams()
@@ -52,11 +63,15 @@ UNKNOWN = Beams()
 
 def beams_by(sensor: Sensor | None) -> Beams:
     """The beams of a sensor; None where it is not known."""
-    return UNKNOWN if sensor is None else Beams(sensor.divergence, sensor.azimuth_step)
+    return (
+        UNKNOWN
+        if sensor is None
+        else Beams(sensor.divergence, sensor.azimuth_step, sensor.range_noise)
+    )
 
 
 def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
-    """Scatter, metres, that wide beams add to that which returns on a pole have by ordinary ones.
+    """Scatter, metres, that wide or noisy beams add to that of returns on a pole by ordinary ones.
 
     A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
     the pole looks wider by half a beam on either side. The limits here hold for beams of
@@ -71,7 +86,9 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
     """
     seen = _seen_radius(distance, radius, beams.divergence)
     ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
-    return float(RMS_PER_RADIUS * np.sqrt(max(seen**2 - ordinary**2, 0.0)))
+    wide = RMS_PER_RADIUS**2 * max(seen**2 - ordinary**2, 0.0)
+    noisy = beams.noise**2 - ORDINARY_NOISE**2 if beams.noise > NOISY else 0.0
+    return float(np.sqrt(wide + noisy))
 
 
 def returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
@@ -87,15 +104,6 @@ def returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
 def _seen_radius(distance: float, radius: float, divergence: float) -> float:
     return radius + distance * divergence / 2
 
-
-BEYOND_VIEW = float(np.radians(2.0))
-"""So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
-of one model differ by some tenths of a degree; the largest step between rings at the end of a field
-of view is 10° (RS-LiDAR-32), inside it."""
-
-MANY_BEYOND = 0.05
-"""Part of the points of a cloud without rings that may be beyond it: near returns, since not all
-beams start in one point."""
 
 MOST_LINES = 8
 """A LiDAR without rings has no more lasers that its driver may number instead: a Mid-360 has 4."""
@@ -129,7 +137,7 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
         return
     numbers, counts = np.unique(cloud.ring, return_counts=True)
     rings = numbers[counts >= MIN_RING_POINTS]
-    known = len(sensor.elevations)
+    known = sensor.rings
     too_many = {"sensor": sensor.name, "rings": len(rings), "most": known}
     if known and len(rings) > known:
         what = f"{counted(len(rings), 'ring')}, the {sensor.name} has {known}"
@@ -150,6 +158,9 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
             f"rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees from {_span(sensor)}",
             {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
         )
+    if is_wider(cloud, sensor):
+        values = {"sensor": sensor.name, "azimuths_deg": float(np.degrees(azimuth_arc(cloud)))}
+        raise _refusal(cloud, _wider(cloud, sensor), values)
 
 
 def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
@@ -208,12 +219,25 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     share = float(np.mean(_beyond(elevation, sensor)))
-    if share <= MANY_BEYOND:
+    if share > MANY_BEYOND:
+        what = (
+            f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} "
+            f"sees ({_span(sensor)})"
+        )
+    elif is_wider(cloud, sensor):
+        what = f"{_named(cloud)} has {_wider(cloud, sensor)}"
+    else:
         return ""
     return (
-        f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} sees "
-        f"({_span(sensor)}): another LiDAR recorded it, or its points were turned or moved since, "
-        "so that where the beams start is not known"
+        f"{what}: another LiDAR recorded it, or its points were turned or moved since, so that "
+        "where the beams start is not known"
+    )
+
+
+def _wider(cloud: PointCloud, sensor: Sensor) -> str:
+    return (
+        f"azimuths over {np.degrees(azimuth_arc(cloud)):.0f}°, the {sensor.name} sees "
+        f"{np.degrees(sensor.turn):.0f}°"
     )
 
 

@@ -17,6 +17,7 @@ from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.consistency import Standing
+from ..surfaces.scans import why_few_poles
 from ..surfaces.visibility import score_hypotheses
 from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .correspondence import same_pose
@@ -272,7 +273,9 @@ def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     """Say what the poles leave to the place, and what to do where it does not tell."""
     if has_no_poles(paired):
         return "without poles all of the pose is open", STAND_TWO
-    return LEAVES, LEAN_ANOTHER
+    scans = [scan for each in paired for scan in (each.placement.target, each.placement.source)]
+    few = (why_few_poles(scan) for scan in scans if len(scan.poles) < 2)
+    return LEAVES, next(filter(None, few), LEAN_ANOTHER)
 
 
 def check_held(paired: Sequence[PairedPlacement], refined: PoseEstimate | None) -> None:

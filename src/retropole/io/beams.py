@@ -77,6 +77,36 @@ def elevations(rays: Array, axis: Array) -> Array:
     return np.asarray(np.arcsin(np.clip(rays @ axis / lengths(rays), -1.0, 1.0)))
 
 
+BEYOND_VIEW = float(np.radians(2.0))
+"""So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
+of one model differ by some tenths of a degree; the largest step between rings at the end of a field
+of view is 10° (RS-LiDAR-32), inside it."""
+
+MANY_BEYOND = 0.05
+"""Part of the points of a cloud without rings that may be beyond it: near returns, since not all
+beams start in one point."""
+
+
+def is_wider(cloud: PointCloud, sensor: Sensor) -> bool:
+    """Whether a cloud has azimuths over more than a sensor sees, wherever its first one is."""
+    if sensor.sees_all_around:
+        return False
+    return azimuth_arc(cloud) > sensor.turn + 2 * BEYOND_VIEW
+
+
+def azimuth_arc(cloud: PointCloud) -> float:
+    """Width of the smallest range of azimuths about a cloud's axis that holds all but
+    `MANY_BEYOND` of its points, rad; the cloud has the origin and the axis of its beams.
+    """
+    rays = cloud.xyz[:: 1 + (len(cloud) - 1) // RING_SAMPLE] - cloud.origin
+    first = np.cross(cloud.axis, np.eye(3)[int(np.argmin(np.abs(cloud.axis)))])
+    second = np.cross(cloud.axis, first)
+    azimuth = np.sort(np.arctan2(rays @ second, rays @ first))
+    most = int(np.ceil((1 - MANY_BEYOND) * len(azimuth))) - 1
+    ends = np.concatenate([azimuth, azimuth + 2 * np.pi])
+    return float(np.min(ends[most : most + len(azimuth)] - azimuth))
+
+
 def off_ring(elevation: Array, ring: IntArray) -> Array:
     """How far elevations (N,) are from the median of their rings (N,), in order of the rings."""
     order = np.lexsort((elevation, ring))
@@ -279,13 +309,13 @@ def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
     ray = part.xyz - part.origin
     ranges, elevation = np.linalg.norm(ray, axis=1), elevations(ray, part.axis)
     known = SENSORS if named is None else {**SENSORS, named.name: named}
-    spinning = [sensor for sensor in known.values() if len(sensor.elevations)]
+    spinning = [sensor for sensor in known.values() if sensor.rings]
     if part.ring is not None and np.ptp(part.ring):
         rings = _ring_elevations(elevation, ranges, part.ring)
         fitting = [own for own in spinning if rings and _rings_fit(own, rings)]
     else:
         fitting = [own for own in spinning if _points_fit(own, elevation)]
-    return [sensor.name for sensor in fitting]
+    return [sensor.name for sensor in fitting if not is_wider(part, sensor)]
 
 
 def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[int, float]:

@@ -72,6 +72,7 @@ def advise(views: Sequence[View], now: float, *, needs_poles: bool = True) -> Ad
         _missing(views, now),
         *(_moving(view, now) for view in views),
         _parallel(views, now),
+        *(_edge(view, now) for view in views),
         *(_weak(view, now) for view in views),
     )
     return next(steps, GOOD)
@@ -141,7 +142,8 @@ def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
         yield Advice(
             "hidden",
             f"{sees}, {other} sees {max(counts)}. The other pole is hidden from {view.name} or too "
-            f"far away: move it to where {view.name} sees it, within {BEST_REACH:g} m.",
+            f"far away: move it to where {view.name} sees it, within {BEST_REACH:g} m"
+            f"{_ahead(view)}.",
         )
     elif seen:
         where = f"{present(view.tracks, now)[0].distance:.1f} m from {view.name}"
@@ -154,8 +156,15 @@ def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
         yield Advice(
             "no_poles",
             f"No LiDAR sees a pole. Stand two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
-            "LiDARs, with retro-reflective tape all around.",
+            f"LiDARs{''.join(map(_ahead, views))}, with retro-reflective tape all around.",
         )
+
+
+def _ahead(view: View) -> str:
+    """Say where a LiDAR sees that does not see all around."""
+    if view.sensor is None or view.sensor.sees_all_around:
+        return ""
+    return f", inside the {math.degrees(view.sensor.turn):.0f}° that {view.name} sees"
 
 
 def _pairs(view: View, now: float) -> Iterator[tuple[Pole, Pole]]:
@@ -221,6 +230,16 @@ def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:
             f"The poles are {degrees:.0f}° apart: lean one by {math.degrees(WEAK_ANGLE):.0f}° or "
             "more, 20° is good.",
         )
+
+
+def _edge(view: View, now: float) -> Iterator[Advice]:
+    for track in present(view.tracks, now):
+        if view.is_at_edge(track.pole):
+            yield Advice(
+                "at_edge",
+                f"The pole {track.distance:.1f} m from {view.name} is at the edge of what it sees: "
+                "move it a metre inward.",
+            )
 
 
 def _weak(view: View, now: float) -> Iterator[Advice]:

@@ -22,6 +22,9 @@ from ..io.live import Source
 from ..result.watching import LidarNow, PoleNow
 from ..verdict import FEW_POINTS, FEW_RINGS
 
+AT_EDGE = 0.5
+"""A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
+
 STILL = 1.0
 """A pole that stood where it does for so long stands still, s."""
 
@@ -269,6 +272,8 @@ class View:
         Why nothing comes; empty while sweeps come.
     fault
         What is wrong with what comes; empty where nothing is.
+    sensor
+        Its model; None where it is not known.
     """
 
     name: str
@@ -276,6 +281,15 @@ class View:
     looked: Looked | None = None
     silent: str = ""
     fault: str = ""
+    sensor: Sensor | None = None
+
+    def is_at_edge(self, pole: Pole) -> bool:
+        """Whether a pole stands half a metre or less inside the end of the field of view."""
+        if self.sensor is None:
+            return False
+        margin = np.arctan2(AT_EDGE, float(np.hypot(*pole.point[:2])))
+        inside = self.sensor.has_in_view(pole.point[None])
+        return bool(inside[0] and not self.sensor.has_in_view(pole.point[None], margin)[0])
 
 
 def word_on(track: Tracked, now: float) -> str:
@@ -304,16 +318,32 @@ class Origin(NamedTuple):
 
 @dataclass
 class Watched:
-    """What is known of a LiDAR while it is watched: its sweeps are searched as of this sensor, from
-    this intensity up. Once a placement is kept, sweeps of another origin are not of this LiDAR."""
+    """What is known of a LiDAR while it is watched: its sweeps are searched from this intensity up.
+
+    Once a placement is kept, sweeps of another origin are not of this LiDAR. Of one that does not
+    repeat its pattern the `recent` sweeps are searched together.
+    """
 
     source: Source
     view: View
-    sensor: Sensor | None
     threshold: float | None
     origin: Origin | None = None
     kept: Origin | None = None
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
+    recent: deque[PointCloud] = field(default_factory=deque)
+
+    def together(self, cloud: PointCloud) -> PointCloud:
+        """Give a sweep with as many before it as show a pole well."""
+        sweeps = 1 if self.view.sensor is None else self.view.sensor.sweeps
+        if sweeps == 1 or cloud.intensity is None:
+            return cloud
+        self.recent.append(cloud)
+        while len(self.recent) > sweeps:
+            self.recent.popleft()
+        own = [each for each in self.recent if each.intensity is not None]
+        intensity = np.concatenate([each.intensity for each in own if each.intensity is not None])
+        xyz = np.concatenate([each.xyz for each in own])
+        return replace(cloud, xyz=xyz, intensity=intensity, ring=None, time=None, frame=None)
 
     @property
     def frame_id(self) -> str | None:
@@ -373,7 +403,8 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
         return Taken(None, tuple(said), is_other)
-    looked = look(frame.cloud, now, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
+    cloud = lidar.together(frame.cloud)
+    looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
     tracks = follow(view.tracks, looked)
     lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
     return Taken(frame, tuple(said), is_other)

@@ -250,6 +250,10 @@ IN_VIEW = 0.7
 """Share of the beams toward a pole that must reach it: less, and something hides it."""
 
 
+IN_FIELD = 0.95
+"""Share of a recording's returns that are in the field of view of its sensor, in its own frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Poles that stand free on the ground, in the frame of the place.
@@ -328,13 +332,36 @@ def who_sees(
     seen = np.zeros((len(candidates), len(stations)), dtype=bool)
     for i, (station, divergence) in enumerate(zip(stations, divergences, strict=True)):
         beams = station.seen_from_place()
+        field = field_of(station)
         for k in range(len(candidates)):
             pole = candidates.pole(k)
             if np.linalg.norm(pole.centre - station.at) > FAR * pole.radius:
                 continue
+            if field is not None and not stands_inside(pole, station, field):
+                continue
             seen[k, i] = is_seen(beams_met(pole, beams, divergence), beams)
             seen[k, i] &= sees_core(beams_met(pole, beams, 0.0), beams)
     return seen
+
+
+def field_of(station: Station) -> Sensor | None:
+    """Give the sensor of a LiDAR that does not see all around, where it was recorded in its frame.
+
+    None for any other: of a recording that was turned it is not known where its field ends.
+    """
+    sensor = station.sensor
+    if sensor is None or sensor.sees_all_around:
+        return None
+    return sensor if np.mean(sensor.has_in_view(station.cloud.xyz)) >= IN_FIELD else None
+
+
+def stands_inside(pole: Cylinder, station: Station, sensor: Sensor) -> bool:
+    """Whether a pole is in a LiDAR's field of view, and would be if it leaned further to a side."""
+    ends = pole.centre + np.array([[-0.5], [0.5]]) * pole.length * pole.axis
+    rays = se3.apply(se3.inverse(station.T), ends)
+    away = np.hypot(rays[:, 0], rays[:, 1])
+    margin = np.arctan2(pole.length * np.sin(LEANS[0]), away)
+    return bool(sensor.has_in_view(rays, margin).all())
 
 
 def candidate_poles(

@@ -120,7 +120,9 @@ def stand_drawn(
     surfaces: list[Surface] = [ground(ASPHALT), *boxes]
     scans = []
     for k, (name, sensor, T) in enumerate(zip(names, sensors, poses, strict=True)):
-        recorded = scan(surfaces, sensor, T, np.random.default_rng(k), TYPICAL)
+        recorded = scan(
+            surfaces, sensor, T, np.random.default_rng(k), TYPICAL, frames=sensor.sweeps
+        )
         if len(recorded.cloud) < LEAST_RETURNS or T[2, 3] <= 0:
             raise Refusal(
                 "no_ground",

@@ -19,7 +19,7 @@ from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
-from ..base.sensors import LITTLE
+from ..base.sensors import LITTLE, SENSORS
 from ..result import InputDoc, ReasonDoc, ResultDoc
 from ..result.contents import CloudDoc, DetectionDoc, InfoDoc, IntensityDoc
 from ..result.site import SiteDoc
@@ -394,6 +394,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
     duration = "" if cloud.duration_s is None else f", {cloud.duration_s:.1f} s"
     fields = ", ".join(f"{name} {kind}" for name, kind in cloud.fields.items())
     near, middle, far = cloud.range_m
+    is_short = cloud.rings is None and cloud.frames < max(s.sweeps for s in SENSORS.values())
     lines = [
         *([f"topic      {cloud.topic}"] if cloud.topic else []),
         *([f"frame_id   {cloud.frame_id}"] if cloud.frame_id else []),
@@ -405,6 +406,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         *(f"note       {note}" for note in cloud.notes),
         f"rings      {'none' if cloud.rings is None else cloud.rings}"
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
+        *([_pattern_line()] if is_short else []),
         *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),
         f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
         *_odd_lines(cloud),
@@ -413,6 +415,12 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
     if cloud.intensity is None:
         return [*lines, "intensity  none: tape cannot be told from the rest"]
     return lines + _intensity_lines(cloud.intensity)
+
+
+def _pattern_line() -> str:
+    """Say how long to record LiDARs that do not repeat their pattern."""
+    asked = [f"{s.name} {s.seconds:g} s" for s in SENSORS.values() if s.sweeps > 1]
+    return f"           a pattern that does not repeat needs time ({', '.join(asked)}), or more"
 
 
 def _odd_lines(cloud: CloudDoc) -> list[str]:

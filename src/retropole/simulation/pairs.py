@@ -11,10 +11,10 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import RetropoleError, UsageError
-from ..base.sensors import Sensor, find_sensor
+from ..base.sensors import SWEEP_SECONDS, Sensor, find_sensor
 from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .raycast import Cylinder, Surface, cast
-from .scanning import DELAY, SWEEP_SECONDS, LabelledScan, beams, draw_movers, scan
+from .scanning import DELAY, LabelledScan, draw_movers, scan, sweeps
 from .scenes import (
     PAPER_CLEAR,
     PAPER_NOISE,
@@ -121,6 +121,8 @@ def simulate_pair(
             if scene == "paper"
             else _draw(scene, rng, poles or 2, (min_pole_angle, max_pole_angle), radius, symmetric)
         )
+        if at is not None:
+            at = facing_poles(at, sensors, rng)
         if at is not None and are_in_view(at, recorders, rng):
             if poles == 0:
                 return record(replace(at, poles=()), recorders, for_recording)
@@ -158,6 +160,38 @@ def _draw(
     if not LIDAR_SPACING[0] <= apart <= LIDAR_SPACING[1]:
         return None
     return Arrangement(surfaces, standing, (target, source), place.clear)
+
+
+def facing_poles(
+    at: Arrangement, sensors: Sequence[Sensor], rng: np.random.Generator
+) -> Arrangement:
+    """Turn LiDARs that do not see all around toward the poles, as people do.
+
+    Up to a quarter of the field of view stays between its middle and that of the poles.
+    """
+    if all(sensor.sees_all_around for sensor in sensors):
+        return at
+    middle = np.mean([pole.centre for pole in at.poles], axis=0)
+    target, source = (
+        turned_to(pose, sensor, middle, float(rng.uniform(-0.25, 0.25)))
+        for pose, sensor in zip(at.poses, sensors, strict=True)
+    )
+    return replace(at, poses=(target, source))
+
+
+def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
+    """Turn a LiDAR about the vertical until a point (3,) is in the middle of its field of view.
+
+    It stays beside it by `off` as a part of the field; a LiDAR that sees all around as it is.
+    """
+    if sensor.sees_all_around:
+        return pose
+    ahead = np.mean(sensor.azimuth_span)
+    forward = pose[:3, :3] @ np.array([np.cos(ahead), np.sin(ahead), 0.0])
+    to = point - pose[:3, 3]
+    angle = np.arctan2(to[1], to[0]) - np.arctan2(forward[1], forward[0]) + off * sensor.turn
+    turn = se3.exp_so3(np.array([0.0, 0.0, angle]))
+    return se3.from_rt(turn @ pose[:3, :3], pose[:3, 3])
 
 
 MIN_RETURNS, MIN_RINGS = 6, 3
@@ -296,15 +330,14 @@ def poles_in_view(
     """
     everything, first = [*surroundings, *poles], len(surroundings)
     surface, rings = [], []
-    for _ in range(frames):
-        sweep = beams(sensor, rng)
+    for sweep in sweeps(sensor, rng, frames):
         world = sweep.rays @ pose[:3, :3].T
         toward = np.flatnonzero(cast(pose[:3, 3], world, poles).surface >= 0)
         hits = cast(pose[:3, 3], world[toward], everything)
         near = (hits.ranges > sensor.min_range) & (hits.ranges < sensor.max_range)
         surface.append(np.where(near, hits.surface, -1))
         rings.append(sweep.rings[toward])
-    own = np.concatenate(rings) if sensor.pattern == "spinning" else None
+    own = np.concatenate(rings) if sensor.rings else None
     met = np.concatenate(surface)
     return tuple(is_seen(met == first + k, own, returns) for k in range(len(poles)))
 

@@ -101,8 +101,10 @@ def _is_of(directions: Array, axis: Array, sensor: Sensor) -> bool:
     """Whether directions (N, 3) lie on the rings of a sensor that spins."""
     if sensor.pattern != "spinning" or not len(directions):
         return False
-    off = np.abs(sensor.elevations[_table_rings(directions, axis, sensor)] - _up(directions, axis))
-    return bool(np.mean(off < ON_RING) > LEVEL_SHARE)
+    in_view = sensor.has_in_view(directions, -ON_RING)
+    rings = _table_rings(directions, axis, sensor)
+    off = np.abs(sensor.elevations[rings] - _level_up(directions, axis, sensor))
+    return bool(np.mean((off < ON_RING) & in_view) > LEVEL_SHARE)
 
 
 def _level(axis: Array) -> tuple[Array, Array]:
@@ -119,7 +121,16 @@ def _up(directions: Array, axis: Array) -> Array:
 def _table_rings(directions: Array, axis: Array, sensor: Sensor) -> IntArray:
     """Which of the sensor's rings (N,) directions (N, 3) are nearest to."""
     middles = (sensor.elevations[1:] + sensor.elevations[:-1]) / 2
-    return np.asarray(np.searchsorted(middles, _up(directions, axis)), dtype=np.int64)
+    up = _level_up(directions, axis, sensor)
+    return np.asarray(np.searchsorted(middles, up), dtype=np.int64)
+
+
+def _level_up(directions: Array, axis: Array, sensor: Sensor) -> Array:
+    """Elevations (N,) of directions (N, 3) without the rise of their lines, rad."""
+    up = _up(directions, axis)
+    if not len(sensor.rise):
+        return up
+    return up - sensor.risen(np.arctan2(directions[:, 1], directions[:, 0]))
 
 
 def _sent_beams(
@@ -135,16 +146,24 @@ def _sent_beams(
     seen = np.zeros((len(sensor.elevations), count), dtype=bool)
     seen[own, np.round(column).astype(np.int64) % count] = True
     ring, turn = np.nonzero(~seen)
-    azimuth, up = turn * sensor.azimuth_step, sensor.elevations[ring]
-    level = np.cos(up)
-    missing = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(up)], axis=1)
+    missing = _rays(np.asarray(turn * sensor.azimuth_step), sensor.elevations[ring]) @ basis
+    if not sensor.sees_all_around:
+        # Such lines are swept about the z axis of the sensor.
+        kept = sensor.has_in_view(missing)
+        azimuth, ring = np.arctan2(missing[kept, 1], missing[kept, 0]), ring[kept]
+        missing = _rays(azimuth, sensor.elevations[ring] + sensor.risen(azimuth))
     return RecordedBeams(
         origin=cloud.origin,
-        directions=np.concatenate([directions, missing @ basis]),
+        directions=np.concatenate([directions, missing]),
         ranges=np.concatenate([ranges, np.full(len(missing), np.inf)]),
         rings=np.concatenate([own, ring]),
         like=np.concatenate([np.arange(len(cloud)), np.zeros(len(missing), dtype=np.int64)]),
     )
+
+
+def _rays(azimuth: Array, up: Array) -> Array:
+    level = np.cos(up)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(up)], axis=1)
 
 
 def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:

@@ -5,21 +5,18 @@ Things move, ground is wet, a mast sways.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..base.datatypes import Array, IntArray, PointCloud
-from ..base.sensors import Sensor
+from ..base.sensors import SWEEP_SECONDS, Sensor
 from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .raycast import Box, Cylinder, Rectangle, Surface, cast
 from .returns import Echoes, Materials, intensities, report, with_glow
 from .scenes import BARK, UP
-
-SWEEP_SECONDS = 0.1
-"""Time of one sweep: LiDARs run at 10 Hz by default."""
 
 PARTS = 20
 """Of a sweep, in which a mast that turns about its foot has its LiDAR at one point each."""
@@ -55,31 +52,53 @@ class Sweep(NamedTuple):
     times: Array
 
 
-def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
-    """Send the beams of one sweep.
+def sweeps(sensor: Sensor, rng: np.random.Generator, count: int) -> Iterator[Sweep]:
+    """Send the beams of so many sweeps, one after the other.
 
-    A spinning sensor starts at a random azimuth within its step. A rosette continues from a random
-    place of a sequence that never repeats and covers its field of view evenly.
+    In each, a sensor whose lines repeat starts at a random azimuth within its step. A rosette
+    starts at a random place of a sequence that never repeats and covers its field of view evenly,
+    and continues from sweep to sweep.
     """
     if sensor.pattern == "spinning":
-        count = round(2 * np.pi / sensor.azimuth_step)
-        start = rng.uniform(0, sensor.azimuth_step)
-        azimuths = start + np.arange(count) * (2 * np.pi / count)
-        up, level = np.sin(sensor.elevations), np.cos(sensor.elevations)
-        x, y = np.cos(azimuths)[:, None] * level, np.sin(azimuths)[:, None] * level
-        rays = np.stack(np.broadcast_arrays(x, y, up), axis=-1).reshape(-1, 3)
-        ring = np.tile(np.arange(len(sensor.elevations)), count)
-        time = np.repeat(np.arange(count) * (SWEEP_SECONDS / count), len(sensor.elevations))
-    else:
-        number = rng.integers(0, 10**6) + np.arange(sensor.points)
-        low, high = np.sin(sensor.elevation_span)
-        azimuth = 2 * np.pi * ((number * GOLDEN) % 1.0)
-        up = low + (high - low) * ((number * SILVER) % 1.0)
-        level = np.sqrt(1 - up**2)
-        rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=1)
-        ring = np.zeros(sensor.points, dtype=np.int64)
-        time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
+        for _ in range(count):
+            yield _lines(sensor, rng)
+        return
+    begun = int(rng.integers(0, 10**6))
+    for k in range(count):
+        yield _rosette(sensor, begun + k * sensor.points)
+
+
+def _lines(sensor: Sensor, rng: np.random.Generator) -> Sweep:
+    count = round(sensor.turn / sensor.azimuth_step)
+    start = rng.uniform(0, sensor.azimuth_step)
+    azimuths = sensor.azimuth_span[0] + start + np.arange(count) * (sensor.turn / count)
+    elevations: Array = sensor.elevations
+    if len(sensor.rise):
+        elevations = elevations + sensor.risen(np.asarray(azimuths))[:, None]
+    up, level = np.sin(elevations), np.cos(elevations)
+    x, y = np.cos(azimuths)[:, None] * level, np.sin(azimuths)[:, None] * level
+    rays = np.stack(np.broadcast_arrays(x, y, up), axis=-1).reshape(-1, 3)
+    ring = np.tile(np.arange(len(sensor.elevations)), count)
+    time = np.repeat(np.arange(count) * (SWEEP_SECONDS / count), len(sensor.elevations))
     return Sweep(rays, ring.astype(np.int64), time)
+
+
+def _rosette(sensor: Sensor, begun: int) -> Sweep:
+    number = begun + np.arange(sensor.points)
+    across, along = (number * GOLDEN) % 1.0, (number * SILVER) % 1.0
+    first, (lowest, highest) = sensor.azimuth_span[0], sensor.elevation_span
+    if sensor.is_round:
+        out, around = np.sqrt(along), 2 * np.pi * across
+        azimuth = first + sensor.turn * (1 + out * np.cos(around)) / 2
+        up = np.sin(lowest + (highest - lowest) * (1 + out * np.sin(around)) / 2)
+    else:
+        low, high = np.sin(lowest), np.sin(highest)
+        azimuth = first + sensor.turn * across
+        up = low + (high - low) * along
+    level = np.sqrt(1 - up**2)
+    rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=1)
+    time: Array = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
+    return Sweep(rays, np.zeros(sensor.points, dtype=np.int64), time)
 
 
 class Sources(NamedTuple):
@@ -142,8 +161,7 @@ def scan(
     if sway is None and noise.sway:
         sway = draw_sway(noise.sway, sources.directions)
     parts = []
-    for k in range(frames):
-        sweep = beams(sensor, sources.phases)
+    for k, sweep in enumerate(sweeps(sensor, sources.phases, frames)):
         shot = device.directions(sweep.rays, sweep.rings)
         if noise.pointing_noise:
             # The part along the ray has no effect on its direction.
@@ -177,7 +195,7 @@ def scan(
             frame = np.full(len(points), k, dtype=np.int64)
             parts.append((points, echoes.intensity, sweep.rings[beam], time, frame, labels))
     xyz, intensity, ring, time, frame, labels = map(np.concatenate, zip(*parts, strict=True))
-    rings = ring if sensor.pattern == "spinning" else None
+    rings = ring if sensor.rings else None
     cloud = PointCloud(xyz, intensity, rings, time, frame if frames > 1 else None)
     return LabelledScan(cloud, labels)
 

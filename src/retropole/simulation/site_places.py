@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.sensors import Sensor
-from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE, SimulationError, poles_in_view
+from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE, SimulationError, poles_in_view, turned_to
 from .raycast import Box, Cylinder, Rectangle, Surface
 from .scenes import (
     ASPHALT,
@@ -277,6 +277,14 @@ def arrange(
     """Draw places until poles link all LiDARs."""
     for _ in range(MAX_DRAWS):
         place = PLACES[kind](rng, len(sensors))
+        middle = np.mean([pose[:3, 3] for pose in place.poses], axis=0)
+        # Those around a truck look away from it, all others toward their middle.
+        outward = kind == "truck"
+        poses = [
+            turned_to(pose, sensor, 2 * pose[:3, 3] - middle if outward else middle, 0.0)
+            for pose, sensor in zip(place.poses, sensors, strict=True)
+        ]
+        place = replace(place, poses=poses)
         if not all(is_free(pose[:3, 3], place.surroundings) for pose in place.poses):
             continue
         found = (

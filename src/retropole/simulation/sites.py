@@ -429,5 +429,7 @@ def _is_in_view(at: Array, pose: Array, sensor: Sensor, place: SitePlace) -> boo
     elevation = np.arcsin(own[2] / distance)
     if not sensor.elevation_span[0] <= elevation <= sensor.elevation_span[1]:
         return False
+    if not sensor.has_in_view(own[None])[0]:
+        return False
     ray = (at - pose[:3, 3]) / distance
     return bool(cast(pose[:3, 3], ray[None], place.surroundings).ranges[0] > distance)

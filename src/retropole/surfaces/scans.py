@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..base.datatypes import PointCloud, Scan
 from ..base.errors import Refusal
-from ..base.sensors import LITTLE, Sensor
+from ..base.quantities import counted
+from ..base.sensors import LITTLE, SWEEP_SECONDS, Sensor
 from ..extraction.extent import located
 from ..extraction.poles import extract_poles
 from .static import remove_dynamic_points, without_copies
@@ -26,12 +29,21 @@ def why_few_poles(scan: Scan) -> str:
             "nothing there is distinctly brighter than the rest: wrap the tape, or record the "
             "intensity as the LiDAR measures it"
         )
-    most = SWEEP if sensor is None else 1.5 * sensor.points
-    is_rosette = cloud.ring is None if sensor is None else sensor.pattern == "rosette"
-    if cloud.frame is not None or len(cloud) > most or not is_rosette:
+    if sensor is None:
+        if cloud.frame is not None or len(cloud) > SWEEP or cloud.ring is not None:
+            return ""
+        return (
+            "it is one sweep, and one of a LiDAR without rings has few returns on a pole: record "
+            "some seconds"
+        )
+    sweeps = 1 if cloud.frame is None else len(np.unique(cloud.frame))
+    # Sweeps may have been put together before.
+    if max(sweeps, len(cloud) / sensor.points) >= sensor.sweeps:
         return ""
-    which = "a LiDAR without rings" if sensor is None else f"the {sensor.name}"
-    return f"it is one sweep, and one of {which} has few returns on a pole: record some seconds"
+    return (
+        f"it is {counted(sweeps, 'sweep')}, and so few of the {sensor.name} have few returns on a "
+        f"pole: record {sensor.seconds:g} s or more, {round(sensor.seconds / SWEEP_SECONDS)} sweeps"
+    )
 
 
 def find_poles(
