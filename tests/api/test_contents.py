@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,16 +54,16 @@ def test_a_file_of_one_frame(tmp_path: Path, cloud: PointCloud) -> None:
 
 
 def test_which_field_the_intensity_is_of(tmp_path: Path, cloud: PointCloud) -> None:
-    columns = dict(zip("xyz", cloud.xyz.T, strict=True))
-    both = {"reflectivity": np.full(len(cloud), 7.0), "signal": cloud.intensity}
-    np.savez(tmp_path / "a.npz", **columns, **both)
+    columns: dict[str, Any] = dict(zip("xyz", cloud.xyz.T, strict=True))
+    columns["signal"] = required(cloud.intensity)
+    np.savez(tmp_path / "a.npz", **columns, reflectivity=np.full(len(cloud), 7.0))
     found = describe(tmp_path / "a.npz")
     intensity = required(found.clouds[0].intensity)
     assert (intensity.field, intensity.others) == ("signal", ["reflectivity"])
     assert "of the field signal; --intensity reflectivity takes another" in describe_info(found)
     named = required(describe(tmp_path / "a.npz", intensity="reflectivity").clouds[0].intensity)
     assert (named.field, named.others, named.max) == ("reflectivity", ["signal"], 7)
-    np.savez(tmp_path / "b.npz", **columns, signal=both["signal"])
+    np.savez(tmp_path / "b.npz", **columns)
     assert "of the field" not in describe_info(describe(tmp_path / "b.npz"))
 
 

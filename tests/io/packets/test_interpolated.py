@@ -29,9 +29,6 @@ def _made(
     is_halved = twice and name in ("RS-LiDAR-16", "Helios 16P")
     up = np.round(rng.permutation(np.linspace(-24, 15, channels)), 2)
     aside = np.round(rng.uniform(-5, 5, channels), 2)
-    if name == "RS-LiDAR-16" or manual.y_ahead:
-        (model,) = [each for each in MODELS if each.name == name]
-        up, aside = np.degrees(model.angles.elevation), np.degrees(model.angles.azimuth)
     ranks = np.argsort(np.argsort(up))
     per_row = manual.per_block * manual.blocks // (manual.rows or manual.blocks)
     step, packets, points = 0.2 * (per_row // channels if per_row > channels else 1), [], []
@@ -81,7 +78,7 @@ def test_written_packets_are_read(name: str, *, twice: bool) -> None:
     packets, angles, points = _made(name, np.random.default_rng(3), twice=twice)
     model = recognized(packets[0])
     assert model is not None
-    assert model.name == name.removesuffix(" 16P")
+    assert model.name == name.removesuffix(" 16P").removesuffix(" v3")
     sent = as_array(packets)
     where = positions(model, sent)
     assert (np.diff(where[:, 0]) >= 0).all()
@@ -89,7 +86,8 @@ def test_written_packets_are_read(name: str, *, twice: bool) -> None:
     wanted = np.array(points, float)
     assert len(read.xyz) == len(wanted)
     np.testing.assert_allclose(read.xyz, wanted[:, :3], atol=1e-5)
-    np.testing.assert_allclose(read.time - SECONDS, wanted[:, 3] * 1e-6, atol=2e-6)
+    start = 0 if "v3" in name else SECONDS
+    np.testing.assert_allclose(read.time - start, wanted[:, 3] * 1e-6, atol=2e-6)
     np.testing.assert_array_equal(read.turn - read.turn[0], wanted[:, 4])
     np.testing.assert_array_equal(read.ring, wanted[:, 5])
     np.testing.assert_array_equal(read.intensity, wanted[:, 6])
@@ -141,6 +139,21 @@ def test_angles_of_an_rs_16_are_of_24_bits() -> None:
     np.testing.assert_allclose(np.degrees(told.elevation), wanted)
     # One that was never filled says nothing; the table is right then.
     assert angles_told(_named("RS-LiDAR-16"), start.ljust(1248, b"\0")) is None
+
+
+def test_angles_of_a_leishen_of_version_3() -> None:
+    """Elevations of 16 bits from byte 245, in the order of their size; azimuths of two groups."""
+    wanted = np.ravel(np.column_stack([np.arange(-16, 0), np.arange(16)])) + 0.07
+    sorted_by_size = np.sort(wanted)
+    words = np.round(sorted_by_size * 100).astype(">i2").tobytes()
+    packet = bytearray(bytes.fromhex("a5ff005a").ljust(1206, b"\0"))
+    packet[245 : 245 + len(words)] = words
+    packet[186:188], packet[190:192] = struct.pack(">H", 130), struct.pack(">H", 0x8000 + 150)
+    (model,) = [each for each in MODELS if each.name == "C32" and each.sizes == (1206,)]
+    told = angles_told(model, bytes(packet))
+    assert told is not None
+    np.testing.assert_allclose(np.degrees(told.elevation), wanted, atol=1e-9)
+    np.testing.assert_allclose(np.degrees(told.azimuth), [-1.5, -1.5, 1.3, 1.3] * 8)
 
 
 def test_without_angles() -> None:

@@ -74,7 +74,8 @@ class Spinning:
     ) -> tuple[float, float, float]:
         """Say where a firing of a row hit, as the manual's formula does."""
         at = azimuth + step * self.firing(slot) / self.period
-        beam, lens = math.radians(at + aside), math.radians(at + self.lens[1])
+        beam = math.radians(at + aside)
+        lens = math.radians(at + self.lens[1] + (aside if self.y_ahead else 0))
         out = distance * math.cos(math.radians(up))
         ahead = out * math.cos(beam) + self.lens[0] * math.cos(lens)
         right = out * math.sin(beam) + self.lens[0] * math.sin(lens)
@@ -157,6 +158,14 @@ MANUALS = {
     "C32": Spinning(
         lambda _: b"", lambda t: _leishen(0x20, t), FFEE, 32, 12, 0.004, "<",
         lambda k: 1.5625 * k, 50.0, (0.0361, -20.25, 0), y_ahead=True,
+    ),
+    "C16 v3": Spinning(
+        lambda _: b"", lambda t: struct.pack("<IBB", t, 0x37, 0x10), FFEE, 32, 12, 0.0025, "<",
+        lambda k: 3.125 * k, 100.0, (0.0431, -14.68, 0), y_ahead=True,
+    ),
+    "C32 v3": Spinning(
+        lambda _: b"", lambda t: struct.pack("<IBB", t, 0x37, 0x20), FFEE, 32, 12, 0.004, "<",
+        lambda k: 1.5625 * k, 50.0, (0.0494, -12.98, 0), y_ahead=True,
     ),
 }  # fmt: skip
 

@@ -64,6 +64,12 @@ def _leishen(sent: Bytes) -> Array:
     return whole + rest / (1e6 if is_ntp else 1e9)
 
 
+def _microseconds(sent: Bytes) -> Array:
+    """Microseconds of a second; what second it is, Leishen's device packets say alone."""
+    rest = _number(sent, 0, 4, is_big=False) / 1e6
+    return rest + np.cumsum(np.diff(rest, prepend=rest[:1]) < -0.5)
+
+
 def _livox(sent: Bytes) -> Array:
     """Of the first protocol: nanoseconds, or where its type of time is 3 an hour and µs."""
     own = sent[:, 2:]
@@ -76,7 +82,9 @@ CLOCKS: dict[str, Callable[[Bytes], Array]] = {
     "unix": _unix,
     "nanoseconds": _nanoseconds,
     "leishen": _leishen,
+    "microseconds": _microseconds,
     "livox": _livox,
 }
 """Ways to write a time: year to second and 2 × 16 bits for ms and µs; 48 bits for seconds and 32
-for µs; 64 bits, ns; Leishen's; Livox' first, which the type of time precedes by 2 bytes."""
+for µs; 64 bits, ns; Leishen's; 32 bits, µs, alone; Livox' first, which the type of time precedes by
+2 bytes."""

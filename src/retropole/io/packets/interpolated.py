@@ -27,8 +27,11 @@ turns a second it is 0.4°, with two firings in a row 0.8°."""
 STEP_BACK = 0.1
 """Turns by which packets that came late may be back."""
 
-DIFOP_START = bytes.fromhex("a5ff005a11115555")
-"""First bytes of the packets in which a RoboSense tells what it is."""
+DIFOP_START = bytes.fromhex("a5ff005a")
+"""First bytes of the packets in which a RoboSense or a Leishen tells what it is."""
+
+MOST_APART = 3.0
+"""Degrees by which an elevation may differ from that of the table, as Leishen's driver has it."""
 
 UNSET = 0xFF
 """Sign of an angle that a LiDAR does not know."""
@@ -141,18 +144,24 @@ def angles_told(model: Model, payload: bytes) -> Angles | None:
         elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
         elevation[: told.below] *= -1
         azimuth = np.zeros(len(elevation))
+    elif told.order:
+        elevation = np.frombuffer(payload, ">i2", len(told.order), told.at)[list(told.order)]
+        sent = np.frombuffer(payload, ">u2")[np.array(told.aside) // 2].astype(np.int64)
+        azimuth = np.where(sent < 2**15, sent, 2**15 - sent)
+        elevation, azimuth = elevation * told.unit, azimuth * told.unit
     else:
         slots = _layout(model).channels * _layout(model).blocks_in_row
         entry = np.dtype([("sign", "u1"), ("value", ">u2")])
-        sent = np.frombuffer(payload, entry, 2 * slots, told.at)
-        degrees = np.where(sent["sign"] == 0, 1, -1) * sent["value"] * told.unit
+        entries = np.frombuffer(payload, entry, 2 * slots, told.at)
+        degrees = np.where(entries["sign"] == 0, 1, -1) * entries["value"] * told.unit
         elevation, azimuth = degrees.reshape(2, slots)
         half = slots // 2
-        is_empty = (sent["sign"][half:slots] == UNSET).all() or not elevation[half:].any()
+        is_empty = (entries["sign"][half:slots] == UNSET).all() or not elevation[half:].any()
         if _layout(model).is_halved and (is_empty or (elevation[half:] == elevation[:half]).all()):
             elevation, azimuth = elevation[:half], azimuth[:half]
-    steep = np.abs(elevation) > 90
-    if steep.any() or len(set(elevation.tolist())) < len(elevation):
+    usual = model.elevation_deg or elevation
+    odd = (np.abs(elevation) > 90) | (np.abs(elevation - usual) > MOST_APART)
+    if odd.any() or len(set(elevation.tolist())) < len(elevation):
         return None
     return Angles(np.radians(elevation), np.radians(azimuth), "the DIFOP packets")
 
@@ -182,10 +191,11 @@ def _placed(
     of_step = of_step.reshape(step.shape)
     on = np.deg2rad(np.outer(steps, share))
     out, lens = np.cos(angles.elevation)[channel], layout.lens[0] * np.ones(len(share))
+    beside = angles.azimuth[channel] * layout.has_lens_of_channels
     along = cross = np.zeros(())
     for scale, ways, turned in (
         (distance, out, on + angles.azimuth[channel]),
-        (1.0, lens, on + np.deg2rad(layout.lens[1])),
+        (1.0, lens, on + np.deg2rad(layout.lens[1]) + beside),
     ):
         along = along + scale * (ways * np.cos(turned))[of_step]
         cross = cross + scale * (ways * np.sin(turned))[of_step]

@@ -170,6 +170,8 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
         channels fires.
     lens
         Where beams start: distance from the axis, m, degrees clockwise from the azimuth, height, m.
+    has_lens_of_channels
+        Whether this is the azimuth with what each channel adds.
     distance_bits
         Of a distance, those that are one.
     difop
@@ -185,6 +187,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     period_us: float
     firing_us: tuple[float, ...]
     lens: tuple[float, float, float]
+    has_lens_of_channels: bool = False
     is_big_endian: bool = True
     is_x_ahead: bool = True
     blocks_in_row: int = 1
@@ -196,15 +199,18 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
 
 
 class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where a RoboSense says its angles: elevations from byte `at`, and azimuths after them.
+    """Where a LiDAR tells its angles: elevations from byte `at`, and azimuths after them.
 
-    Each is a sign and 16 bits, in units of `unit` degrees; or, where the first `below` channels
-    look down and no azimuths follow, 24 bits.
+    Each is a sign and 16 bits, in units of `unit` degrees. Where the first `below` channels look
+    down, there are no azimuths, and elevations have 24 bits. Where channels have an `order`, an
+    elevation has 16 bits, and `aside` says where the azimuth of each channel is.
     """
 
     at: int
     unit: float
     below: int = 0
+    order: tuple[int, ...] = ()
+    aside: tuple[int, ...] = ()
 
 
 class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True):
