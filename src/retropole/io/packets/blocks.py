@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.datatypes import Array, BoolArray, IntArray
-from .models import NEAR_TWIN, Angles, Blocks, Model, Returns, is_other, rings_of
+from .models import NEAR_TWIN, Angles, Blocks, Model, Returns, is_other
 
 CIRCLE = 36_000
 """Units of an azimuth in a whole turn."""
@@ -22,9 +22,19 @@ ECHOES = {mode: 2 for mode in (0x39, 0x3A, 0x3B, 0x3C, 0x3E)} | {0x3D: 3}
 
 
 class Kept(NamedTuple):
-    """The returns of packets that are kept: rows of blocks, channels and what was measured."""
+    """The returns of packets that are kept.
 
-    block: IntArray
+    Attributes
+    ----------
+    counts
+        How many each block has, one block after the other.
+    channel, packet
+        Of each return.
+    distance, intensity, time
+        What was measured, m, and when, s.
+    """
+
+    counts: IntArray
     channel: IntArray
     packet: IntArray
     distance: Array
@@ -61,24 +71,18 @@ def decode(
     angles = angles or model.angles
     azimuth = azimuths(_layout(model), packets)
     kept = returns_of(model, packets)
-    sine, cosine = (f(np.radians(azimuth / 100)).reshape(-1)[kept.block] for f in (np.sin, np.cos))
-    ahead, aside, up = (
-        each[kept.channel]
-        for each in (
-            np.cos(angles.elevation) * np.cos(angles.azimuth),
-            np.cos(angles.elevation) * np.sin(angles.azimuth),
-            np.sin(angles.elevation),
-        )
-    )
-    xyz = np.empty((len(kept.block), 3))
+    # To repeat what a block has, and to take by indices, is several times faster than to index.
+    sine, cosine = (np.repeat(f(np.radians(azimuth / 100)), kept.counts) for f in (np.sin, np.cos))
+    ahead, aside, up = (np.take(each, kept.channel) for each in angles.ways)
+    xyz = np.empty((len(kept.channel), 3))
     xyz[:, 0] = kept.distance * (sine * ahead + cosine * aside)
     xyz[:, 1] = kept.distance * (cosine * ahead - sine * aside)
     xyz[:, 2] = kept.distance * up
     start = np.round(positions[:, :1] * CIRCLE)
-    whole = (start + steps(azimuth - azimuth[:, :1], CIRCLE)).reshape(-1) / 100
-    own = whole[kept.block] + np.degrees(angles.azimuth)[kept.channel]
-    turn = (np.ceil(own / 360) - 1).astype(np.int64)
-    ring = rings_of(angles.elevation)[kept.channel]
+    whole = (start + steps(azimuth - azimuth[:, :1], CIRCLE)) / CIRCLE
+    own = np.repeat(whole, kept.counts) + np.take(angles.azimuth / (2 * np.pi), kept.channel)
+    turn = (np.ceil(own) - 1).astype(np.int64)
+    ring = np.take(angles.ring, kept.channel)
     return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
 
 
@@ -123,21 +127,21 @@ def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
                 own[:, :, k] &= ~same
     places = np.flatnonzero(kept)
     counts = np.count_nonzero(kept.reshape(-1, layout.channels), axis=1)
-    block = np.repeat(np.arange(len(counts)), counts)
-    channel = places - block * layout.channels
+    channel = places - np.repeat(np.arange(len(counts)) * layout.channels, counts)
     packet = np.repeat(np.arange(len(packets)), counts.reshape(shape[:2]).sum(axis=1))
     began = _times(layout, packets)[:, None] + _blocks_s(layout, echoes)
-    states = _states(layout, packets, echoes).reshape(-1)
-    firing = np.array(layout.firing_us) / 1e6
-    fired = firing[states[block], channel] if len(firing) > 1 else firing[0][channel]
-    intensity = _of_channels(layout, packets, 2, "u1").reshape(-1)[places]
+    fired = np.take(model.firing_s, channel)
+    if len(model.firing_s) > 1:
+        states = _states(layout, packets, echoes)
+        fired = model.firing_s[np.repeat(states, counts), channel]
+    intensity = np.take(_of_channels(layout, packets, 2, "u1"), places)
     return Kept(
-        block,
+        counts,
         channel,
         packet,
-        np.multiply(distance.reshape(-1)[places], model.distance_m, dtype=np.float64),
+        np.multiply(np.take(distance, places), model.distance_m, dtype=np.float64),
         intensity.astype(np.float64),
-        began.reshape(-1)[block] + fired,
+        np.repeat(began, counts) + fired,
     )
 
 

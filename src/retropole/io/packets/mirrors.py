@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...base.datatypes import Array, IntArray
 from ...base.errors import ReadError
 from .blocks import CIRCLE, azimuths, of_blocks, returns_of, steps, unwrapped
-from .models import Angles, Mirrors, Model, Returns, rings_of
+from .models import Angles, Mirrors, Model, Returns
 
 FINE = 256 * CIRCLE
 """Units of an azimuth with its finer part in a whole turn."""
@@ -38,7 +38,7 @@ def decode(
     azimuth = _azimuths(_layout(model), packets)
     kept = returns_of(model, packets)
     starts = np.radians(_layout(model).starts_deg) if angles.starts is None else angles.starts
-    mirror = azimuth.reshape(-1)[kept.block] * (2 * np.pi / FINE)
+    mirror = np.repeat(azimuth, kept.counts) * (2 * np.pi / FINE)
     order = np.argsort(starts)
     # Before the first start, the last field goes on.
     field = order[np.searchsorted(starts[order], mirror, side="right") - 1]
@@ -59,9 +59,9 @@ def decode(
         [level * np.sin(turned), level * np.cos(turned), kept.distance * np.sin(elevation)]
     )
     start = np.round(positions[:, :1] * (FINE // MIRRORS)).astype(np.int64)
-    whole = (start + steps(azimuth - azimuth[:, :1], FINE)).reshape(-1)
-    turn = (whole // (FINE // MIRRORS))[kept.block]
-    ring = rings_of(angles.elevation)[kept.channel]
+    whole = start + steps(azimuth - azimuth[:, :1], FINE)
+    turn = np.repeat(whole // (FINE // MIRRORS), kept.counts)
+    ring = np.take(angles.ring, kept.channel)
     return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
 
 

@@ -72,6 +72,17 @@ class Angles:
     starts: Array | None = None
     adjusted: Array | None = None
 
+    @cached_property
+    def ring(self) -> IntArray:
+        """Rank of each channel (C,) by its elevation, from below."""
+        return rings_of(self.elevation)
+
+    @cached_property
+    def ways(self) -> tuple[Array, Array, Array]:
+        """Where channels look at azimuth 0, each (C,): ahead, to the right and up."""
+        level = np.cos(self.elevation)
+        return level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)
+
 
 class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What packets of a family hold where; offsets count bytes from the first of the packet."""
@@ -293,6 +304,11 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         """Those of the table, for units whose own are not known."""
         azimuth = self.azimuth_deg or (0.0,) * len(self.elevation_deg)
         return Angles(np.radians(self.elevation_deg), np.radians(azimuth))
+
+    @cached_property
+    def firing_s(self) -> Array:
+        """When channels fire after their block, s, as the layout of blocks has it."""
+        return np.array(getattr(self.layout, "firing_us", ())) / 1e6
 
     @cached_property
     def signature(self) -> tuple[tuple[slice, bytes, bytes], ...]:

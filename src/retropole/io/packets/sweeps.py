@@ -55,6 +55,9 @@ FAMILIES: dict[type[Layout], ModuleType] = {
 AT_ONCE = 1024
 """Packets whose positions are read at a time: 1.5 MB."""
 
+IN_CACHE = 2**15
+"""Returns of blocks that are decoded at a time: measured, of an OT128 in 0.8 of the time."""
+
 PILED = 64
 """Packets that come now are looked at so many at a time: every 5 to 30 ms."""
 
@@ -204,12 +207,23 @@ def sweep(
     """
     family = FAMILIES[type(model.layout)]
 
-    def columns() -> Columns:
-        found: Returns = family.decode(model, stacked(payloads), angles, positions)
+    # Blocks do not need each other, and what fits into the cache is decoded faster.
+    at_once = len(payloads)
+    if isinstance(model.layout, Blocks):
+        at_once = max(IN_CACHE // (model.layout.count * model.layout.channels), 1)
+
+    def part(start: int) -> dict[str, NDArray[np.generic]]:
+        rows = slice(start, start + at_once)
+        found: Returns = family.decode(model, stacked(payloads[rows]), angles, positions[rows])
         own = np.flatnonzero(np.clip(found.turn, *ends) == turn)
-        named: dict[str, NDArray[np.generic]] = dict(zip("xyz", found.xyz[own].T, strict=True))
-        named |= {"intensity": found.intensity[own], "time": found.time[own]}
-        return named if found.ring is None else {**named, "ring": found.ring[own]}
+        named: dict[str, NDArray[np.generic]]
+        named = {axis: np.take(found.xyz[:, k], own) for k, axis in enumerate("xyz")}
+        named |= {"intensity": np.take(found.intensity, own), "time": np.take(found.time, own)}
+        return named if found.ring is None else {**named, "ring": np.take(found.ring, own)}
+
+    def columns() -> Columns:
+        parts = [part(start) for start in range(0, len(payloads), at_once)]
+        return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
 
     used = (angles or model.angles) if model.elevation_deg or angles else None
     note = f"angles of {model.title}: {used.found}" if used else ""
