@@ -10,10 +10,10 @@ on state figures.
 
 With ``--pairs`` LiDARs that do not see all around, or never repeat their pattern, are paired with
 an XT32 and with each other, each pair at places of its own. The table says of every pair, and of
-every number of sweeps, how many are answered where both LiDARs see both poles (`ENOUGH` returns
-on each), how many are wrong (beyond `WRONG_ANGLE` or `WRONG_DISTANCE`), and how many say that a LiDAR
-moved: none did. Seeds below 100 were used to mend what was wrong; those from 1000 on state the figures, before they
-were run.
+every number of sweeps, how many are answered where both LiDARs see both poles (`ENOUGH` returns on
+each), how many are wrong (beyond `WRONG_ANGLE` or `WRONG_DISTANCE`), and how many say that a LiDAR
+moved: none did. Seeds to 5 were used to mend what was wrong; those from 1000 on state the figures,
+which was written here before they were run.
 
     python benchmarks/sweeps.py --pairs --places 30 --frames 1 5 20
 """
@@ -51,7 +51,7 @@ PAIRS = [("XT32", name) for name in LIMITED] + list(combinations(LIMITED, 2))
 """Of LiDARs, for ``--pairs``."""
 
 ENOUGH, SHORTEST = 10, 0.4
-"""A LiDAR sees a pole with so many returns on such a length of it, metres: shorter ones are no poles
+"""A LiDAR sees a pole with so many returns on such a length of it, metres: shorter ones are none
 (docs/reasons.md, too_short)."""
 
 

@@ -14,7 +14,7 @@ from sphinx.util.inspect import TypeAliasForwardRef
 
 import retropole
 from retropole.base.reasons import Explanation, tables
-from retropole.base.sensors import SENSORS
+from retropole.base.sensors import SENSORS, Sensor
 from retropole.cli import cli
 from retropole.io.packets.models import MODELS
 
@@ -90,22 +90,32 @@ def reason_entries() -> str:
 
 def sensor_rows() -> str:
     """Write the table of sensors, from the program's own."""
-    names = "sensor", "rings", "elevation", "step", "noise mm", "threshold", "its source", "source"
+    names = "sensor", "rings", "elevation", "azimuth", "step", "noise mm", "record s", "threshold"
+    names += "its source", "source"
     lines = [" | ".join(names), " | ".join(["---"] * len(names))]
     for sensor in SENSORS.values():
         low, high = np.degrees(sensor.elevation_span)
         cells = (
             sensor.name,
-            str(len(sensor.elevations)) if sensor.pattern == "spinning" else "rosette",
+            _lines(sensor),
             f"{low:+.1f}° to {high:+.1f}°",
+            "all" if sensor.sees_all_around else f"{np.degrees(sensor.turn):.0f}°",
             f"{np.degrees(sensor.azimuth_step):.2f}°" if sensor.azimuth_step else "none",
             f"{1000 * sensor.range_noise:g}",
+            f"{sensor.seconds:g}" if sensor.sweeps > 1 else "a sweep",
             f"{sensor.threshold:g}",
             sensor.threshold_source,
             sensor.source,
         )
         lines.append(" | ".join(cells))
     return "".join(f"| {line} |\n" for line in lines)
+
+
+def _lines(sensor: Sensor) -> str:
+    """How many scan lines a sensor has, and whether they are rings."""
+    if sensor.pattern == "rosette":
+        return "rosette"
+    return f"{len(sensor.elevations)}{'' if sensor.is_numbered else ', not numbered'}"
 
 
 def model_rows() -> str:

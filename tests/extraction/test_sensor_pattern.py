@@ -100,7 +100,7 @@ def a_narrow(name: str) -> Sensor:
 
 def test_azimuths_beyond_the_field_of_view_contradict_a_name() -> None:
     cloud, narrow = cloud_of("VLP-16"), a_narrow("VLP-16")
-    with pytest.raises(Refusal, match="azimuths over .*, the VLP-16 sees 92°") as caught:
+    with pytest.raises(Refusal, match=r"azimuths over .*, the VLP-16 sees 92°") as caught:
         check_sensor(cloud, narrow)
     assert caught.value.code == "wrong_sensor"
     assert sensor_doubt(cloud, narrow) == ""
@@ -114,9 +114,8 @@ def test_where_the_field_of_view_begins_does_not_count() -> None:
     cloud = cloud_of("VLP-16")
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
     # A driver may have y ahead; a few returns are of the LiDAR's own housing.
-    part = cloud.select(
-        (np.abs(np.abs(azimuth) - np.pi) < 0.78) | (np.arange(len(cloud)) % 90 == 0)
-    )
+    behind = np.abs(np.abs(azimuth) - np.pi) < 0.78
+    part = cloud.select(behind | (np.arange(len(cloud)) % 90 == 0))
     for seen in (part, replace(part, ring=None)):
         check_sensor(seen, narrow)
         assert sensor_doubt(seen, narrow) == ""
@@ -182,6 +181,11 @@ def test_wide_beams_add_the_scatter_of_a_pole_seen_wider() -> None:
     across = np.random.default_rng(0).uniform(-1, 1, 200_000)
     added = np.sqrt(np.var(seen * across) - np.var(ordinary * across))
     assert far == pytest.approx(added, rel=0.1)
+
+
+def test_noisy_ranges_add_what_ordinary_ones_have_not() -> None:
+    assert beam_scatter(6.0, 0.02, Beams(0.003, 0.0, 0.015)) == 0.0
+    assert beam_scatter(6.0, 0.02, Beams(0.003, 0.0, 0.02)) == pytest.approx(0.0173, abs=1e-4)
 
 
 def test_returns_of_a_ring_on_a_pole_are_counted_where_the_step_is_known() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from retropole.base.datatypes import PointCloud, Pole
 from retropole.base.errors import Refusal
+from retropole.base.sensors import find_sensor
 from retropole.base.systematic import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
@@ -115,6 +116,21 @@ def test_who_stands_before_a_lidar_is_asked_to_step_aside(poles: list[Pole]) -> 
 def test_moving_and_new_poles(poles: list[Pole]) -> None:
     assert said(view("front", poles), view("rear", poles, NOW - 0.2, moved=True)).code == "moving"
     assert said(view("front", poles), view("rear", poles, NOW - 0.2)).code == "settling"
+
+
+def test_where_a_lidar_sees_that_does_not_see_all_around_is_said(
+    poles: list[Pole], make_pole: PoleMaker
+) -> None:
+    at128 = find_sensor("AT128")
+    rear = replace(view("rear", poles[:1]), sensor=at128)
+    assert "inside the 120° that rear sees" in said(view("front", poles), rear).words
+    nobody = replace(view("rear", []), sensor=at128)
+    assert "inside the 120° that rear sees" in said(view("front", []), nobody).words
+    edge = [poles[0], make_pole([2.7, 4.4, 0], LEANING)]
+    assert said(view("front", edge), replace(view("rear", poles), sensor=at128)).code == "good"
+    advice = said(view("front", edge), replace(view("rear", edge), sensor=at128))
+    assert advice.code == "at_edge"
+    assert "5.2 m from rear is at the edge" in advice.words
 
 
 def test_parallel_poles_are_to_be_leaned(poles: list[Pole], make_pole: PoleMaker) -> None:

@@ -1,6 +1,7 @@
 """Poles followed from sweep to sweep."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
+from retropole.base.sensors import find_sensor
 from retropole.io import Frame
+from retropole.io.live import Source
 from retropole.planning.live_poles import (
     LATELY,
     LEAST_SECONDS,
@@ -16,6 +19,8 @@ from retropole.planning.live_poles import (
     REMEMBERED,
     Looked,
     Tracked,
+    View,
+    Watched,
     angle_between,
     away_from,
     begun,
@@ -201,3 +206,13 @@ def test_another_placement_is_told_by_its_poles(make_pole: PoleMaker) -> None:
     # One that is not seen now says nothing.
     gone = replace(moved, seen=-10.0)
     assert not is_elsewhere(capture, [here, (gone, here[1])], 1.0)
+
+
+def test_sweeps_that_do_not_repeat_are_searched_together() -> None:
+    def sizes(sensor: str) -> list[int]:
+        watched = Watched(cast(Source, None), View("front", sensor=find_sensor(sensor)), None)
+        sweeps = (PointCloud(np.full((5, 3), float(k)), np.arange(5.0)) for k in range(4))
+        return [len(watched.together(sweep)) for sweep in sweeps]
+
+    assert sizes("Avia") == [5, 10, 10, 10]
+    assert sizes("XT32") == [5, 5, 5, 5]

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,9 @@ from retropole.planning.place import (
     Area,
     Candidates,
     beams_met,
+    field_of,
     is_seen,
+    stands_inside,
     survey,
     thinned,
 )
@@ -117,6 +121,23 @@ def test_every_candidate_is_seen_by_two_and_stands_on_the_ground() -> None:
         beams, width = station.seen_from_place(), divergences_of(found.stations)[i]
         for k in found.numbers:
             assert len(beams_met(found.candidates.pole(k), beams, width).beam) >= MIN_RETURNS
+
+
+def test_poles_stand_a_lean_inside_a_limited_view() -> None:
+    sensor = replace(find_sensor("XT32"), azimuth_span=(-1.0, 1.0))
+    station = stand_drawn(["a"], [sensor], [pose(0.0, 0.0, 1.8)], BOXES)[0]
+    assert np.abs(np.arctan2(*station.beams.directions[:, [1, 0]].T)).max() < 1.01
+    assert field_of(station) is sensor
+    at = np.array([[4.0, 0.0], [2.2, 3.2], [0.0, 4.0]])
+    up = np.tile([0.0, 0.0, 1.0], (3, 1))
+    poles = Candidates(np.c_[at, np.zeros(3)], up, 2.0, 0.02)
+    # The second is within the field, and would not be if it leaned.
+    assert sensor.has_in_view(poles.centre).tolist() == [True, True, False]
+    inside = [stands_inside(poles.pole(k), station, sensor) for k in range(3)]
+    assert inside == [True, False, False]
+    # Of a recording that was turned it is not known where the field ends.
+    turned = replace(station, cloud=station.cloud.transformed(pose(0.0, 0.0, 0.0, 90.0)))
+    assert field_of(turned) is None
 
 
 def test_thinned_feet_are_apart() -> None:

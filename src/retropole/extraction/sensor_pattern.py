@@ -47,8 +47,8 @@ were set, and nothing is granted."""
 
 @dataclass(frozen=True)
 class Beams:
-    """What is known of the beams that met a line: full angle, and step of the sweep, rad; and 1 σ of
-    their ranges, metres.
+    """What is known of the beams that met a line: full angle and step of the sweep, rad, and 1 σ of
+    the ranges, metres.
 
     Zero where it is not known: nothing is then granted for it.
     """
