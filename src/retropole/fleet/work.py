@@ -38,8 +38,7 @@ from .storage import (
 )
 
 if TYPE_CHECKING:
-    from ..api.result import CalibrationResult
-    from ..api.site import SiteResult
+    from ..api.result import CalibrationResult, SiteResult
 
 
 Doc = TypeVar("Doc", ResultDoc, SiteDoc)
@@ -254,8 +253,7 @@ def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
     """Calibrate, and call the files as they were given."""
-    from ..api.calibration import calibrate_with
-    from ..api.site import calibrate_site
+    from ..api.calibration import calibrate_site, calibrate_with
 
     if local.site is not None:
         of_site = calibrate_site(local.site)
