@@ -38,8 +38,7 @@ from ..result import (
 from ..result.decoding import decode_site
 from ..result.site import LIDARS, SiteDoc
 from ..surfaces.consistency import contradicting_points, standing_in
-from .stored import StoredScans, decode_pair, loaded, scans_of
-from .travelling import AnyDoc, named_from
+from .stored import AnyDoc, StoredScans, decode_pair, loaded, named_from, scans_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,24 +1,27 @@
 """The recordings of a stored result, of a pair or a site: found, read and searched for poles again.
 
-They are read as the run did, wherever they lie now.
+They are read as the run did, wherever they lie now: files that a document names are seen from its
+folder, so that both may be moved together.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
+from pathlib import Path, PurePath
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import structs
 
 from ..base.datatypes import Scan
 from ..base.errors import ReadError, UsageError, naming, printable, readable
-from ..base.files import path_of_text, read_document
+from ..base.files import path_in_text, path_of_text, read_document
 from ..base.quantities import counted, step_of
-from ..base.sensors import name_from
+from ..base.sensors import is_sensor_file, name_from
 from ..export import Transform
 from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
@@ -28,22 +31,21 @@ from ..result import (
     SITE_REPORT_FILE,
     InputDoc,
     PoleDoc,
-    Reading,
     ResultDoc,
     any_result_file,
 )
 from ..result.decoding import decode
-from ..result.site import SITE_SCHEMA, RecordingDoc, SiteDoc, as_site
+from ..result.site import LIDARS, SITE_SCHEMA, RecordingDoc, SiteDoc, as_site
 from .inputs import SILENT, Listener, read_input, recording_hash
 
 Loaded = TypeVar("Loaded")
+AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
 
 MOST_NOTES = 3
 """So many recordings that a page does not show are named with the reason; others are counted."""
-
 
 MAY_DIFFER = "the picture may not be that of the figures"
 """What a recording that is not the one of the run means for a page."""
@@ -109,7 +111,8 @@ def scans_of(
     for k, (item, path, _) in enumerate(recordings, 1):
         progress(step_of("read", k, len(recordings)))
         if path is not None:
-            scan = read_input(path, reading_of(item, site, beside)).search(site.radius_m)
+            how = item.reading(site.config.max_points)
+            scan = read_input(path, how).search(site.radius_m)
             listed = site.found[item.lidar][item.placement]
             rows[item.lidar][item.placement] = agreeing(scan, listed.poles) if listed else scan
     faults = dict.fromkeys(each.fault for each in recordings if each.fault)
@@ -119,12 +122,6 @@ def scans_of(
     if is_site and (rest := len(notes[MOST_NOTES:])):
         notes[MOST_NOTES:] = [f"likewise not shown: {counted(rest, 'more recording')}"]
     return StoredScans(rows, tuple(notes))
-
-
-def reading_of(item: RecordingDoc, site: SiteDoc, beside: Path) -> Reading:
-    """Say how a recording was read, with the sensor and the threshold that the run used."""
-    how = item.reading(site.config.max_points)
-    return how._replace(sensor=name_from(beside, item.sensor))
 
 
 def find_recordings(
@@ -168,7 +165,7 @@ def find_recordings(
         raise UsageError(
             f"{known[sha256]}: is no recording of this result: none has its SHA-256, {sha256[:12]}…"
         )
-    site = as_site(document)
+    site = with_sensors_from(as_site(document), beside)
     for k, item in enumerate(site.inputs):
         if is_site and not (site.found and site.found[item.lidar][item.placement]):
             # The run could not use it, and its page does not show it.
@@ -207,10 +204,19 @@ def _has_hash(place: Path, sha256: str) -> bool:
     return False
 
 
-def hashes_of(result: ResultDoc) -> tuple[tuple[str, str], ...]:
-    """Give SHA-256 of target and source of each placement."""
-    hashes = [item.sha256 for item in result.inputs]
-    return tuple(zip(hashes[::2], hashes[1::2], strict=False))
+def hashes_of(
+    document: ResultDoc | SiteDoc, lidars: tuple[str, str] = LIDARS
+) -> tuple[tuple[str, str], ...]:
+    """Give SHA-256 of two LiDARs, target and source, in each placement that both recorded."""
+    site = as_site(document)
+    names = [lidar.name for lidar in site.lidars]
+    target, source = (names.index(name) for name in lidars)
+    hashes = {(each.lidar, each.placement): each.sha256 for each in site.inputs}
+    return tuple(
+        (sha256, hashes[source, placement])
+        for (lidar, placement), sha256 in hashes.items()
+        if lidar == target and (source, placement) in hashes
+    )
 
 
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
@@ -315,10 +321,10 @@ def recording_of(
     document = result_in(read_document(file))
     clouds = [(path, DEFAULT_CONFIG.of_target) for path in given]
     if isinstance(document, ResultDoc):
-        site, clouds = as_site(document), []
+        clouds = []
         for item, path, fault in find_recordings(document, file.parent, given):
             assert path is not None
-            clouds.append((path, reading_of(item, site, file.parent)))
+            clouds.append((path, item.reading(document.config.max_points)))
             if fault:
                 note(f"{fault}; {MAY_DIFFER}")
         if len(clouds) > 2:
@@ -340,3 +346,76 @@ def agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
         for pole, document in zip(scan.poles, listed, strict=True)
     )
     return scan if same else replace(scan, detection=None)
+
+
+def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
+    """Name the files of a document by their paths from the folder that it is written to.
+
+    Parameters
+    ----------
+    document
+        Of a pair or of a site.
+    folder
+        Where it is going to be.
+    beside
+        Folder that its paths count from now; else they are those from here.
+
+    Returns
+    -------
+    AnyDoc
+        What is no file that is there, as an array, and what is on another drive, keeps its name.
+    """
+
+    def name(text: str) -> str:
+        return _name(text, folder, beside)
+
+    def sensor(text: str) -> str:
+        return name(text) if is_sensor_file(text) else text
+
+    return renamed(document, name, sensor)
+
+
+def renamed(
+    document: AnyDoc, name: Callable[[str], str], sensor: Callable[[str], str] = str
+) -> AnyDoc:
+    """Call the files of a document, and its sensors, otherwise."""
+    inputs = [
+        structs.replace(each, path=name(each.path), sensor=sensor(each.sensor))
+        for each in document.inputs
+    ]
+    document = structs.replace(document, inputs=inputs)
+    if isinstance(document, SiteDoc):
+        config = structs.replace(document.config, site_file=name(document.config.site_file))
+        lidars = [structs.replace(each, sensor=sensor(each.sensor)) for each in document.lidars]
+        return structs.replace(document, config=config, lidars=lidars)
+    given = {key: getattr(document.config, key) for key in ("sensor_target", "sensor_source")}
+    sensors = {key: sensor(each) for key, each in given.items()}
+    return structs.replace(document, config=structs.replace(document.config, **sensors))
+
+
+def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
+    """Give the sensors that a document names by files so that they mean the same from anywhere.
+
+    Parameters
+    ----------
+    document
+        Of a pair or of a site.
+    folder
+        That holds it.
+    """
+    return renamed(document, str, partial(name_from, folder))
+
+
+def _name(text: str, folder: Path, beside: Path) -> str:
+    given = path_of_text(text) if text else None
+    place = next((p for p in (given and beside / given, given) if p and p.exists()), None)
+    if place is None:
+        return text
+    # Links to folders are followed, as the system does where it goes up from one; a link to the
+    # file is not: it is what is beside the document.
+    real = Path(os.path.realpath(place.parent), place.name)
+    try:
+        relative = os.path.relpath(real, os.path.realpath(folder))
+    except ValueError:
+        return path_in_text(real)
+    return path_in_text(PurePath(relative).as_posix())

@@ -395,15 +395,9 @@ class LocalFiles:
 
     def named(self, document: Doc) -> Doc:
         """Call the files of a result document as they were given."""
-        inputs = [
-            msgspec.structs.replace(each, path=self.renamed(each.path)) for each in document.inputs
-        ]
-        document = msgspec.structs.replace(document, inputs=inputs)
-        if isinstance(document, SiteDoc):
-            site_file = self.renamed(document.config.site_file)
-            config = msgspec.structs.replace(document.config, site_file=site_file)
-            document = msgspec.structs.replace(document, config=config)
-        return document
+        from ..api.stored import renamed
+
+        return renamed(document, self.renamed)
 
 
 @contextmanager

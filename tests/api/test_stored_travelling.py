@@ -9,8 +9,7 @@ import pytest
 
 import retropole as rp
 from retropole.api.checking import read_stored
-from retropole.api.stored import find_recordings
-from retropole.api.travelling import named_from
+from retropole.api.stored import find_recordings, named_from
 from retropole.io import write_pcd
 from retropole.result import encode
 from retropole.result.site import RecordingDoc, SiteConfig
