@@ -20,7 +20,7 @@ from retropole.base.errors import ReadError, Refusal
 from retropole.base.uncertainty.purpose import Need
 from retropole.cli import run
 from retropole.export import FORMATS, TREE_FORMATS, read_transform
-from retropole.report import render_report, render_site
+from retropole.report import render_report
 from retropole.report.pole_plan import describe_plan, render_pole_plan
 from retropole.result import REPORT_FILE, encode
 from retropole.result.certification import FieldTestDoc, field_test_document
@@ -173,7 +173,7 @@ def hold_site(path: Path, dice: random.Random) -> None:
     document = decode_site(path.read_bytes())
     for lidar in document.lidars:
         assert lidar.T_site_lidar is None or np.isfinite(lidar.T_site_lidar).all()
-    assert_no_nan(render_site(document))
+    assert_no_nan(render_report(document))
 
 
 def hold_plan(path: Path, dice: random.Random) -> None:

@@ -16,13 +16,12 @@ from .base.version import __version__
 # Type checkers know the name; to import typing takes longer than all the rest.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .api.calibration import calibrate
+    from .api.calibration import calibrate, calibrate_site
     from .api.detection import detect
     from .api.evaluation import evaluate
     from .api.planning import plan
-    from .api.result import CalibrationResult, load_result
+    from .api.result import CalibrationResult, SiteResult, load_result, load_site_result
     from .api.simulation import simulate
-    from .api.site import SiteResult, calibrate_site, load_site_result
     from .base.datatypes import PointCloud
     from .base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
     from .io import read_cloud
@@ -34,14 +33,14 @@ _MODULES = {
     "ReadError": "base.errors",
     "Refusal": "base.errors",
     "RetropoleError": "base.errors",
-    "SiteResult": "api.site",
+    "SiteResult": "api.result",
     "UsageError": "base.errors",
     "calibrate": "api.calibration",
-    "calibrate_site": "api.site",
+    "calibrate_site": "api.calibration",
     "detect": "api.detection",
     "evaluate": "api.evaluation",
     "load_result": "api.result",
-    "load_site_result": "api.site",
+    "load_site_result": "api.result",
     "plan": "api.planning",
     "read_cloud": "io",
     "simulate": "api.simulation",

@@ -8,7 +8,7 @@ import pytest
 
 from retropole.api.checking import read_stored
 from retropole.api.inputs import recording_hash
-from retropole.api.site import SiteResult
+from retropole.api.result import SiteResult
 from retropole.base.errors import ReadError, Refusal
 from retropole.io import sha256_of
 from retropole.result import SITE_RESULT_FILE, encode

@@ -9,7 +9,6 @@ import pytest
 
 import retropole as rp
 from retropole.adjustment.answer import SiteCalibration
-from retropole.api import site as api_site
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
@@ -24,7 +23,7 @@ def answering(monkeypatch: pytest.MonkeyPatch, status: Status = "ok") -> None:
     def answer(site: Site, **options: object) -> SiteCalibration:
         return answer_to(site, status)
 
-    monkeypatch.setattr(api_site, "find_poses", answer)
+    monkeypatch.setattr("retropole.pipeline.calibrate_site", answer)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.api.stored import find_inputs, placements_of
+from retropole.api.stored import find_recordings, scans_of
 from retropole.base.datatypes import Placement, PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import ARRAY_SOURCE, read_cloud, sha256_of, write_pcd
@@ -52,10 +53,14 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Stored:
     return stored_run(tmp_path_factory.mktemp("run"))
 
 
+def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> list[Path | None]:
+    return [each.path for each in find_recordings(result, beside, given)]
+
+
 def test_page_of_the_stored_result_is_that_of_the_run(stored: Stored) -> None:
-    found = placements_of(stored.result, stored.folder)
+    found = scans_of(stored.result, stored.folder)
     assert found.notes == ()
-    page = render_report(stored.result, found.placements)
+    page = render_report(stored.result, found.scans)
     assert page == render_report(stored.result, stored.placements)
 
 
@@ -72,30 +77,35 @@ def test_recordings_are_found_from_here_beside_the_result_and_by_name(
 
 def test_what_is_given_is_taken_and_what_differs_is_said(stored: Stored) -> None:
     swapped = [stored.folder / path for path in reversed(FILES)]
-    found = placements_of(stored.result, stored.folder, swapped)
+    found = scans_of(stored.result, stored.folder, swapped)
     assert len(found.notes) == 2
     for note, path in zip(found.notes, swapped, strict=True):
         assert f"{path} is not the file that the run read" in note
     # The poles found in a wrong cloud are not held against the result's.
-    assert found.placements[0].target.detection is None
-    assert "rms from the surface" not in render_report(stored.result, found.placements)
+    target = found.scans[0][0]
+    assert target is not None
+    assert target.detection is None
+    assert "rms from the surface" not in render_report(stored.result, found.scans)
 
 
 def test_detection_is_kept_where_its_poles_are_those_of_the_result(stored: Stored) -> None:
     poles = PolesDoc(stored.result.poles.target, stored.result.poles.source[:-1])
-    (placement,) = placements_of(replace(stored.result, poles=poles), stored.folder).placements
-    assert placement.target.detection is not None
-    assert placement.source.detection is None
-    assert len(placement.source.cloud) > 0
+    (target,), (source,) = scans_of(replace(stored.result, poles=poles), stored.folder).scans
+    assert target is not None
+    assert target.detection is not None
+    assert source is not None
+    assert source.detection is None
+    assert len(source.cloud) > 0
 
 
 def test_several_placements_are_read_pair_by_pair(stored: Stored) -> None:
     inputs = stored.result.inputs
     crossed = replace(stored.result, inputs=[*inputs, inputs[1], inputs[0]])
-    first, second = placements_of(crossed, stored.folder).placements
-    assert len(first.target.cloud) == len(second.source.cloud)
-    assert len(first.source.cloud) == len(second.target.cloud)
-    assert second.target.detection is not None
+    target, source = scans_of(crossed, stored.folder).scans
+    counts = [[each and len(each.cloud) for each in row] for row in (target, source)]
+    assert counts[0] == counts[1][::-1]
+    assert target[1] is not None
+    assert target[1].detection is not None
 
 
 def test_frames_of_the_run_are_read(stored: Stored, tmp_path: Path) -> None:
@@ -108,26 +118,27 @@ def test_frames_of_the_run_are_read(stored: Stored, tmp_path: Path) -> None:
     inputs = [replace(item, path=Path(item.path).stem) for item in stored.result.inputs]
     config = RunConfig(refine=False, frames=(1, 2, None))
     frames = replace(stored.result, inputs=inputs, config=config)
-    (placement,) = placements_of(frames, tmp_path).placements
-    assert len(placement.target.cloud) == len(read_cloud(tmp_path / "front" / "1.pcd"))
+    (target,), _ = scans_of(frames, tmp_path).scans
+    assert target is not None
+    assert len(target.cloud) == len(read_cloud(tmp_path / "front" / "1.pcd"))
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_result_without_a_target_and_a_source_is_an_error(stored: Stored, count: int) -> None:
     inputs = (2 * stored.result.inputs)[:count]
     with pytest.raises(ReadError, match=f"names {count} inputs"):
-        placements_of(replace(stored.result, inputs=inputs), stored.folder)
+        scans_of(replace(stored.result, inputs=inputs), stored.folder)
 
 
 def test_a_wrong_number_of_recordings_is_an_error(stored: Stored) -> None:
     with pytest.raises(UsageError, match="1 clouds are given, the result has 2"):
-        placements_of(stored.result, stored.folder, [stored.folder / FILES[0]])
+        scans_of(stored.result, stored.folder, [stored.folder / FILES[0]])
 
 
 def test_a_recording_that_is_gone_is_named(stored: Stored, tmp_path: Path) -> None:
     inputs = [replace(item, path="gone.pcd") for item in stored.result.inputs]
     with pytest.raises(ReadError, match=r"^gone.pcd: not found .*TARGET and SOURCE"):
-        placements_of(replace(stored.result, inputs=inputs), tmp_path)
+        scans_of(replace(stored.result, inputs=inputs), tmp_path)
 
 
 @pytest.mark.parametrize("path", [ARRAY_SOURCE, ""])
@@ -136,7 +147,7 @@ def test_an_array_is_not_looked_for_among_the_files(stored: Stored, path: str) -
         stored.result, inputs=[replace(item, path=path) for item in stored.result.inputs]
     )
     with pytest.raises(ReadError, match=r"was an array.*TARGET and SOURCE"):
-        placements_of(result, stored.folder)
+        scans_of(result, stored.folder)
     given = [stored.folder / file for file in FILES]
     assert find_inputs(result, stored.folder, given) == given
 
@@ -144,4 +155,4 @@ def test_an_array_is_not_looked_for_among_the_files(stored: Stored, path: str) -
 def test_topics_are_asked_of_bags_alone(stored: Stored) -> None:
     config = RunConfig(target_topic="/front")
     with pytest.raises(UsageError, match="has no topics"):
-        placements_of(replace(stored.result, config=config), stored.folder)
+        scans_of(replace(stored.result, config=config), stored.folder)

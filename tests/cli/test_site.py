@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from retropole.adjustment.answer import SiteCalibration
-from retropole.api import site as api_site
 from retropole.base.bounded import Status
 from retropole.base.description import Site
 from retropole.cli import run
@@ -26,7 +25,7 @@ def answering(monkeypatch: pytest.MonkeyPatch, status: Status) -> None:
     def answer(site: Site, **options: object) -> SiteCalibration:
         return answer_to(site, status)
 
-    monkeypatch.setattr(api_site, "find_poses", answer)
+    monkeypatch.setattr("retropole.pipeline.calibrate_site", answer)
 
 
 def test_a_folder_becomes_a_site_that_is_read(tmp_path: Path) -> None:

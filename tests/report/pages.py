@@ -10,8 +10,8 @@ import pytest
 from retropole.base.bounded import Status
 from retropole.base.datatypes import PointCloud, Scan
 from retropole.base.errors import Refusal
-from retropole.report import render_recordings, render_report, render_site
-from retropole.report.subject import Subject, of_pair, of_site
+from retropole.report import render_recordings, render_report
+from retropole.report.subject import Subject, as_subject
 from tests.report.made_up import made_up
 from tests.report.site.made_up import document_of, made_up_site
 
@@ -32,9 +32,9 @@ def cloud_of(count: int) -> PointCloud:
 def subject_of(kind: str, status: Status = "ok", count: int = 300) -> Subject:
     """Make up what a page is of."""
     if kind == "pair":
-        return of_pair(*made_up(status, count))
+        return as_subject(*made_up(status, count))
     site = made_up_site(status, lidars=4, placements=2, count=count)
-    return of_site(document_of(site), site.scans)
+    return as_subject(document_of(site), site.scans)
 
 
 @cache
@@ -49,4 +49,4 @@ def page_of(kind: str, status: Status = "ok", count: int = 300, notes: tuple[str
     if kind == "pair":
         return render_report(*made_up(status, count), notes=notes)
     site = made_up_site(status, lidars=4, placements=2, count=count)
-    return render_site(document_of(site), site.scans, notes=notes)
+    return render_report(document_of(site), site.scans, notes=notes)

@@ -15,7 +15,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
-from retropole.report import render_recordings, render_report, render_site
+from retropole.report import render_recordings, render_report
 from retropole.result import ReasonDoc
 from retropole.simulation import simulate_pair
 from tests.report.browser import Browser, Picture, needs_browser
@@ -322,7 +322,7 @@ def test_a_refused_site_shows_one_lidar_at_a_time(browser: Browser, tmp_path: Pa
 
 @pytest.mark.full
 def test_a_page_without_clouds_works(browser: Browser, tmp_path: Path) -> None:
-    browser.open(tmp_path, render_site(document_of(made_up_site(lidars=2, count=20))))
+    browser.open(tmp_path, render_report(document_of(made_up_site(lidars=2, count=20))))
     browser.find("#theme").click()
     assert browser.root("theme") == "dark"
 

@@ -16,7 +16,7 @@ from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import Fitness, displacement_bound, displacement_bounds
 from retropole.report import render_report
 from retropole.report.curves import RANGES, curve_figure, curve_sentence, error_curve
-from retropole.report.subject import of_pair
+from retropole.report.subject import as_subject
 from retropole.report.text import describe_result
 from retropole.result import SwayDoc
 from tests.report.made_up import Page, made_up
@@ -26,7 +26,7 @@ NOWHERE = {"T_target_source": None, "covariance": None}
 
 
 def curve_of(**fields: object):  # type: ignore[no-untyped-def]
-    return error_curve(of_pair(replace(RESULT, **fields), ()))
+    return error_curve(as_subject(replace(RESULT, **fields), ()))
 
 
 def corners(html: str) -> list[np.ndarray]:

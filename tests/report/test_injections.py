@@ -11,7 +11,7 @@ import pytest
 
 from retropole.base.datatypes import Detection, PointCloud, RejectedCluster, Scan
 from retropole.base.errors import visible
-from retropole.report import render_recordings, render_report, render_site
+from retropole.report import render_recordings, render_report
 from tests.report.browser import Browser, WebDriverWait, needs_browser
 from tests.report.hostile import hostile_pair, hostile_site
 from tests.report.injections import INJECTIONS, ONLY_TEXT, injection
@@ -88,7 +88,7 @@ def check_report(browser: Browser, tmp_path: Path, kind: str, start: int) -> set
         html = render_report(*pair, notes=notes)
     else:
         site = hostile_site(status, text, keeps_status=start % 3 > 0)
-        html = render_site(*site, notes=notes)
+        html = render_report(*site, notes=notes)
     browser.open(tmp_path, html)
     press_all(browser)
     browser.run(

@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.base.errors import escaped
-from retropole.report import render_report, render_site
+from retropole.report import render_report
 from retropole.report.field_test import render_field_test
 from retropole.report.listings import number
 from retropole.report.page import NO_BREAK, PIECE, asset, inline, plus_minus, share_styles, table
@@ -102,7 +102,7 @@ def pages() -> Iterator[tuple[str, str]]:
         )
         yield (
             f"site {status}",
-            render_site(*hostile_site(status, sign_by_sign()), notes=[STEERING], site=STEERING),
+            render_report(*hostile_site(status, sign_by_sign()), notes=[STEERING], site=STEERING),
         )
     test = field_test(measured(off=0.05))
     hostile = everywhere(test, sign_by_sign())

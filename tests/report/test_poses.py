@@ -20,8 +20,9 @@ from retropole.report.listings import error_parts
 from retropole.report.page import NO_BREAK, fill
 from retropole.report.poses import FRAMES, LISTED_SOURCES, UNFOLDED, certainty, poses, transform
 from retropole.report.poses import certificate as certificate_of
-from retropole.report.subject import Subject, of_pair
+from retropole.report.subject import Subject, as_subject
 from retropole.result import BudgetEntry, ResultDoc
+from retropole.result.site import LIDARS
 from tests.report.made_up import AS_SHOWN, BUDGET, HOSTILE, RANDOM, T_TRUE, Page, made_up
 from tests.report.pages import of_each_kind, page_of, subject_of
 from tests.report.site.made_up import document_of, made_up_site
@@ -36,7 +37,7 @@ def whole(subject: Subject) -> str:
 
 
 def of_result(**fields: object) -> Page:
-    page = Page(whole(of_pair(replace(RESULT, **fields), ())))
+    page = Page(whole(as_subject(replace(RESULT, **fields), ())))
     assert page.open == []
     return page
 
@@ -52,7 +53,7 @@ def test_a_refused_page_gives_no_pose_to_copy(kind: str) -> None:
 
 
 def test_lines_to_copy_are_those_of_export() -> None:
-    html = whole(of_pair(RESULT, ()))
+    html = whole(as_subject(RESULT, ()))
     written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
     expected = export_lines(T_TRUE, *FRAMES, "verdict of the calibration: ok")
     assert set(written) == set(expected)
@@ -138,7 +139,7 @@ def test_every_source_of_error_is_listed_the_largest_first() -> None:
 
 def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
     many = [replace(BUDGET[0], name=f"part {k}", share_at_30m=0.004) for k in range(200)]
-    html = whole(of_pair(replace(RESULT, budget=many), ()))
+    html = whole(as_subject(replace(RESULT, budget=many), ()))
     budget = html[html.index("What the error is made of") :]
     assert "part 0" in budget.split("<details>")[0]
     assert "199 smaller, together 80 %" in budget
@@ -164,7 +165,7 @@ TO_FILL = fill("to-fill")
 
 
 def certificate(result: ResultDoc, place: str = "", serials: tuple[str, str] = ("", "")) -> str:
-    return certificate_of(of_pair(result, (), serials), place)
+    return certificate_of(as_subject(result, (), dict(zip(LIDARS, serials, strict=True))), place)
 
 
 def test_it_states_all_that_a_reader_would_ask_for() -> None:

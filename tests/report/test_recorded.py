@@ -16,6 +16,7 @@ from retropole.base.datatypes import Detection, Placement, RejectedCluster, Scan
 from retropole.base.reasons import Code
 from retropole.base.sensors import find_sensor
 from retropole.extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
+from retropole.hypotheses.choice import hypothesis_name
 from retropole.report import listings, recorded
 from retropole.report.page import SHOWN, listed
 from retropole.report.recorded import across, fit_circle, poles, run
@@ -23,15 +24,13 @@ from retropole.report.recorded import cross_sections as cross_sections_of
 from retropole.report.recorded import missing_poles as missing_poles_of
 from retropole.report.subject import (
     Subject,
-    hypothesis_name,
-    input_names,
-    of_pair,
+    as_subject,
     pair_name,
     pole_labels,
     pole_name,
 )
 from retropole.result import PlacementDoc, ResultDoc, RunConfig
-from retropole.result.site import SiteDoc
+from retropole.result.site import SiteDoc, input_names
 from retropole.simulation.devices import TYPICAL
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scanning import scan
@@ -45,7 +44,7 @@ WARNED = document_of(made_up_site("warn", lidars=5, placements=4, count=10))
 
 
 def pair(**fields: object) -> Subject:
-    return of_pair(replace(RESULT, **fields), PLACEMENTS)
+    return as_subject(replace(RESULT, **fields), PLACEMENTS)
 
 
 def headings(html: str) -> list[str]:
@@ -169,7 +168,7 @@ def test_inputs_are_named_by_file_and_topic() -> None:
 
 
 def cross_sections(result: ResultDoc, placement: Placement) -> str:
-    return cross_sections_of(of_pair(result, [placement]))
+    return cross_sections_of(as_subject(result, [placement]))
 
 
 def test_circle_of_known_radius_is_found_from_one_side() -> None:
@@ -244,7 +243,7 @@ def lacking(
 
 
 def missing_poles(result: ResultDoc, placements: Sequence[Placement]) -> str:
-    return missing_poles_of(of_pair(result, placements))
+    return missing_poles_of(as_subject(result, placements))
 
 
 def text_of(result: ResultDoc, *placements: Placement) -> str:

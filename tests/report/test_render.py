@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.errors import visible
-from retropole.report import render_recordings, render_report, render_site
+from retropole.report import render_recordings, render_report
 from retropole.report.view import MAX_PAIR_POINTS
 from retropole.result import PlacementDoc, PolesDoc, ResultDoc, RunConfig, StagesDoc, encode
 from tests.report.hostile import hostile_pair, hostile_site
@@ -105,7 +105,7 @@ def test_text_of_a_run_stays_text(kind: str, status: Status) -> None:
     if kind == "pair":
         html = render_report(*hostile_pair(status, text), notes=[text()])
     else:
-        html = render_site(*hostile_site(status, text), notes=[text()])
+        html = render_report(*hostile_site(status, text), notes=[text()])
     page = Page(html)
     # Its data, three.js, and three of its own.
     assert [tag for tag, _ in page.tags].count("script") == 5
@@ -141,11 +141,11 @@ def test_a_page_of_nothing_or_of_another_site_is_an_error() -> None:
     site = made_up_site(lidars=3, placements=2, count=20)
     for other in (made_up_site(lidars=4, placements=2), made_up_site(lidars=3, placements=1)):
         with pytest.raises(ValueError, match="other LiDARs or placements"):
-            render_site(document_of(site), other.scans)
+            render_report(document_of(site), other.scans)
 
 
 def test_a_page_without_clouds_has_all_but_the_view() -> None:
-    page = Page(render_site(document_of(made_up_site(lidars=3, count=20))))
+    page = Page(render_report(document_of(made_up_site(lidars=3, count=20))))
     assert page.data == "null"
     assert not [tag for tag, _ in page.tags if tag == "canvas"]
     assert "Poses of the LiDARs; frame: " in page.text
@@ -180,7 +180,7 @@ def test_pages_of_many_clouds_stay_small() -> None:
     assert f"holds {MAX_PAIR_POINTS:,} of 1,200,000 points" in Page(page).text
     assert len(page.encode()) < 8e6
     site = made_up_site(placements=2, count=100_000)
-    page = render_site(document_of(site), site.scans)
+    page = render_report(document_of(site), site.scans)
     assert len(page.encode()) < MOST_BYTES
     shown = re.findall(r"the page holds ([\d,]+) of ([\d,]+) points", page)[0]
     assert int(shown[0].replace(",", "")) > 1_400_000

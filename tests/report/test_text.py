@@ -21,7 +21,6 @@ from retropole.report.text import (
     WIDTH,
     describe_detection,
     describe_result,
-    describe_site,
     reason_lines,
     table,
     transform_lines,
@@ -105,7 +104,7 @@ def words_of(kind: str, status: Status = "ok", *, verbose: bool = False) -> str:
     if kind == "pair":
         return describe_result(made_up(status, 500).result, WRITTEN, FOLLOWING, verbose=verbose)
     document = document_of(made_up_site(status))
-    return describe_site(document, WRITTEN, FOLLOWING, verbose=verbose)
+    return describe_result(document, WRITTEN, FOLLOWING, verbose=verbose)
 
 
 @of_each_kind
@@ -260,7 +259,7 @@ def test_a_result_is_a_screen_at_most_and_names_every_verdict(status: Status, ma
 @pytest.mark.parametrize(("lidars", "placements"), [(2, 1), (3, 2), (8, 4)])
 def test_a_site_is_a_screen_at_most(status: Status, lidars: int, placements: int) -> None:
     document = document_of(made_up_site(status, lidars=lidars, placements=placements))
-    words = describe_site(document, WRITTEN, FOLLOWING)
+    words = describe_result(document, WRITTEN, FOLLOWING)
     assert fits(words)
     for lidar in document.lidars:
         assert lidar.name in words
@@ -284,7 +283,7 @@ def many(document: SiteDoc, count: int) -> SiteDoc:
 
 @pytest.mark.parametrize("status", ["warn", "refused"])
 def test_many_lidars_and_reasons_fit_too(status: Status) -> None:
-    words = describe_site(many(document_of(made_up_site(status)), 60), WRITTEN)
+    words = describe_result(many(document_of(made_up_site(status)), 60), WRITTEN)
     assert fits(words)
     assert "more; -v lists them" in words
     assert "what to do about each: -v, or site-report.html" in words
@@ -296,14 +295,14 @@ def test_large_coordinates_are_the_frames_own() -> None:
     document = replace(document, frame=frame)
     row = pose_rows(document)[0]
     assert (row.x, row.y, row.z) == ("500000.000", "5700000.000", "0.000")
-    words = describe_site(document, WRITTEN)
+    words = describe_result(document, WRITTEN)
     assert "5700000.000" in words
     assert fits(words)
 
 
 def test_verbose_lists_every_check_and_recording() -> None:
     document = document_of(made_up_site("warn"))
-    words = describe_site(document, WRITTEN, verbose=True)
+    words = describe_result(document, WRITTEN, verbose=True)
     for test in document.tests:
         assert test.name in words
     assert words.count("/data/quay/") == len(document.inputs)
@@ -315,7 +314,7 @@ def test_names_steer_no_terminal() -> None:
     document = document_of(made_up_site())
     lidar = replace(document.lidars[0], name="\x1b[31mred")
     document = replace(document, lidars=[lidar, *document.lidars[1:]])
-    assert "\x1b" not in describe_site(document, WRITTEN)
+    assert "\x1b" not in describe_result(document, WRITTEN)
 
 
 def test_tables_line_up() -> None:

@@ -17,7 +17,7 @@ from retropole.report.curves import curve_sentence, error_curve
 from retropole.report.listings import checks_of_site, probability, statements
 from retropole.report.page import NO_BREAK
 from retropole.report.poses import certainty, certificate
-from retropole.report.subject import Subject, of_pair
+from retropole.report.subject import Subject, as_subject
 from retropole.report.text import describe_result
 from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
@@ -34,7 +34,7 @@ def with_reason(kind: str, reason: ReasonDoc, status: Status = "warn") -> Page:
 
 def of_pair_with(status: Status = "ok", **fields: object) -> Page:
     result: ResultDoc = replace(made_up(status, 500).result, **fields)
-    return Page(verdict(of_pair(result, ())))
+    return Page(verdict(as_subject(result, ())))
 
 
 def site(status: Status = "ok") -> SiteDoc:
@@ -84,7 +84,7 @@ def test_an_answer_says_what_to_do_next(kind: str) -> None:
 
 
 def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
-    text = Page(certainty(of_pair(made_up("ok", 500).result, ()))).text.replace(NO_BREAK, " ")
+    text = Page(certainty(as_subject(made_up("ok", 500).result, ()))).text.replace(NO_BREAK, " ")
     for said in (
         "weakest direction, 1 sigma: height along the poles: 6.0 mm",
         "± 16 mm at 60 m",
@@ -97,7 +97,7 @@ def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
 def test_the_verdict_of_a_pair_is_a_sentence_and_says_the_rest_below() -> None:
     page = of_pair_with()
     assert not [1 for tag, _ in page.tags if tag in ("li", "dl")]
-    curve = error_curve(of_pair(made_up("ok", 500).result, ()))
+    curve = error_curve(as_subject(made_up("ok", 500).result, ()))
     assert curve is not None
     assert curve_sentence(curve).startswith("Points up to 30 m away are within ")
 
@@ -123,7 +123,7 @@ def test_what_is_too_likely_wrong_is_not_advised_to_be_used() -> None:
     following = {"next": "retropole export ."}
     for is_trusted in (False, True):
         result = doubted(trusted=is_trusted)
-        subject = of_pair(result, ())
+        subject = as_subject(result, ())
         page = Page(verdict(subject) + next_steps(subject)).text
         words = " ".join(describe_result(result, [], following).split())
         for text in (page, words):
@@ -158,7 +158,7 @@ def test_a_path_keeps_its_small_letter_at_the_start_of_a_message() -> None:
         result = replace(
             made_up("refused", 500).result, reasons=[ReasonDoc("few_points", message, {})]
         )
-        assert f'<p class="{kind}">{message}</p>' in verdict(of_pair(result, ()))
+        assert f'<p class="{kind}">{message}</p>' in verdict(as_subject(result, ()))
 
 
 def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:

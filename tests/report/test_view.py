@@ -12,7 +12,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import view
 from retropole.report.plan import Plan, plan_of
-from retropole.report.subject import Subject, of_pair, of_site
+from retropole.report.subject import Subject, as_subject
 from retropole.report.view import (
     MAX_CONTRADICTING,
     PageView,
@@ -39,7 +39,7 @@ def view_of(subject: Subject, plan: Plan | None = None) -> PageView:
 
 
 def of_result(result: ResultDoc, *placements: Placement) -> PageView:
-    return view_of(of_pair(result, placements or made_up(count=500).placements))
+    return view_of(as_subject(result, placements or made_up(count=500).placements))
 
 
 def test_embedded_json_says_the_same_and_no_markup() -> None:
@@ -109,7 +109,7 @@ def test_marked_points_of_many_placements_stay_few() -> None:
 
 
 def test_every_recording_of_a_site_is_there_with_its_pose() -> None:
-    made = view_of(of_site(DOCUMENT, SITE.scans))
+    made = view_of(as_subject(DOCUMENT, SITE.scans))
     assert [(c.lidar, c.placement) for c in made.clouds] == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0)]
     poses = [np.array(each.T) for each in made.lidars]
     assert np.allclose(poses, [np.array(each.T_site_lidar) for each in DOCUMENT.lidars])
@@ -119,7 +119,7 @@ def test_every_recording_of_a_site_is_there_with_its_pose() -> None:
 def test_poles_of_a_site_lie_on_the_returns_of_every_lidar() -> None:
     # In a tilted plan too: what is turned is turned together.
     R = se3.exp_so3(np.array([0.4, -0.2, 0.9]))
-    made, scan = view_of(of_site(DOCUMENT, SITE.scans), Plan(R, "", None)), SITE.scans[1][0]
+    made, scan = view_of(as_subject(DOCUMENT, SITE.scans), Plan(R, "", None)), SITE.scans[1][0]
     assert scan is not None
     pole, on_pole = made.poles[0], se3.apply(np.array(made.lidars[1].T), scan.poles[0].xyz)
     along = np.array(pole.b) - np.array(pole.a)
@@ -129,7 +129,7 @@ def test_poles_of_a_site_lie_on_the_returns_of_every_lidar() -> None:
 
 def test_points_are_shared_among_the_clouds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "MAX_SITE_POINTS", 250)
-    made = view_of(of_site(DOCUMENT, SITE.scans))
+    made = view_of(as_subject(DOCUMENT, SITE.scans))
     assert [cloud.points.shown for cloud in made.clouds] == [50] * 5
     assert "the page holds 250 of" in made.shown
 
@@ -137,11 +137,11 @@ def test_points_are_shared_among_the_clouds(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_refused_site_has_clouds_without_poses() -> None:
     refused = made_up_site("refused", lidars=3, placements=2, count=50)
     document = document_of(refused)
-    made = view_of(of_site(document, refused.scans))
+    made = view_of(as_subject(document, refused.scans))
     assert made.kind == "alone"
     assert [each.T for each in made.lidars] == [None] * 3
     assert len(made.clouds[0].poles) == 2
-    assert page_view(of_site(document), plan_of(document)) is None
+    assert page_view(as_subject(document), plan_of(document)) is None
 
 
 def test_recordings_begin_with_the_threshold_of_the_search_or_of_the_cloud() -> None:

@@ -1,4 +1,4 @@
-"""`calibrate`: paths, arrays or clouds in, a result out that can be looked at and saved."""
+"""`calibrate` and `calibrate_site`: recordings in, a result out to look at and to save."""
 
 from __future__ import annotations
 
@@ -6,16 +6,25 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
+import numpy as np
+
+from .. import pipeline
+from ..adjustment.answer import SiteCalibration
 from ..base.datatypes import Placement, Scan
+from ..base.description import Site
+from ..base.errors import Refusal
 from ..hypotheses.prior import rotation_prior
+from ..hypotheses.scans import SiteScans
 from ..pipeline import Options
-from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
-from ..verdict.statement import state_refusal
+from ..result.site import site_document
+from ..verdict.statement import state_refusal, state_site_refusal
 from .inputs import (
     SILENT,
     CloudSource,
+    Input,
     InputPair,
     Listener,
     input_documents,
@@ -25,7 +34,8 @@ from .inputs import (
     tell_repeated,
 )
 from .options import checked_options, run_config
-from .result import CalibrationResult
+from .result import CalibrationResult, SiteResult
+from .site_inputs import inputs_of, read_site, repeated
 
 
 def calibrate(
@@ -168,7 +178,7 @@ def calibrate_with(
         unsearched = tuple(Placement(target, source) for target, source in scans)
         calibration = state_refusal(twice, unsearched, (), {})
     else:
-        calibration = find_pose(
+        calibration = pipeline.calibrate(
             [pair.target.cloud for pair in pairs],
             [pair.source.cloud for pair in pairs],
             options=replace(
@@ -193,7 +203,7 @@ def calibrate_with(
         config=config,
         seconds={"read": seconds_read, **calibration.seconds},
     )
-    return CalibrationResult(document, calibration.placements)
+    return CalibrationResult(document, placements=calibration.placements)
 
 
 def known_of(pair: InputPair, config: RunConfig) -> Options:
@@ -205,3 +215,67 @@ def known_of(pair: InputPair, config: RunConfig) -> Options:
         thresholds=(config.threshold_target, config.threshold_source),
         mast_sway=config.mast_sway,
     )
+
+
+def calibrate_site(
+    site: str | Path | Site,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> SiteResult:
+    """Find the poses of all LiDARs of a site in one frame.
+
+    Parameters
+    ----------
+    site
+        A site file, or the folder that holds ``site.toml``; or a `base.description.Site` that was
+        put together in Python.
+    progress
+        Called with the name of each step as it starts, and with which recording of how many is
+        read.
+    on_read
+        Called with each cloud once it is read.
+
+    Returns
+    -------
+    SiteResult
+        With ``status`` ``refused``, the reasons and no poses where the data carry no answer.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        Where the site file or a recording cannot be read; names the key.
+    UsageError
+        Where a site that was put together in Python makes no sense.
+    """
+    progress("read")
+    start = time.perf_counter()
+    if isinstance(site, Site):
+        read = inputs_of(site)
+    else:
+        read = read_site(Path(site), Listener(progress, on_read))
+    documents = read.documents()
+    seconds = time.perf_counter() - start
+    twice = repeated(read, documents)
+    calibration = (
+        refused(read.site, twice)
+        if twice
+        else pipeline.calibrate_site(read.site, progress=progress)
+    )
+    document = site_document(
+        calibration,
+        inputs=documents,
+        config=read.config,
+        seconds={"read": seconds, **calibration.seconds},
+    )
+    return SiteResult(document, calibration=calibration)
+
+
+def refused(site: Site, refusal: Refusal) -> SiteCalibration:
+    """State a refusal before anything was looked for."""
+    scans = tuple(
+        tuple(None if cloud is None else Scan(cloud, lidar.sensor) for cloud in lidar.clouds)
+        for lidar in site.lidars
+    )
+    unsearched = SiteScans(scans, np.zeros((len(scans), 3)))
+    return state_site_refusal(site, unsearched, (), (), refusal, (), {})

@@ -14,7 +14,6 @@ from ..base.datatypes import PoseEstimate
 from ..base.errors import ReadError, Reason, Refusal
 from ..base.files import read_document
 from ..base.reasons import prefixed
-from ..base.sensors import name_from
 from ..base.uncertainty import Uncertainty
 from ..checking.drift import check, swap
 from ..checking.movement import FALSE_ALARM as FALSE_ALARM
@@ -29,8 +28,7 @@ from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig, result_file
 from ..result.site import SiteDoc
 from .calibration import known_of
 from .inputs import SILENT, InputPair, Listener, read_pair
-from .stored import are_swapped, hashes_of
-from .travelling import with_sensors_from
+from .stored import are_swapped, hashes_of, with_sensors_from
 
 
 class Stored(NamedTuple):
@@ -91,17 +89,26 @@ def read_stored(
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    if isinstance(document, SiteDoc) and lidars is not None:
-        return _of_site(document, lidars, file.parent, pose)
-    if not isinstance(document, ResultDoc):
+    if document is None:
         return Stored(pose, DEFAULT_CONFIG, ())
-    document = with_sensors_from(document, file.parent)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
     )
-    parts = None if sigma is not None else document.whole_uncertainty
-    return Stored(pose, document.config, warnings, parts, hashes_of(document))
+    if isinstance(document, ResultDoc):
+        parts = None if sigma is not None else document.whole_uncertainty
+        config = with_sensors_from(document, file.parent).config
+        return Stored(pose, config, warnings, parts, hashes_of(document))
+    assert lidars is not None
+    document = with_sensors_from(document, file.parent)
+    sensor = {lidar.name: lidar.sensor for lidar in document.lidars}
+    config = RunConfig(
+        radius_m=document.radius_m,
+        radius_sigma_m=document.radius_sigma_m,
+        sensor_target=sensor[lidars[0]],
+        sensor_source=sensor[lidars[1]],
+    )
+    return Stored(pose, config, warnings, None, hashes_of(document, lidars))
 
 
 def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None) -> None:
@@ -118,32 +125,6 @@ def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None
             f"of SOURCE with --child; there are {', '.join(there)}; 'retropole site check' checks "
             "them all"
         )
-
-
-def _of_site(
-    document: SiteDoc, lidars: tuple[str, str], folder: Path, pose: PoseEstimate
-) -> Stored:
-    """Take what the result of a site says of two of its LiDARs."""
-    names = [lidar.name for lidar in document.lidars]
-    target, source = (names.index(name) for name in lidars)
-    sensor = [name_from(folder, lidar.sensor) for lidar in document.lidars]
-    config = RunConfig(
-        radius_m=document.radius_m,
-        radius_sigma_m=document.radius_sigma_m,
-        sensor_target=sensor[target],
-        sensor_source=sensor[source],
-    )
-    hashes = {(each.lidar, each.placement): each.sha256 for each in document.inputs}
-    pairs = tuple(
-        (sha256, hashes[source, placement])
-        for (lidar, placement), sha256 in hashes.items()
-        if lidar == target and (source, placement) in hashes
-    )
-    warnings = tuple(
-        Reason(prefixed("stored", reason.code), reason.message, reason.values)
-        for reason in document.reasons
-    )
-    return Stored(pose, config, warnings, None, pairs)
 
 
 def check_recordings(

@@ -38,7 +38,7 @@ from ..simulation.raycast import Material
 from ..simulation.scenes import box
 from .inputs import SILENT, CloudSource, Input, Listener, input_documents, read_input
 from .options import run_config
-from .site import load_site_result
+from .result import load_site_result
 from .site_file import SiteFile, read_site_file
 from .site_inputs import site_file_in
 

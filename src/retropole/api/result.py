@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, ClassVar, Generic
 
 import numpy as np
 
+from ..adjustment.answer import LidarPose, SiteCalibration
 from ..base import se3
-from ..base.datatypes import Array, Placement
-from ..base.errors import printable, visible
+from ..base.datatypes import Array, Placement, Scan
+from ..base.errors import UsageError, printable, visible
 from ..base.files import write_atomically, write_together
 from ..base.quantities import error
+from ..base.se3 import RelativePose, joint_of, relative
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..report import render_report
-from ..report.listings import largest_error, radius_words, scene_words
+from ..report.listings import largest_error, pose_rows, radius_words, scene_words
 from ..result import (
     REPORT_FILE,
     RESULT_FILE,
+    SITE_REPORT_FILE,
+    SITE_RESULT_FILE,
     ErrorAtRange,
     ReasonDoc,
     ResultDoc,
@@ -31,9 +35,10 @@ from ..result import (
     refusal_of,
     result_file,
 )
+from ..result.decoding import decode_site
+from ..result.site import LIDARS, SiteDoc
 from ..surfaces.consistency import contradicting_points, standing_in
-from .stored import StoredInputs, decode_pair, loaded, placements_of
-from .travelling import AnyDoc, named_from
+from .stored import AnyDoc, StoredScans, decode_pair, loaded, named_from, scans_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,9 +52,18 @@ class Result(Generic[AnyDoc]):
     ----------
     document
         Everything that was found, as the file holds it.
+    path
+        The file that it was loaded from; None of a run.
     """
 
     document: AnyDoc
+    path: Path | None = None
+    _files: ClassVar[tuple[str, str]]
+
+    @property
+    def beside(self) -> Path:
+        """Folder that paths in the document count from: of a result that was loaded, its own."""
+        return Path() if self.path is None else self.path.parent
 
     @property
     def status(self) -> str:
@@ -85,10 +99,67 @@ class Result(Generic[AnyDoc]):
     def _rows(self) -> list[tuple[str, str]]:
         return [(reason.code, reason.message) for reason in self.reasons]
 
-    def _write(self, document: AnyDoc, result: Path, page: Path, html: str) -> tuple[Path, Path]:
-        """Write the document and its page, never of two runs."""
-        write_together({result: encode(document), page: html.encode()})
-        return result, page
+    def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
+        """Write the document and its page to a folder, never of two runs.
+
+        Of a pair ``result.json`` and ``report.html``, of a site ``site-result.json`` and
+        ``site-report.html``. Of a result that was loaded, the recordings are read again.
+
+        Parameters
+        ----------
+        folder
+            Made where there is none.
+        relative
+            Whether files are named by their paths from the folder, so that all may be moved
+            together and are found again; else as they are in `document`.
+
+        Returns
+        -------
+        tuple of Path
+            The two files.
+
+        Raises
+        ------
+        ReadError, MissingExtraError
+            Of a loaded result, where a recording of the run is not found, of a site where it cannot
+            be read.
+        OSError
+            Where the folder cannot be written to.
+        """
+        stored, document = self._recorded(), self.document
+        if relative:
+            document = named_from(document, Path(folder), self.beside)
+        page = render_report(document, stored.scans, notes=stored.notes)
+        result, html = (Path(folder, name) for name in self._files)
+        write_together({result: encode(document), html: page.encode()})
+        return result, html
+
+    def _report(
+        self,
+        path: str | Path,
+        clouds: Sequence[str | Path],
+        site: str,
+        serials: Mapping[str, str] | None,
+    ) -> Path:
+        """Write the page alone, of recordings that may lie elsewhere now."""
+        stored = self._recorded([Path(cloud) for cloud in clouds])
+        page = render_report(
+            self.document, stored.scans, notes=stored.notes, site=site, serials=serials
+        )
+        write_atomically(Path(path), page.encode())
+        return Path(path)
+
+    def _recorded(self, clouds: Sequence[Path] = ()) -> StoredScans:
+        """Take the scans of the run, or read them again."""
+        scans = self._scans
+        if scans is not None and not clouds:
+            return StoredScans(scans, ())
+        return scans_of(self.document, self.beside, clouds)
+
+    @property
+    def _scans(self) -> Sequence[Sequence[Scan | None]] | None:
+        """Those of the run; None of a result that was loaded."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,7 +179,7 @@ class CalibrationResult(Result[ResultDoc]):
     """
 
     placements: tuple[Placement, ...] | None = None
-    path: Path | None = None
+    _files = RESULT_FILE, REPORT_FILE
 
     @property
     def T_target_source(self) -> Array | None:
@@ -194,35 +265,6 @@ class CalibrationResult(Result[ResultDoc]):
         rows += [(name, words) for name, words in said if words is not None]
         return rows + super()._rows()
 
-    def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
-        """Write ``result.json`` and ``report.html`` to a folder, never of two runs.
-
-        Parameters
-        ----------
-        folder
-            Made where there is none.
-        relative
-            Whether files are named by their paths from the folder, so that all may be moved
-            together and are found again; else as they are in `document`.
-
-        Returns
-        -------
-        tuple of Path
-            The two files.
-
-        Raises
-        ------
-        ReadError
-            Of a loaded result, where its inputs are not found again for the report.
-        OSError
-            Where the folder cannot be written to.
-        """
-        stored, document = self._inputs(), self.document
-        if relative:
-            document = named_from(document, Path(folder), self._beside)
-        html = render_report(document, stored.placements, notes=stored.notes)
-        return self._write(document, Path(folder, RESULT_FILE), Path(folder, REPORT_FILE), html)
-
     def report(
         self,
         path: str | Path,
@@ -256,12 +298,7 @@ class CalibrationResult(Result[ResultDoc]):
         OSError
             Where the file cannot be written.
         """
-        stored = self._inputs([Path(cloud) for cloud in clouds])
-        page = render_report(
-            self.document, stored.placements, notes=stored.notes, site=site, serials=serials
-        )
-        write_atomically(Path(path), page.encode("utf-8"))
-        return Path(path)
+        return self._report(path, clouds, site, dict(zip(LIDARS, serials, strict=True)))
 
     def plot(self) -> Figure:
         """Draw both clouds of the first placement, before and after.
@@ -283,32 +320,184 @@ class CalibrationResult(Result[ResultDoc]):
         from ..report.figures import result_figure
 
         T = self.required_transform()
-        placement = self._inputs().placements[0]
+        first = [scan for (scan, *_) in self._recorded().scans if scan is not None]
         chosen = self.document.chosen
-        pairs = [] if chosen is None else chosen.pairs
-        target, source = placement.target.poles, placement.source.poles
-        if not target or not source:
-            pairs = []
+        target, source = (scan.poles for scan in first)
+        pairs = chosen.pairs if chosen and target and source else []
         rng = np.random.default_rng(0)
-        standing = [standing_in(s.cloud, rng) for s in (placement.target, placement.source)]
+        standing = [standing_in(scan.cloud, rng) for scan in first]
         return result_figure(
-            placement.target.cloud,
-            placement.source.cloud,
+            first[0].cloud,
+            first[1].cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
             contradicting=contradicting_points(standing[0], standing[1], T),
         )
 
-    def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
-        """Take the placements of the run, or read them again."""
-        if self.placements is not None and not clouds:
-            return StoredInputs(self.placements, ())
-        return placements_of(self.document, self._beside, clouds)
+    @property
+    def _scans(self) -> Sequence[Sequence[Scan | None]] | None:
+        if self.placements is None:
+            return None
+        return list(zip(*(each.scans for each in self.placements), strict=True))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SiteResult(Result[SiteDoc]):
+    """The calibration of a site, or why there is none.
+
+    Attributes
+    ----------
+    document
+        Everything that was found, as ``site-result.json`` holds it.
+    calibration
+        The same as arrays, with the clouds; None of a result that was loaded.
+    path
+        The file that it was loaded from; None of a run.
+    """
+
+    calibration: SiteCalibration | None = None
+    _files = SITE_RESULT_FILE, SITE_REPORT_FILE
 
     @property
-    def _beside(self) -> Path:
-        """Folder that paths in the document count from."""
-        return Path() if self.path is None else self.path.parent
+    def lidars(self) -> tuple[str, ...]:
+        """Names of the LiDARs."""
+        return tuple(lidar.name for lidar in self.document.lidars)
+
+    def pose(self, name: str) -> LidarPose:
+        """Give the pose of a LiDAR in the frame of the site, with its covariance and budget.
+
+        Parameters
+        ----------
+        name
+            Of the LiDAR.
+
+        Raises
+        ------
+        UsageError
+            Where no LiDAR is called so.
+        Refusal
+            Where the calibration was refused.
+        """
+        if name not in self.lidars:
+            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
+        k = self.lidars.index(name)
+        pose = self.document.lidars[k].pose(k)
+        if pose is None:
+            raise refusal_of(self.reasons)
+        return pose
+
+    def T(self, a: str, b: str) -> Array:
+        """Give (4, 4) that maps points of LiDAR b into the frame of LiDAR a.
+
+        Parameters
+        ----------
+        a, b
+            Names of LiDARs.
+
+        Raises
+        ------
+        UsageError, Refusal
+            As `pose`.
+        """
+        return self._relative(a, b).T_i_j
+
+    def covariance(self, a: str, b: str) -> Array:
+        """Give (6, 6) of `T`, over ``[φ, δ]``, rad and m, axes of a.
+
+        What the poses of a and b have in common cancels: it is less than the sum of both.
+
+        Parameters
+        ----------
+        a, b
+            Names of LiDARs.
+
+        Raises
+        ------
+        UsageError, Refusal
+            As `pose`.
+        """
+        return self._relative(a, b).covariance
+
+    def _relative(self, a: str, b: str) -> RelativePose:
+        i, j = self.pose(a), self.pose(b)
+        joint = joint_of(np.asarray(self.document.joint_covariance), i.lidar, j.lidar)
+        return relative(i.T_site_lidar, j.T_site_lidar, joint)
+
+    def report(
+        self,
+        path: str | Path,
+        *,
+        clouds: Sequence[str | Path] = (),
+        site: str = "",
+        serials: Mapping[str, str] | None = None,
+    ) -> Path:
+        """Write the report, one HTML page, to a file.
+
+        A result that was loaded reads its recordings again. Those that are not found, or are no
+        longer those of the run, are not shown, and the page says so.
+
+        Parameters
+        ----------
+        path
+            The file to write.
+        clouds
+            Of a loaded result, where its recordings are now, in any order: each is told by its
+            hash. The others are looked for where they were, and beside the result.
+        site, serials
+            For the certificate, the page's first sheet on paper: where it was calibrated, and
+            serial numbers by the names of LiDARs. Without, what the site file said.
+
+        Raises
+        ------
+        ReadError, MissingExtraError
+            Of a loaded result, where a recording of the run cannot be read.
+        UsageError
+            Where a cloud that is given is not of the run, or no LiDAR is called so.
+        OSError
+            Where the file cannot be written.
+        """
+        return self._report(path, clouds, site, serials)
+
+    def plot(self) -> Figure:
+        """Draw all LiDARs in the frame of the site, with the first cloud of each, and the poles.
+
+        Of a result that was loaded, without the clouds that are not found again.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("site.png")`` writes it.
+
+        Raises
+        ------
+        MissingExtraError
+            Where matplotlib is not installed.
+        Refusal
+            Where the calibration was refused: there is nothing to draw.
+        ReadError
+            Of a loaded result, where a recording of the run cannot be read.
+        """
+        from ..report.figures import site_figure
+
+        poses = [self.pose(name).T_site_lidar for name in self.lidars]
+        clouds = [
+            next((scan.cloud.xyz for scan in scans if scan is not None), np.empty((0, 3)))
+            for scans in self._recorded().scans
+        ]
+        poles = [pole.point for pole in self.document.poles]
+        frame = self.document.frame.name
+        return site_figure(self.lidars, poses, clouds, poles, frame)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("datum", self.document.datum)] if self.document.datum else []
+        for each in pose_rows(self.document):
+            sigma = f", ± {error(each.sigma)} at 30 m" if each.sigma else ""
+            rows.append((each.name, f"x {each.x}  y {each.y}  z {each.z} m{sigma}"))
+        return rows + super()._rows()
+
+    @property
+    def _scans(self) -> Sequence[Sequence[Scan | None]] | None:
+        return None if self.calibration is None else self.calibration.scans
 
 
 def load_result(path: str | Path) -> CalibrationResult:
@@ -325,4 +514,23 @@ def load_result(path: str | Path) -> CalibrationResult:
         Where there is no such file, or it is no result document; names the file.
     """
     file = result_file(Path(path))
-    return CalibrationResult(loaded(file, partial(decode_pair, file)), None, file)
+    return CalibrationResult(loaded(file, partial(decode_pair, file)), file)
+
+
+def load_site_result(path: str | Path) -> SiteResult:
+    """Load the result of a site that was saved.
+
+    Parameters
+    ----------
+    path
+        ``site-result.json``, or the folder that holds it.
+
+    Raises
+    ------
+    ReadError
+        Where there is no such file, or it is no result document of a site; names the file.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / SITE_RESULT_FILE
+    return SiteResult(loaded(file, decode_site), file)

@@ -20,7 +20,7 @@ from ..base.description import (
     SurveyedPole,
     Up,
 )
-from ..base.errors import ReadError, Refusal, naming
+from ..base.errors import ReadError, Refusal, UsageError, naming
 from ..base.files import path_in_text
 from ..base.projection import projected
 from ..base.quantities import error as length
@@ -138,8 +138,9 @@ def inputs_of(site: Site) -> SiteInputs:
     Raises
     ------
     MissingExtraError, UsageError
-        Where its frame is a projected one, as `base.world.in_metres`.
+        Where its frame is a projected one, as `base.world.in_metres`, and as `check_site`.
     """
+    check_site(site)
     inputs = {
         (k, n): Input(cloud, cloud, lidar.sensor, lidar.threshold)
         for k, lidar in enumerate(site.lidars)
@@ -147,6 +148,28 @@ def inputs_of(site: Site) -> SiteInputs:
         if cloud is not None
     }
     return SiteInputs(in_metres(site), inputs, SiteConfig())
+
+
+def check_site(site: Site) -> None:
+    """Refuse a site that was put together in Python and makes no sense.
+
+    Raises
+    ------
+    UsageError
+        Naming what is wrong and what is expected.
+    """
+    names = [lidar.name for lidar in site.lidars]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise UsageError(f"the LiDARs are {names}, expected two or more of different names")
+    for lidar in site.lidars:
+        recorded = len(lidar.clouds) - lidar.clouds.count(None)
+        if len(lidar.clouds) != len(site.placements) or not recorded:
+            raise UsageError(
+                f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
+                "one for each placement or None, and one at least"
+            )
+    if not 0 <= site.reference < len(names):
+        raise UsageError(f"reference is {site.reference}, expected 0 to {len(names) - 1}")
 
 
 def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:

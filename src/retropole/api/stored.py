@@ -1,34 +1,45 @@
 """The recordings of a stored result, of a pair or a site: found, read and searched for poles again.
 
-They are read as the run did, wherever they lie now.
+They are read as the run did, wherever they lie now: files that a document names are seen from its
+folder, so that both may be moved together.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TypeVar
+from functools import cache, partial
+from pathlib import Path, PurePath
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import structs
 
-from ..base.datatypes import Placement, Scan
+from ..base.datatypes import Scan
 from ..base.errors import ReadError, UsageError, naming, printable, readable
-from ..base.files import path_of_text, read_document
+from ..base.files import path_in_text, path_of_text, read_document
 from ..base.quantities import counted, step_of
-from ..base.sensors import name_from, sensor_or_auto
+from ..base.sensors import is_sensor_file, name_from
 from ..export import Transform
 from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
-from ..io import ARRAY_SOURCE, sha256_of
-from ..result import DEFAULT_CONFIG, SITE_REPORT_FILE, InputDoc, PoleDoc, ResultDoc, any_result_file
+from ..io import ARRAY_SOURCE
+from ..result import (
+    DEFAULT_CONFIG,
+    SITE_REPORT_FILE,
+    InputDoc,
+    PoleDoc,
+    ResultDoc,
+    any_result_file,
+)
 from ..result.decoding import decode
-from ..result.site import SITE_SCHEMA, SiteDoc
+from ..result.site import LIDARS, SITE_SCHEMA, RecordingDoc, SiteDoc, as_site
 from .inputs import SILENT, Listener, read_input, recording_hash
-from .travelling import with_sensors_from
 
 Loaded = TypeVar("Loaded")
+AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -36,91 +47,143 @@ SAME_POLE_DISTANCE = 1e-3
 MOST_NOTES = 3
 """So many recordings that a page does not show are named with the reason; others are counted."""
 
+MAY_DIFFER = "the picture may not be that of the figures"
+"""What a recording that is not the one of the run means for a page."""
+
 
 @dataclass(frozen=True, eq=False)
-class StoredInputs:
-    """What was recorded and found in each placement of a stored result.
+class StoredScans:
+    """What was recorded in a stored run, and found in it.
 
     Attributes
     ----------
-    placements
-        The first placement first. Where the poles found again in the first are not those that the
-        result lists, the detection is None.
+    scans
+        For each LiDAR, target and source of a pair, that of each placement; None where there is
+        none to show. Where the poles found again are not those that the result lists, the detection
+        is None.
     notes
-        One sentence on each recording that is not the one of the run; empty where all are.
+        One sentence on each recording that is not there, or is another; empty where all are.
     """
 
-    placements: tuple[Placement, ...]
+    scans: Sequence[Sequence[Scan | None]]
     notes: tuple[str, ...]
 
 
-def placements_of(
-    result: ResultDoc,
+class Recording(NamedTuple):
+    """A recording of a stored run and where it is now, None where there is none to show.
+
+    `fault` says what is wrong there.
+    """
+
+    item: RecordingDoc
+    path: Path | None
+    fault: str
+
+
+def scans_of(
+    document: ResultDoc | SiteDoc,
     beside: Path,
     given: Sequence[Path] = (),
     progress: Callable[[str], None] = lambda step: None,
-) -> StoredInputs:
+) -> StoredScans:
     """Read the recordings that a result names, and find the poles in them again.
+
+    Those of a pair must all be there. Of a site what is not there, or is another file, is left out:
+    the others show the site as well.
 
     Parameters
     ----------
-    result
+    document, beside, given
+        As `find_recordings` takes them.
+    progress
+        Called with which recording of how many is read.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        Where a recording of the run cannot be read, and as `find_recordings`.
+    UsageError
+        As `find_recordings`.
+    """
+    site, is_site = as_site(document), isinstance(document, SiteDoc)
+    rows: list[list[Scan | None]] = [[None] * len(site.placements) for _ in site.lidars]
+    recordings = find_recordings(document, beside, given)
+    for k, (item, path, _) in enumerate(recordings, 1):
+        progress(step_of("read", k, len(recordings)))
+        if path is not None:
+            how = item.reading(site.config.max_points)
+            scan = read_input(path, how).search(site.radius_m)
+            listed = site.found[item.lidar][item.placement]
+            rows[item.lidar][item.placement] = agreeing(scan, listed.poles) if listed else scan
+    faults = dict.fromkeys(each.fault for each in recordings if each.fault)
+    notes = [
+        f"{fault}; {'the page does not show it' if is_site else MAY_DIFFER}" for fault in faults
+    ]
+    if is_site and (rest := len(notes[MOST_NOTES:])):
+        notes[MOST_NOTES:] = [f"likewise not shown: {counted(rest, 'more recording')}"]
+    return StoredScans(rows, tuple(notes))
+
+
+def find_recordings(
+    document: ResultDoc | SiteDoc, beside: Path, given: Sequence[Path] = ()
+) -> list[Recording]:
+    """Take the recordings given, or look for those of a result, as its run read them.
+
+    Parameters
+    ----------
+    document
         The result document.
     beside
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is taken.
     given
-        Recordings to take instead: target and source of each placement.
-    progress
-        Called with the name of each step as it starts.
+        Where recordings are now: of a pair, target and source of each placement; of a site, in any
+        order: each is told by its hash.
 
     Raises
     ------
     ReadError
-        Where the result does not name a target and a source for each placement, or where a
-        recording is not found or cannot be read.
+        Of a pair, where the result does not name a target and a source for each placement, or a
+        recording is not found.
     UsageError
-        Where not as many recordings are given as the result has.
+        Where not as many recordings are given as the result of a pair has, or one that is none of
+        the site's.
     """
-    if not result.inputs or len(result.inputs) % 2:
+    hash_of, found = cache(recording_hash), list[Recording]()
+    count, is_site = len(document.inputs), isinstance(document, SiteDoc)
+    if not is_site and (not count or count % 2):
         raise ReadError(
-            f"the result names {len(result.inputs)} inputs, expected a target and a source for "
-            "each placement"
+            f"the result names {count} inputs, expected a target and a source for each placement"
         )
-    result = with_sensors_from(result, beside)
-    paths, config = find_inputs(result, beside, given), result.config
-    progress("read")
-    notes = differing(result, paths)
-    reads = (config.of_target, config.of_source)
-    inputs = [read_input(path, reads[k % 2]) for k, path in enumerate(paths)]
-    progress("extract")
-    # With the sensor and the threshold that the run used.
-    used = [
-        replace(each, sensor=sensor_or_auto(item.sensor), threshold=item.threshold)
-        for each, item in zip(inputs, result.inputs, strict=True)
-    ]
-    scans = [each.search(config.radius_m) for each in used]
-    scans[:2] = agreeing(scans[0], result.poles.target), agreeing(scans[1], result.poles.source)
-    placements = (Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True))
-    return StoredInputs(tuple(placements), notes)
-
-
-def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> list[Path]:
-    """Take the recordings given, or look for those of the result; see `placements_of`."""
-    needed = len(result.inputs)
-    if given and len(given) != needed:
+    if not is_site and given and len(given) != count:
         raise UsageError(
-            f"{len(given)} clouds are given, the result has {needed}: TARGET and SOURCE of each "
+            f"{len(given)} clouds are given, the result has {count}: TARGET and SOURCE of each "
             "placement, or none to look for them"
         )
-    try:
-        return list(given) or [find_recording(item, beside) for item in result.inputs]
-    except ReadError as error:
-        raise ReadError(f"{error}; give TARGET and SOURCE") from None
+    known = {hash_of(path): path for path in given} if is_site else {}
+    for sha256 in known.keys() - {item.sha256 for item in document.inputs}:
+        raise UsageError(
+            f"{known[sha256]}: is no recording of this result: none has its SHA-256, {sha256[:12]}…"
+        )
+    site = with_sensors_from(as_site(document), beside)
+    for k, item in enumerate(site.inputs):
+        if is_site and not (site.found and site.found[item.lidar][item.placement]):
+            # The run could not use it, and its page does not show it.
+            continue
+        try:
+            there = known.get(item.sha256) if is_site or not given else given[k]
+            path = there or find_recording(item, beside)
+            fault = difference(item, path, hash_of(path))
+            found.append(Recording(item, None if is_site and fault else path, fault))
+        except ReadError as error:
+            if not is_site:
+                raise ReadError(f"{error}; give TARGET and SOURCE") from None
+            found.append(Recording(item, None, str(error)))
+    return found
 
 
 def find_recording(item: InputDoc, beside: Path) -> Path:
-    """Look for one recording of a result in this folder; see `placements_of`."""
+    """Look for one recording of a result; see `find_recordings`."""
     if item.path in ("", ARRAY_SOURCE):
         raise ReadError("a cloud of the run was an array, which is in no file")
     path = Path(item.path)
@@ -141,10 +204,19 @@ def _has_hash(place: Path, sha256: str) -> bool:
     return False
 
 
-def hashes_of(result: ResultDoc) -> tuple[tuple[str, str], ...]:
-    """Give SHA-256 of target and source of each placement."""
-    hashes = [item.sha256 for item in result.inputs]
-    return tuple(zip(hashes[::2], hashes[1::2], strict=False))
+def hashes_of(
+    document: ResultDoc | SiteDoc, lidars: tuple[str, str] = LIDARS
+) -> tuple[tuple[str, str], ...]:
+    """Give SHA-256 of two LiDARs, target and source, in each placement that both recorded."""
+    site = as_site(document)
+    names = [lidar.name for lidar in site.lidars]
+    target, source = (names.index(name) for name in lidars)
+    hashes = {(each.lidar, each.placement): each.sha256 for each in site.inputs}
+    return tuple(
+        (sha256, hashes[source, placement])
+        for (lidar, placement), sha256 in hashes.items()
+        if lidar == target and (source, placement) in hashes
+    )
 
 
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
@@ -168,18 +240,6 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
         return False
     given = recording_hash(Path(target)), recording_hash(Path(source))
     return given[::-1] in hashes and given not in hashes
-
-
-def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
-    """Say which of all its recordings are not those that a run read; each is hashed once."""
-    hashes = {path: sha256_of(path) for path in dict.fromkeys(paths)}
-    faults = (
-        difference(item, path, hashes[path])
-        for path, item in zip(paths, result.inputs, strict=True)
-    )
-    return tuple(
-        f"{fault}; the picture may not be that of the figures" for fault in faults if fault
-    )
 
 
 def difference(item: InputDoc, path: Path, sha256: str) -> str:
@@ -241,7 +301,7 @@ def recording_of(
         A result document, the folder that holds it, or another file of a transform.
     given
         Where the clouds are, target and source of each placement; without, they are looked for as
-        `find_inputs` does.
+        `find_recordings` does.
     note
         Called with what is to be known of what is written.
     listener
@@ -259,18 +319,20 @@ def recording_of(
     """
     file = any_result_file(result)
     document = result_in(read_document(file))
-    paths, config = list(given), DEFAULT_CONFIG
+    clouds = [(path, DEFAULT_CONFIG.of_target) for path in given]
     if isinstance(document, ResultDoc):
-        document = with_sensors_from(document, file.parent)
-        config, paths = document.config, find_inputs(document, file.parent, given)
-        for each in differing(document, paths):
-            note(each)
-        if len(paths) > 2:
-            note(f"of {len(paths) // 2} placements, the first is written")
-    elif len(paths) != 2:
+        clouds = []
+        for item, path, fault in find_recordings(document, file.parent, given):
+            assert path is not None
+            clouds.append((path, item.reading(document.config.max_points)))
+            if fault:
+                note(f"{fault}; {MAY_DIFFER}")
+        if len(clouds) > 2:
+            note(f"of {len(clouds) // 2} placements, the first is written")
+    elif len(clouds) != 2:
         raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
     frames = []
-    for path, how in zip(paths[:2], (config.of_target, config.of_source), strict=True):
+    for path, how in clouds[:2]:
         read = read_input(path, how, listener).read
         assert read is not None
         frames.append(frames_of(read))
@@ -286,76 +348,74 @@ def agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
     return scan if same else replace(scan, detection=None)
 
 
-@dataclass(frozen=True, eq=False)
-class StoredScans:
-    """What was recorded at a stored site, and found in it.
-
-    Attributes
-    ----------
-    scans
-        For each LiDAR, that of each placement; None where there is none to show. Where the poles
-        found again are not those that the result lists, the detection is None.
-    notes
-        One sentence on each recording that is not there, or is another; empty where all are.
-    """
-
-    scans: tuple[tuple[Scan | None, ...], ...]
-    notes: tuple[str, ...]
-
-
-def scans_of(
-    site: SiteDoc,
-    beside: Path,
-    given: Sequence[Path] = (),
-    progress: Callable[[str], None] = lambda step: None,
-) -> StoredScans:
-    """Read the recordings that the result of a site names, and find the poles in them again.
-
-    What is not there, or is another file, is left out: the others show the site as well.
+def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
+    """Name the files of a document by their paths from the folder that it is written to.
 
     Parameters
     ----------
-    site
-        The result document.
+    document
+        Of a pair or of a site.
+    folder
+        Where it is going to be.
     beside
-        Folder of the result: recordings are looked for as `placements_of` looks for those of two.
-    given
-        Where recordings are now, in any order: each is told by its hash.
-    progress
-        Called with which recording of how many is read.
+        Folder that its paths count from now; else they are those from here.
 
-    Raises
-    ------
-    ReadError, MissingExtraError
-        Where a recording of the run cannot be read.
-    UsageError
-        Where one that is given is not of the run.
+    Returns
+    -------
+    AnyDoc
+        What is no file that is there, as an array, and what is on another drive, keeps its name.
     """
-    known = {recording_hash(path): path for path in given}
-    for sha256 in known.keys() - {item.sha256 for item in site.inputs}:
-        raise UsageError(
-            f"{known[sha256]}: is no recording of this result: none has its SHA-256, {sha256[:12]}…"
-        )
-    rows: list[list[Scan | None]] = [[None] * len(site.placements) for _ in site.lidars]
-    faults: list[str] = []
-    for count, item in enumerate(site.inputs, 1):
-        progress(step_of("read", count, len(site.inputs)))
-        found = site.found[item.lidar][item.placement] if site.found else None
-        if found is None:
-            # The run could not use it, and its page does not show it.
-            continue
-        try:
-            path = known.get(item.sha256) or find_recording(item, beside)
-            fault = difference(item, path, recording_hash(path))
-        except ReadError as error:
-            fault = str(error)
-        if fault:
-            faults.append(fault)
-            continue
-        how = item.reading(site.config.max_points)._replace(sensor=name_from(beside, item.sensor))
-        scan = read_input(path, how).search(site.radius_m)
-        rows[item.lidar][item.placement] = agreeing(scan, found.poles)
-    notes = [f"{fault}; the page does not show it" for fault in dict.fromkeys(faults)]
-    if rest := len(notes[MOST_NOTES:]):
-        notes[MOST_NOTES:] = [f"likewise not shown: {counted(rest, 'more recording')}"]
-    return StoredScans(tuple(map(tuple, rows)), tuple(notes))
+
+    def name(text: str) -> str:
+        return _name(text, folder, beside)
+
+    def sensor(text: str) -> str:
+        return name(text) if is_sensor_file(text) else text
+
+    return renamed(document, name, sensor)
+
+
+def renamed(
+    document: AnyDoc, name: Callable[[str], str], sensor: Callable[[str], str] = str
+) -> AnyDoc:
+    """Call the files of a document, and its sensors, otherwise."""
+    inputs = [
+        structs.replace(each, path=name(each.path), sensor=sensor(each.sensor))
+        for each in document.inputs
+    ]
+    document = structs.replace(document, inputs=inputs)
+    if isinstance(document, SiteDoc):
+        config = structs.replace(document.config, site_file=name(document.config.site_file))
+        lidars = [structs.replace(each, sensor=sensor(each.sensor)) for each in document.lidars]
+        return structs.replace(document, config=config, lidars=lidars)
+    given = {key: getattr(document.config, key) for key in ("sensor_target", "sensor_source")}
+    sensors = {key: sensor(each) for key, each in given.items()}
+    return structs.replace(document, config=structs.replace(document.config, **sensors))
+
+
+def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
+    """Give the sensors that a document names by files so that they mean the same from anywhere.
+
+    Parameters
+    ----------
+    document
+        Of a pair or of a site.
+    folder
+        That holds it.
+    """
+    return renamed(document, str, partial(name_from, folder))
+
+
+def _name(text: str, folder: Path, beside: Path) -> str:
+    given = path_of_text(text) if text else None
+    place = next((p for p in (given and beside / given, given) if p and p.exists()), None)
+    if place is None:
+        return text
+    # Links to folders are followed, as the system does where it goes up from one; a link to the
+    # file is not: it is what is beside the document.
+    real = Path(os.path.realpath(place.parent), place.name)
+    try:
+        relative = os.path.relpath(real, os.path.realpath(folder))
+    except ValueError:
+        return path_in_text(real)
+    return path_in_text(PurePath(relative).as_posix())

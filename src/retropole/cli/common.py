@@ -24,8 +24,7 @@ from ..base.reasons import explain, page, plain
 
 if TYPE_CHECKING:
     from ..api.inputs import Input, Listener
-    from ..api.result import CalibrationResult
-    from ..api.site import SiteResult
+    from ..api.result import CalibrationResult, SiteResult
 
 EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_MOVED = 1, 2, 3, 4
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 128 + 13

@@ -75,7 +75,8 @@ def report(
     file = result_file(result)
     beside = nullcontext() if out else alone_beside(file)
     with beside, progress_on_terminal(quiet) as progress:
-        of_pair = serial_target or "", serial_source or ""
+        named = {"target": serial_target, "source": serial_source}
+        of_pair = {lidar: number for lidar, number in named.items() if number}
         page, name, notes = page_of(file, clouds, progress, site or "", of_pair, dict(serials))
         progress("write")
         out = out or file.with_name(name)
@@ -92,27 +93,24 @@ def page_of(
     clouds: Sequence[Path],
     progress: Callable[[str], None],
     site: str = "",
-    of_pair: tuple[str, str] = ("", ""),
+    of_pair: Mapping[str, str] | None = None,
     of_site: Mapping[str, str] | None = None,
 ) -> tuple[str, str, Sequence[str]]:
     """Make the report of a result document: the page, what its file is called, and notes on it."""
-    from ..api.stored import decode_any, loaded, placements_of, scans_of
-    from ..report import render_report, render_site
+    from ..api.stored import decode_any, loaded, scans_of
+    from ..report import render_report
     from ..result import REPORT_FILE, SITE_REPORT_FILE, ResultDoc
 
     document = loaded(file, decode_any)
-    if isinstance(document, ResultDoc):
-        if of_site:
-            raise click.UsageError(
-                "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
-            )
-        read = placements_of(document, file.parent, clouds, progress)
-        page = render_report(
-            document, read.placements, notes=read.notes, site=site, serials=of_pair
+    is_pair = isinstance(document, ResultDoc)
+    if is_pair and of_site:
+        raise click.UsageError(
+            "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
         )
-        return page, REPORT_FILE, read.notes
-    if any(of_pair):
+    if of_pair and not is_pair:
         raise click.UsageError("of a site, --serial LIDAR NUMBER gives a serial number")
-    found = scans_of(document, file.parent, clouds, progress)
-    page = render_site(document, found.scans, notes=found.notes, site=site, serials=of_site)
-    return page, SITE_REPORT_FILE, found.notes
+    read = scans_of(document, file.parent, clouds, progress)
+    page = render_report(
+        document, read.scans, notes=read.notes, site=site, serials=of_pair if is_pair else of_site
+    )
+    return page, REPORT_FILE if is_pair else SITE_REPORT_FILE, read.notes

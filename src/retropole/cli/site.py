@@ -109,8 +109,8 @@ def calibrate(
       3    refused: no poses; the reason is printed and in site-result.json
       130  interrupted
     """
-    from ..api.site import calibrate_site
-    from ..report.text import describe_site
+    from ..api.calibration import calibrate_site
+    from ..report.text import describe_result
 
     asked = "as the site file says"
     with listening(quiet, asked, BY_SITE_FILE) as listener:
@@ -122,5 +122,5 @@ def calibrate(
         "field test of the LiDARs": command_line("certify", site_file, "--out", out),
         "later, with new recordings": command_line("site", "check", out, "SITE"),
     }
-    describe = partial(describe_site, result.document, following=following, verbose=verbose)
+    describe = partial(describe_result, result.document, following=following, verbose=verbose)
     return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

@@ -75,7 +75,7 @@ def main() -> None:
 
     threading.Thread(target=listen, daemon=True).start()
     # No site pays for what all of them need.
-    from ..api import calibration, site  # noqa: F401
+    from ..api import calibration  # noqa: F401
 
     send(answers, None)
     while True:

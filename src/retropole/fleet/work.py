@@ -38,8 +38,7 @@ from .storage import (
 )
 
 if TYPE_CHECKING:
-    from ..api.result import CalibrationResult
-    from ..api.site import SiteResult
+    from ..api.result import CalibrationResult, SiteResult
 
 
 Doc = TypeVar("Doc", ResultDoc, SiteDoc)
@@ -254,8 +253,7 @@ def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
     """Calibrate, and call the files as they were given."""
-    from ..api.calibration import calibrate_with
-    from ..api.site import calibrate_site
+    from ..api.calibration import calibrate_site, calibrate_with
 
     if local.site is not None:
         of_site = calibrate_site(local.site)
@@ -397,15 +395,9 @@ class LocalFiles:
 
     def named(self, document: Doc) -> Doc:
         """Call the files of a result document as they were given."""
-        inputs = [
-            msgspec.structs.replace(each, path=self.renamed(each.path)) for each in document.inputs
-        ]
-        document = msgspec.structs.replace(document, inputs=inputs)
-        if isinstance(document, SiteDoc):
-            site_file = self.renamed(document.config.site_file)
-            config = msgspec.structs.replace(document.config, site_file=site_file)
-            document = msgspec.structs.replace(document, config=config)
-        return document
+        from ..api.stored import renamed
+
+        return renamed(document, self.renamed)
 
 
 @contextmanager

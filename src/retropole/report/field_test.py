@@ -8,10 +8,10 @@ from ..base.quantities import UNKNOWN, counted, percent
 from ..checking.certification import DistanceTest, Verdict
 from ..checking.distances import SpreadTest
 from ..result.certification import FieldTestDoc, PairTestDoc
+from ..result.site import LIDARS
 from .listings import Listing, columns
 from .page import EMPTY, Html, fill, fill_each, join, table
 from .render import render_page
-from .subject import LIDARS
 from .text import legible, reason_lines, wrapped
 from .text import table as text_table
 from .verdict import reason_item, verdict_box

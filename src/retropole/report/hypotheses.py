@@ -11,12 +11,12 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted
 from ..base.reasons import plain
+from ..hypotheses.choice import hypothesis_name
 from ..hypotheses.prior import MAX_SIGMAS, RotationPrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
 from .listings import number, numbers
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
-from .subject import hypothesis_name
 
 OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""

@@ -13,10 +13,11 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
+from ..hypotheses.choice import hypothesis_name
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc
 from ..result.contents import RejectedDoc
 from ..result.site import FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc, TestDoc
-from .subject import Subject, hypothesis_name, pair_name
+from .subject import Subject, pair_name
 
 POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
 

@@ -17,7 +17,7 @@ from ..export.documents import found_in_result
 from ..export.transform import NO_LIDARS
 from ..export.tree import tree_of
 from ..result import BudgetEntry, ResultDoc, verdict_line
-from ..result.site import LidarDoc, SiteDoc
+from ..result.site import LIDARS, LidarDoc, SiteDoc
 from . import listings
 from .curves import ErrorCurve, curve_figure
 from .listings import (
@@ -33,7 +33,7 @@ from .listings import (
     scene_words,
 )
 from .page import EMPTY, Html, fill, folded, join, listed, plus_minus, table
-from .subject import LIDARS, Subject, colour_class, recorded_by
+from .subject import Subject, colour_class, recorded_by
 from .verdict import VERDICTS, folded_notes, listed_statements
 
 FRAMES = ("lidar_target", "lidar_source")

@@ -16,11 +16,11 @@ from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
 from ..result import ResultDoc
-from ..result.site import FoundDoc
+from ..result.site import LIDARS, FoundDoc
 from . import listings
 from .listings import Listing, columns, left_out_words, number, radius_words, rejected_mark
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
-from .subject import LIDARS, Subject, colour_class, pair_name, pole_name
+from .subject import Subject, colour_class, pair_name, pole_name
 
 UNFOLDED_CLUSTERS = 4
 """Up to so many rejected clusters of a pair are listed unfolded."""

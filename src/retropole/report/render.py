@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
-from ..base.datatypes import Placement, Scan
+from ..base.datatypes import Scan
 from ..base.quantities import counted
 from ..result import ResultDoc
-from ..result.site import SiteDoc, found_document
+from ..result.site import LIDARS, SiteDoc, found_document, input_names
 from . import listings
 from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
@@ -26,7 +26,7 @@ from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
 from .plan import plan_of
 from .poses import certainty, certificate, poses, transform
 from .recorded import missing_poles, poles, run
-from .subject import LIDARS, Scans, Subject, colour_class, input_names, of_pair, of_site
+from .subject import Recorded, as_subject, colour_class
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view, recordings_view
 
@@ -35,33 +35,36 @@ HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
 
 
 def render_report(
-    result: ResultDoc,
-    placements: Sequence[Placement],
+    document: ResultDoc | SiteDoc,
+    recorded: Recorded = (),
     *,
     notes: Sequence[str] = (),
     max_points: int = MAX_CLOUD_POINTS,
     site: str = "",
-    serials: Sequence[str] = ("", ""),
+    serials: Mapping[str, str] | None = None,
 ) -> str:
     """Render a run as one HTML page.
 
     Parameters
     ----------
-    result
-        The result document.
-    placements
-        What was recorded and found in each placement of the poles, each cloud in its own frame.
-        The first is the one whose poles the result lists; of several, the page lets its reader
-        choose. A detection brings the rejected clusters and the points on the poles into the page;
-        leave it out where its poles are not those of the result.
+    document
+        The result document, of a pair or of a site.
+    recorded
+        What was recorded and found, each cloud in its own frame: of a pair in each placement of the
+        poles, of a site by each LiDAR, None where it is not shown. The first placement of a pair is
+        the one whose poles the result lists; of several, the page lets its reader choose. A
+        detection brings the rejected clusters and the points on the poles into the page; leave it
+        out where its poles are not those of the result. Without any, the page of a site has no view
+        of clouds.
     notes
         What a reader has to know before all else, for example that an input is not the file that
         the run read.
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
-        Where it was calibrated, and the serial numbers of the target and the source LiDAR, for the
-        certificate; what is empty is a line to fill in.
+        Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
+        ``target`` and ``source``, for the certificate; without, what the document says, or a line
+        to fill in.
 
     Returns
     -------
@@ -72,50 +75,52 @@ def render_report(
     Raises
     ------
     ValueError
-        Without a placement.
-    """
-    if not placements:
-        raise ValueError("a report shows at least one placement of the poles")
-    return _render(of_pair(result, placements, serials), notes, max_points, site)
-
-
-def render_site(
-    document: SiteDoc,
-    scans: Scans = (),
-    *,
-    notes: Sequence[str] = (),
-    site: str = "",
-    serials: Mapping[str, str] | None = None,
-) -> str:
-    """Render the result of a site as one HTML page.
-
-    Parameters
-    ----------
-    document
-        The result document.
-    scans
-        What each LiDAR recorded of each placement, in its own frame; None where it is not shown.
-        Without any, the page has no view of clouds.
-    notes
-        What a reader has to know before all else, for example that a recording was not found.
-    site, serials
-        Where it was calibrated, and serial numbers by the names of LiDARs, for the certificate;
-        without, what the document says.
-
-    Returns
-    -------
-    str
-        The page. It holds its style, code and points, asks no other address for anything, and
-        works from a file.
-
-    Raises
-    ------
-    ValueError
-        Where there are not as many LiDARs and placements of scans as of the document.
+        Of a pair, without a placement; of a site, where there are not as many LiDARs and placements
+        of scans as of the document.
     UsageError
         Where a serial number is given of a LiDAR that is none of the site.
     """
-    return _render(of_site(document, scans, serials), notes, place=site)
+    if isinstance(document, ResultDoc) and not recorded:
+        raise ValueError("a report shows at least one placement of the poles")
+    subject = as_subject(document, recorded, serials)
+    answer, plan = subject.site, plan_of(subject.site)
+    view, found = page_view(subject, plan, max_points), poles(subject)
+    refused, heading = answer.status == "refused", answer.name or "Site"
+    if subject.pair is not None:
+        named = input_names(subject.pair)
+        target, source = named[:2] if len(named) > 1 else LIDARS
+        heading = fill("pair-heading", target=target, source=source)
+    curve = error_curve(subject)
+    parts = [
+        missing_poles(subject),
+        transform(subject, curve),
+        poses(subject, curve),
+        site_map(subject, plan),
+        viewer(view),
+        next_steps(subject),
+        hypotheses(subject.pair),
+        certainty(subject),
+        sways(subject),
+        # What was found comes first where it is all there is.
+        found if refused else EMPTY,
+        pairs(answer),
+        _checked("loops", listings.loops(answer)),
+        _checked("tests", listings.tests(answer)),
+        _checked("placements", listings.changes(subject)),
+        EMPTY if refused else found,
+        run(subject),
+    ]
+    return render_page(
+        "calibration report",
+        heading,
+        f"{answer.created} · {subject.size}",
+        answer.status,
+        verdict(subject, notes, curve_sentence(curve)),
+        parts,
+        title=answer.name or "Site",
+        view=view,
+        sheet=certificate(subject, site),
+    )
 
 
 def render_recordings(
@@ -167,52 +172,6 @@ def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
         )
     if text:
         yield fill("text-block", name=name, text=text)
-
-
-def _render(
-    subject: Subject,
-    notes: Sequence[str],
-    max_points: int = MAX_CLOUD_POINTS,
-    place: str = "",
-) -> str:
-    site, plan = subject.site, plan_of(subject.site)
-    view, found = page_view(subject, plan, max_points), poles(subject)
-    refused, heading = site.status == "refused", site.name or "Site"
-    if subject.pair is not None:
-        named = input_names(subject.pair)
-        target, source = named[:2] if len(named) > 1 else LIDARS
-        heading = fill("pair-heading", target=target, source=source)
-    curve = error_curve(subject)
-    parts = [
-        missing_poles(subject),
-        transform(subject, curve),
-        poses(subject, curve),
-        site_map(subject, plan),
-        viewer(view),
-        next_steps(subject),
-        hypotheses(subject.pair),
-        certainty(subject),
-        sways(subject),
-        # What was found comes first where it is all there is.
-        found if refused else EMPTY,
-        pairs(site),
-        _checked("loops", listings.loops(site)),
-        _checked("tests", listings.tests(site)),
-        _checked("placements", listings.changes(subject)),
-        EMPTY if refused else found,
-        run(subject),
-    ]
-    return render_page(
-        "calibration report",
-        heading,
-        f"{site.created} · {subject.size}",
-        site.status,
-        verdict(subject, notes, curve_sentence(curve)),
-        parts,
-        title=site.name or "Site",
-        view=view,
-        sheet=certificate(subject, place),
-    )
 
 
 def _checked(piece: str, listing: Listing) -> Html:

@@ -4,33 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import msgspec
-import numpy as np
 
-from ..adjustment.answer import WithoutPlacement
 from ..base.datatypes import Placement, Scan
-from ..base.description import Frame
 from ..base.errors import UsageError, shortened
 from ..base.quantities import counted
 from ..base.uncertainty.confirmation import UNUSABLE
-from ..hypotheses.choice import hypothesis_name
 from ..result import ResultDoc, chance_wrong
-from ..result.site import (
-    FoundDoc,
-    LidarDoc,
-    SiteConfig,
-    SiteDoc,
-    found_document,
-    recording_document,
-)
-
-__all__ = ["LIDARS", "Subject", "hypothesis_name", "input_names", "of_pair", "of_site"]
-
-LIDARS = ("target", "source")
-"""The two LiDARs of a pair, in their order."""
+from ..result.site import LIDARS, SiteDoc, as_site, found_document, input_names
 
 LONGEST_IN_SENTENCE = 40
 """Characters of the name of a recording in a sentence."""
@@ -38,24 +20,9 @@ LONGEST_IN_SENTENCE = 40
 COLOURS = 8
 """So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
 
-SHARED = (
-    *("status", "reasons", "notes", "covariance_order", "covariance_frame", "sways"),
-    *("version", "created", "seconds"),
-)
-"""Fields that the documents of a pair and of a site have alike."""
-
-STATED = ("covariance", "budget", "predicted_error", "fitness")
-"""Fields of a pair that are those of its source in a site."""
-
-NO_SITE: dict[str, Any] = {
-    **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops", "tests")},
-    **{name: [] for name in ("surveyed_poles", "control_points")},
-    **{"need": None, "joint_covariance": None},
-    **{"datum": "", "reference": 0, "config": SiteConfig()},
-}
-"""What two LiDARs have nothing of."""
-
 Scans = Sequence[Sequence[Scan | None]]
+Recorded = Sequence[Placement] | Scans
+"""What was recorded, by placements of a pair or LiDAR by LiDAR."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,73 +89,65 @@ class Subject:
         return f"{counted(len(self.site.lidars), 'LiDAR')}, {placements}"
 
 
-def of_site(
-    document: SiteDoc, scans: Scans = (), serials: Mapping[str, str] | None = None
+def as_subject(
+    document: ResultDoc | SiteDoc,
+    recorded: Recorded = (),
+    serials: Mapping[str, str] | None = None,
 ) -> Subject:
-    """Take a site as it is, with its clouds where they are at hand.
+    """Take a site as it is, and a pair as one of two LiDARs in the frame of the target.
+
+    Parameters
+    ----------
+    document
+        Of either.
+    recorded
+        What the LiDARs recorded, where it is at hand.
+    serials
+        Serial numbers by the names of LiDARs, before those of the document.
 
     Raises
     ------
     ValueError
-        Where there are not as many LiDARs and placements of scans as of the document.
+        Where there are not as many LiDARs and placements of scans as of the document of a site.
     UsageError
         Where a serial number is given of a LiDAR that is none of the site.
     """
-    names, given = [each.name for each in document.lidars], serials or {}
+    scans = _by_lidar(recorded)
+    pair = document if isinstance(document, ResultDoc) else None
+    site = as_site(document)
+    names, given = [each.name for each in site.lidars], serials or {}
     for name in given.keys() - {*names}:
         raise UsageError(f"no LiDAR {name!r}; there are {', '.join(names)}")
     lidars = [
         msgspec.structs.replace(each, serial=given.get(each.name, each.serial))
-        for each in document.lidars
+        for each in site.lidars
     ]
-    document = msgspec.structs.replace(document, lidars=lidars)
+    site = msgspec.structs.replace(site, lidars=lidars)
     counts = [len(of_lidar) for of_lidar in scans]
-    if counts and counts != [len(document.placements)] * len(document.lidars):
+    if pair is None and counts and counts != [len(site.placements)] * len(site.lidars):
         raise ValueError("the scans are of other LiDARs or placements than the document")
-    return Subject(document, None, scans)
+    if pair is not None and scans:
+        site = _with_found(site, scans)
+    return Subject(site, pair, scans)
 
 
-def of_pair(
-    result: ResultDoc, placements: Sequence[Placement], serials: Sequence[str] = ("", "")
-) -> Subject:
-    """Take a pair as a site of two LiDARs in the frame of the target."""
-    scans = [[each.target for each in placements], [each.source for each in placements]]
-    names, T = input_names(result), result.T_target_source
-    count = max((len(names) + 1) // 2, len(placements), len(result.placements), 1)
-    found: list[list[FoundDoc | None]] = []
-    for of_lidar, listed in zip(scans, (result.poles.target, result.poles.source), strict=True):
-        # The poles of the first placement are those that the result lists, whatever is shown.
+def _with_found(site: SiteDoc, scans: Scans) -> SiteDoc:
+    """Add what was found in the recordings of a pair, but for the poles that it lists."""
+    found = []
+    for of_lidar, listed in zip(scans, site.found, strict=True):
         searched = [found_document(scan) for scan in of_lidar]
-        first = (searched[0] if searched else None) or FoundDoc(None, [], [], None)
-        others = [*searched[1:], *[None] * (count - max(len(searched), 1))]
-        found.append([msgspec.structs.replace(first, poles=listed), *others])
-    sensors = [*(item.sensor for item in result.inputs), "auto", "auto"]
-    stated = {name: getattr(result, name) for name in STATED}
-    poses = (
-        {"T_site_lidar": None if T is None else np.eye(4), "covariance": np.zeros((6, 6))},
-        {"T_site_lidar": T, **stated},
-    )
-    site = SiteDoc(
-        **{name: getattr(result, name) for name in SHARED},
-        **NO_SITE,
-        name=" ← ".join(names[:2] if len(names) >= 2 else LIDARS),
-        frame=Frame("LiDAR target"),
-        placements=[" ← ".join(names[2 * j : 2 * j + 2]) for j in range(count)],
-        radius_m=result.config.radius_m,
-        radius_sigma_m=0.0 if result.radius is None else result.radius.sigma,
-        lidars=[
-            LidarDoc(name=LIDARS[k], sensor=sensors[k], serial=serials[k], up=None, **poses[k])
-            for k in range(2)
-        ],
-        without=[
-            WithoutPlacement(j, each.left_out_rotation_rad, each.left_out_translation_m, 1)
-            for j, each in enumerate(result.placements)
-            if len(result.placements) > 1
-        ],
-        found=found,
-        inputs=[recording_document(item, k % 2, k // 2) for k, item in enumerate(result.inputs)],
-    )
-    return Subject(site, result, scans)
+        if searched[0] is not None and listed[0] is not None:
+            searched[0] = msgspec.structs.replace(searched[0], poles=listed[0].poles)
+        found.append([*searched, *listed[len(searched) :]])
+    names = [*site.placements, *[""] * (len(scans[0]) - len(site.placements))]
+    return msgspec.structs.replace(site, found=found, placements=names)
+
+
+def _by_lidar(recorded: Recorded) -> Scans:
+    """List what each LiDAR recorded, placement by placement."""
+    placements = [each.scans for each in recorded if isinstance(each, Placement)]
+    rows = [each for each in recorded if not isinstance(each, Placement)]
+    return rows or list(zip(*placements, strict=True))
 
 
 def pole_name(lidar: str, k: int) -> str:
@@ -199,15 +158,6 @@ def pole_name(lidar: str, k: int) -> str:
 def pair_name(pair: tuple[int, int]) -> str:
     """Name a pair of a target pole and a source pole: ``T0–S1``."""
     return f"{pole_name('target', pair[0])}–{pole_name('source', pair[1])}"
-
-
-def input_names(result: ResultDoc) -> list[str]:
-    """Name the inputs by their files, and by their topics where they are in bags."""
-    topics = (result.config.target_topic, result.config.source_topic)
-    return [
-        " ".join([Path(item.path).name, topics[k % 2] or ""]).strip()
-        for k, item in enumerate(result.inputs)
-    ]
 
 
 def recorded_by(result: ResultDoc) -> tuple[str, str]:

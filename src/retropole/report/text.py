@@ -20,7 +20,7 @@ from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
 from ..base.sensors import LITTLE, SENSORS
-from ..result import InputDoc, ReasonDoc, ResultDoc
+from ..result import REPORT_FILE, SITE_REPORT_FILE, InputDoc, ReasonDoc, ResultDoc
 from ..result.contents import CloudDoc, DetectionDoc, InfoDoc, IntensityDoc
 from ..result.site import SiteDoc
 from . import listings
@@ -35,7 +35,7 @@ from .listings import (
     pole_row,
     statements,
 )
-from .subject import Subject, of_pair, recorded_by
+from .subject import Subject, as_subject, recorded_by
 from .verdict import instead_words
 
 WIDTH, LINES = 80, 40
@@ -131,7 +131,7 @@ def transform_lines(T: Array) -> list[str]:
 
 
 def describe_result(
-    result: ResultDoc,
+    document: ResultDoc | SiteDoc,
     written: Sequence[str],
     following: Mapping[str, str] | None = None,
     *,
@@ -141,38 +141,18 @@ def describe_result(
 
     Parameters
     ----------
-    result
-        The result document.
+    document
+        The result document, of a pair or of a site.
     written
         Paths of the files that hold it.
     following
         Commands to type next where there is a transform to use, by the words that introduce each.
     verbose
-        Whether the inputs, all poles, all hypotheses and the time of each step are written as well,
-        on as many lines as it takes.
+        Whether the inputs, all that was found and tried and the time of each step are written as
+        well, on as many lines as it takes.
     """
-    result = legible(result)
-    return _describe(of_pair(result, ()), "report.html", written, following, verbose)
-
-
-def describe_site(
-    document: SiteDoc,
-    written: Sequence[str],
-    following: Mapping[str, str] | None = None,
-    *,
-    verbose: bool = False,
-) -> str:
-    """Write the result of a site as `describe_result` does that of a pair."""
-    return _describe(Subject(legible(document)), "site-report.html", written, following, verbose)
-
-
-def _describe(
-    subject: Subject,
-    report: str,
-    written: Sequence[str],
-    following: Mapping[str, str] | None,
-    verbose: bool,
-) -> str:
+    subject = as_subject(legible(document))
+    report = REPORT_FILE if subject.pair else SITE_REPORT_FILE
     site, pair = subject.site, subject.pair
     answered = subject.answered
     head = [f"verdict: {site.status}"]

@@ -13,12 +13,13 @@ from ..base.datatypes import Array, Scan
 from ..base.errors import visible
 from ..base.quantities import counted
 from ..base.sensors import auto_threshold
+from ..hypotheses.choice import hypothesis_name
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..surfaces.consistency import contradicting_points, standing_in
 from .page import Html
 from .plan import Plan
 from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
-from .subject import COLOURS, Subject, hypothesis_name, pole_labels
+from .subject import COLOURS, Subject, pole_labels
 
 MAX_CLOUD_POINTS = 100_000
 """Points of each cloud in the page, about 0.9 MB."""

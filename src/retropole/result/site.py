@@ -8,7 +8,8 @@ every pose where the run was refused.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -46,6 +47,7 @@ from . import (
     InputDoc,
     PoleDoc,
     ReasonDoc,
+    ResultDoc,
     SwayDoc,
     document_of,
     finite,
@@ -209,6 +211,66 @@ class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     version: Text
     created: Text
     seconds: dict[Text, Size]
+
+
+LIDARS = ("target", "source")
+"""The two LiDARs of a pair, in their order."""
+
+NO_SITE: dict[str, Any] = {
+    **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops", "tests")},
+    **{name: [] for name in ("surveyed_poles", "control_points")},
+    **{"need": None, "joint_covariance": None},
+    **{"schema": SITE_SCHEMA, "datum": "", "reference": 0},
+}
+"""What two LiDARs have nothing of."""
+
+
+def as_site(document: ResultDoc | SiteDoc) -> SiteDoc:
+    """Take a pair as a site of two LiDARs in the frame of the target, and a site as it is."""
+    if isinstance(document, SiteDoc):
+        return document
+    names, T, config = input_names(document), document.T_target_source, document.config
+    count = max((len(names) + 1) // 2, len(document.placements), 1)
+    listed = document.poles.target, document.poles.source
+    sensors = [*(item.sensor for item in document.inputs), "auto", "auto"]
+    about = [SiteLidar(name, ()) for name in LIDARS]
+    at_origin = {"T_site_lidar": None if T is None else np.eye(4), "covariance": np.zeros((6, 6))}
+    reads = config.of_target, config.of_source
+    return document_of(
+        SiteDoc,
+        document,
+        **NO_SITE,
+        name=" ← ".join(names[:2] if len(names) >= 2 else LIDARS),
+        frame=Frame("LiDAR target"),
+        placements=[" ← ".join(names[2 * j : 2 * j + 2]) for j in range(count)],
+        radius_m=config.radius_m,
+        radius_sigma_m=0.0 if document.radius is None else document.radius.sigma,
+        lidars=[
+            document_of(LidarDoc, about[0], sensor=sensors[0], **at_origin),
+            document_of(LidarDoc, about[1], document, sensor=sensors[1], T_site_lidar=T),
+        ],
+        without=[
+            WithoutPlacement(j, each.left_out_rotation_rad, each.left_out_translation_m, 1)
+            for j, each in enumerate(document.placements)
+            if len(document.placements) > 1
+        ],
+        # The document lists the poles of the first placement alone.
+        found=[[FoundDoc(None, poles, [], None), *[None] * (count - 1)] for poles in listed],
+        inputs=[
+            recording_document(item, k % 2, k // 2, reads[k % 2])
+            for k, item in enumerate(document.inputs)
+        ],
+        config=SiteConfig(max_points=config.max_points),
+    )
+
+
+def input_names(result: ResultDoc) -> list[str]:
+    """Name the inputs by their files, and by their topics where they are in bags."""
+    topics = (result.config.target_topic, result.config.source_topic)
+    return [
+        " ".join([Path(item.path).name, topics[k % 2] or ""]).strip()
+        for k, item in enumerate(result.inputs)
+    ]
 
 
 def joint_order(names: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.api.site import SiteResult
+from retropole.api.result import SiteResult
 from retropole.base import se3
 from retropole.base.errors import ReadError
 from retropole.fleet.dataset import LidarEntry, Row

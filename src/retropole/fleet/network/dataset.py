@@ -264,7 +264,7 @@ def _pair(row: Row) -> RelativePose:
 
 def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, str, RelativePose]]:
     """Take relative poses that join some LiDARs of a site without a loop, the most certain."""
-    from ...api.site import SiteResult
+    from ...api.result import SiteResult
 
     site = SiteResult(document)
     some = [name for name in site.lidars if name in lidars]

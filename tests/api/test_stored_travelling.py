@@ -9,8 +9,7 @@ import pytest
 
 import retropole as rp
 from retropole.api.checking import read_stored
-from retropole.api.stored import find_inputs
-from retropole.api.travelling import named_from
+from retropole.api.stored import find_recordings, named_from
 from retropole.io import write_pcd
 from retropole.result import encode
 from retropole.result.site import RecordingDoc, SiteConfig
@@ -74,12 +73,12 @@ def test_of_two_files_with_the_path_the_one_of_the_run_is_taken(
     (other.parent / "recordings" / FILES[0]).write_bytes(b"another")
     monkeypatch.chdir(other)
     document = rp.load_result(run / "out").document
-    found = find_inputs(document, run / "out")
+    found = [each.path for each in find_recordings(document, run / "out") if each.path]
     assert [path.resolve() for path in found] == [run / "recordings" / name for name in FILES]
     # The other way round: beside the result is another one now.
     shutil.copy(run / "recordings" / FILES[0], other.parent / "recordings" / FILES[0])
     (run / "recordings" / FILES[0]).write_bytes(b"another")
-    found = find_inputs(document, run / "out")
+    found = [each.path for each in find_recordings(document, run / "out") if each.path]
     assert found[0].resolve() == other.parent / "recordings" / FILES[0]
 
 
@@ -93,7 +92,9 @@ def test_older_results_with_absolute_paths_are_read(run: Path, tmp_path: Path) -
     old = msgspec.structs.replace(document, inputs=inputs, config=config)
     (tmp_path / "result.json").write_bytes(encode(old))
     loaded = rp.load_result(tmp_path)
-    assert find_inputs(loaded.document, tmp_path) == [run / "recordings" / name for name in FILES]
+    assert [each.path for each in find_recordings(loaded.document, tmp_path)] == [
+        run / "recordings" / name for name in FILES
+    ]
     assert read_stored(tmp_path).config.sensor_target == str(run / "mine.toml")
 
 
