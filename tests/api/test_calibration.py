@@ -183,8 +183,14 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"prior_sigma_deg": float("inf")}, "prior_sigma_deg is inf"),
         ({"up": True, "prior_rpy_deg": (0.0, 0.0, 0.0)}, "exclude each other"),
         ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
-        ({"target_topic": "/front"}, "target: a topic or frames"),
-        ({"frames": slice(0, 2)}, "target: a topic or frames"),
+        (
+            {"target_topic": "/front"},
+            "target: topic, frames, intensity and angles are chosen for files",
+        ),
+        (
+            {"frames": slice(0, 2)},
+            "target: topic, frames, intensity and angles are chosen for files",
+        ),
         ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter of the list"),
         ({"hypothesis": 1}, "hypothesis is 1, expected a letter of the list"),
         ({"radius": "thick"}, "wrong type"),
