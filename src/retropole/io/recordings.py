@@ -23,6 +23,10 @@ UNIX_SECONDS = 1e9, 1e11
 """Stamps in this range are Unix time, seconds: from 2001 on. Clocks that were never set, and those
 that start with the recording, stay below it."""
 
+UNSET = 86_400.0
+"""Seconds from the recorder's clock at which a LiDAR's was never set; one that is set wrongly, as
+to another time zone, is nearer."""
+
 CLOUDS = "sensor_msgs/msg/PointCloud2"
 """Type of the messages with point clouds, as ROS 2 writes it."""
 
@@ -301,11 +305,14 @@ def is_unix(seconds: float) -> bool:
 def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
     """First and last time at which a cloud was recorded, Unix seconds; None where it is not known.
 
-    The points' own times go first, where they are Unix time. When a file was written says nothing.
+    The points' own times go first, where they are Unix time, unless they are far from the
+    recorder's: clocks that were never set count from a date of the maker's, which two LiDARs may
+    share. When a file was written says nothing.
     """
     if cloud.time is not None and len(cloud.time):
         first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))
-        if is_unix(first) and is_unix(last):
+        is_set = cloud.recorded is None or abs(first - cloud.recorded[0]) < UNSET
+        if is_unix(first) and is_unix(last) and is_set:
             return first, last
     return cloud.recorded
 

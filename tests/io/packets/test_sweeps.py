@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.io import open_recording
+from retropole.io import open_recording, read_cloud
 from retropole.io.packets import blocks
 from retropole.io.packets.models import Blocks
 from retropole.io.packets.sweeps import (
@@ -17,6 +17,8 @@ from retropole.io.packets.sweeps import (
     positions_of,
     sweeps_of,
 )
+from retropole.io.recordings import time_of_recording
+from tests.io.files import required
 from tests.io.packets.sending import bag_of, hesai, model_named
 
 MODEL = model_named("Pandar40P")
@@ -100,3 +102,11 @@ def test_a_lidar_that_stands_still_does_not_fill_the_memory(
     assert all(take(packet) is None for _ in range(5000))
     cells = dict(zip(take.__code__.co_freevars, take.__closure__ or (), strict=True))
     assert len(cells["held"].cell_contents) <= 500 + PILED < MOST_HELD
+
+
+def test_times_of_a_clock_that_was_not_set_are_not_those_of_the_recording(tmp_path: Path) -> None:
+    """The packets say 2020, the bag 2023."""
+    cloud = read_cloud(bag_of("hesai_xt32", tmp_path))
+    start, end = required(time_of_recording(cloud))
+    assert 1_673_400_000 < start < end < start + 1
+    assert float(required(cloud.time).max()) < 1.6e9

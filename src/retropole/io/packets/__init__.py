@@ -20,7 +20,7 @@ from ...base.errors import ReadError, naming, reported
 from ...base.quantities import counted
 from ..bags import opened
 from ..fields import Columns, frame_from_columns, noted
-from ..recordings import PACKETS_OF, Frame, Recording, Topic
+from ..recordings import PACKETS_OF, Frame, Recording, Topic, is_unix
 from . import drivers
 from .angles import angles_told, read_angles
 from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
@@ -51,8 +51,8 @@ class Sender:
         Its table; None of a Velodyne.
     size
         Bytes of its packets; those of another size it has not sent.
-    rows
-        Its packets, by their numbers in the recording.
+    rows, times
+        Its packets, by their numbers in the recording; when each came, by the recorder's clock, s.
     angles, told
         Its own, where a packet told them, and how many packets tell about it.
     """
@@ -62,6 +62,7 @@ class Sender:
     model: Model | None
     size: int
     rows: list[int] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
     angles: Angles | None = None
     told: int = 0
 
@@ -173,7 +174,7 @@ def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]
     sizes: Counter[int] = Counter()
     told: dict[str, bytes] = {}
     telling = Counter[str]()
-    for row, (payload, name, _) in enumerate(coming):
+    for row, (payload, name, time) in enumerate(coming):
         own = senders.get(name)
         model = recognized(payload)
         if model is None and not is_velodyne(payload):
@@ -186,6 +187,7 @@ def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]
             own = senders[name] = _sender(model, payload)
         if len(payload) == own.size and (model is None) == (own.model is None):
             own.rows.append(row)
+            own.times.append(time)
     for name, own in senders.items():
         found = (
             angles_told(own.model, payload)
@@ -249,6 +251,8 @@ def _recording(
 
     def frames(numbers: range) -> Iterator[Frame]:
         for number, sweep in sweeps_of(model, own, index, numbers, payloads):
+            came = sender.times[int(index.rows[number][0])]
+            sweep = sweep._replace(stamp=came if is_unix(came) else None)
             yield _frame(path, number, sweep, sender.name, notes)
 
     return Recording(path, len(index.rows), frames, model=sender.name)

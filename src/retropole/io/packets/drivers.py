@@ -40,7 +40,9 @@ def datagrams(messages: Iterator[tuple[int, bytes, str]], kind: str) -> Iterator
         known, message = _decoded(kind, data, encoding, known)
         for packet in getattr(message, "packets", [message]):
             payload = packet.data.tobytes()
-            yield Datagram(payload[: getattr(packet, "size", len(payload))], "", stamp / 1e9)
+            came = getattr(packet, "stamp", None)
+            time = came.sec + came.nanosec / 1e9 if came is not None and came.sec else stamp / 1e9
+            yield Datagram(payload[: getattr(packet, "size", len(payload))], "", time)
 
 
 def _decoded(kind: str, data: bytes, encoding: str, known: int | None) -> tuple[int, Any]:
