@@ -97,8 +97,8 @@ def _rosette(sensor: Sensor, begun: int) -> Sweep:
         up = low + (high - low) * along
     level = np.sqrt(1 - up**2)
     rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=1)
-    time: Array = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
-    return Sweep(rays, np.zeros(sensor.points, dtype=np.int64), time)
+    time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
+    return Sweep(rays, np.zeros(sensor.points, dtype=np.int64), np.asarray(time))
 
 
 class Sources(NamedTuple):

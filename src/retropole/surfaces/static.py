@@ -342,6 +342,7 @@ def _adds_up(moved: Registration, cloud: PointCloud, frames: IntArray, part: int
     points of rough and far surfaces each time: on open ground a registration is drawn to where the
     points of one lie among those of the other, by as much in every step as from first to last.
     """
+    assert cloud.frame is not None
     runs = np.array_split(frames, max(len(frames) // part, 1))
     made = [prepare(cloud.xyz[np.isin(cloud.frame, run)], SCORING_VOXEL) for run in runs]
     steps = np.array(
