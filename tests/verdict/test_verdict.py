@@ -43,7 +43,7 @@ from retropole.hypotheses.evidence import (
 )
 from retropole.hypotheses.placements import PairedPlacement
 from retropole.surfaces.patches import surface_patches
-from retropole.verdict import check_returns, weaknesses
+from retropole.verdict import check_returns, check_sensor, weaknesses
 from tests.conftest import PoleMaker
 
 
@@ -327,3 +327,15 @@ def test_what_still_moves_is_told_stage_by_stage(good: list[Pole]) -> None:
         )
     ]
     assert stages == ["poles", "refined"]
+
+
+def test_angles_that_are_not_those_of_the_unit_are_a_warning() -> None:
+    cloud = PointCloud(np.ones((3, 3)))
+    assert not list(check_sensor("the target", Scan(cloud, None)))
+    nominal = Scan(replace(cloud, nominal_angles="Hesai XT32"), None)
+    (reason,) = check_sensor("the target", nominal)
+    assert reason.code == "nominal_angles"
+    assert reason in warnings_and_notes([reason])[0]
+    assert "Hesai XT32" in reason.message
+    assert "0.2 m at 30 m" in reason.message
+    assert "--angles FILE" in reason.message

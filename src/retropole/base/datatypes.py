@@ -61,8 +61,9 @@ class PointCloud:
     dropped, thinned, source, fields, notes
         How many points were dropped (not finite, at zero range), and left out of too many; the
         file, what it calls its values, with their types; in words what was lost.
-    model
-        Of LiDAR, where its packets name it: as ``sensors.toml`` calls it, else maker and model.
+    model, nominal_angles
+        Of LiDAR, where its packets name it: as ``sensors.toml`` calls it, else maker and model. And
+        the model by whose angles the points were placed, where those of the unit are not known.
     """
 
     xyz: Array
@@ -79,6 +80,7 @@ class PointCloud:
     fields: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     model: str = ""
+    nominal_angles: str = ""
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""

@@ -48,6 +48,7 @@ Code = Literal[
     "not_confirmed",
     "without_poles",
     "sensor_doubtful",
+    "nominal_angles",
     "pole_left_out",
     "not_converged",
     "small_margin",

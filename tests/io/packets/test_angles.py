@@ -44,6 +44,7 @@ def test_the_notes_say_which_angles_were_used(tmp_path: Path) -> None:
     own = read_recording(path, angles=table(tmp_path / "unit.csv", 16)).cloud
     assert plain.notes == ("angles of Hesai XT16: the table of the model",)
     assert own.notes == ("angles of Hesai XT16: unit.csv",)
+    assert (plain.nominal_angles, own.nominal_angles) == ("Hesai XT16", "")
     up = np.degrees(np.arcsin(own.xyz[:, 2] / 10))
     np.testing.assert_allclose(np.unique(up.round(6)), np.arange(16) - 5.5, atol=1e-5)
     cloud = tmp_path / "a.xyz"

@@ -202,7 +202,12 @@ class PacketSource:
         # A sensor whose clock was never set counts from when it was switched on.
         is_known = sweep.stamp is not None and is_unix(sweep.stamp)
         stamp = sweep.stamp if is_known else received
-        cloud = replace(cloud, notes=(*notes, *sweep.notes), model=sweep.model)
+        cloud = replace(
+            cloud,
+            notes=(*notes, *sweep.notes),
+            model=sweep.model,
+            nominal_angles=sweep.nominal_angles,
+        )
         return Frame(number, cloud, stamp, sender=sender)
 
     def close(self) -> None:

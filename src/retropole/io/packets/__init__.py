@@ -289,7 +289,8 @@ def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, .
     stamp = _first(own) if sweep.stamp is None else sweep.stamp
     # A maker alone says less than the rings of the cloud.
     model = "" if name in (VELODYNE, OUSTER) else name
-    return Frame(number, replace(cloud, model=model), stamp)
+    cloud = replace(cloud, model=model, nominal_angles=sweep.nominal_angles)
+    return Frame(number, cloud, stamp)
 
 
 def _first(columns: Columns) -> float | None:

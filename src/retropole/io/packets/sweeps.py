@@ -33,7 +33,7 @@ class Sweep(NamedTuple):
         Function that gives its columns, of which time is in seconds.
     origin
         (3,) of its beams.
-    model, notes
+    model, notes, nominal_angles
         What `PointCloud` is to have of it.
     """
 
@@ -42,6 +42,7 @@ class Sweep(NamedTuple):
     origin: Array
     model: str = ""
     notes: tuple[str, ...] = ()
+    nominal_angles: str = ""
 
 
 FAMILIES: dict[type[Layout], ModuleType] = {
@@ -226,8 +227,9 @@ def sweep(
         return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
 
     used = (angles or model.angles) if model.elevation_deg or angles else None
-    note = f"angles of {model.title}: {used.found}" if used else ""
-    return Sweep(None, columns, np.zeros(3), model.sensor or model.title, (note,) if note else ())
+    notes = (f"angles of {model.title}: {used.found}",) if used else ()
+    nominal = model.title if used and angles is None else ""
+    return Sweep(None, columns, np.zeros(3), model.sensor or model.title, notes, nominal)
 
 
 def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]:
