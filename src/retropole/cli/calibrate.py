@@ -1,16 +1,15 @@
-"""The command ``retropole calibrate``."""
+"""The commands ``retropole calibrate`` and ``retropole site calibrate``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..result import REPORT_FILE, RESULT_FILE, RunConfig
-from .common import command_line, listening, result_told, say
+from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
+from .common import BY_SITE_FILE, command_line, listening, result_told, say
 from .options import CLOUD, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
 from .out import out_folder
 
@@ -68,7 +67,6 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
-    from ..report.text import describe_result
 
     # A plan that cannot be read is told before the work.
     wanted = None
@@ -87,8 +85,9 @@ def calibrate(
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, "TARGET", "SOURCE"),
     }
-    describe = partial(describe_result, result.document, following=following, verbose=verbose)
-    code = result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)
+    code = result_told(
+        result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
+    )
     if wanted is not None and not quiet:
         for line in cost_of(wanted, result):
             say(f"plan: {line}")
@@ -106,3 +105,46 @@ def placed(
             raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
         placements = [(target, source)]
     return [pair[0] for pair in placements], [pair[1] for pair in placements]
+
+
+@click.command("calibrate")
+@click.argument("site_file", metavar="SITE.toml", type=CLOUD)
+@out_folder("Folder for site-result.json and site-report.html.", SITE_RESULT_FILE, SITE_REPORT_FILE)
+@verdict_options("every pair and test, what was read and the time of each step")
+def site_calibrate(
+    site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
+) -> int:
+    """Find the poses of all LiDARs of a site in one frame.
+
+    SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
+    what was surveyed; 'retropole site init' writes one. A folder stands for its site.toml.
+
+    \b
+    Examples:
+      retropole site calibrate site.toml
+      retropole site calibrate quay/site.toml --out today --strict
+      retropole site calibrate site.toml --json | jq '.lidars[] | {name, T_site_lidar}'
+
+    \b
+    Exit code:
+      0    calibrated: the verdict is ok or warn
+      1    with --strict: the verdict is warn
+      2    a file or an option is wrong; an older result in --out is renamed
+      3    refused: no poses; the reason is printed and in site-result.json
+      130  interrupted
+    """
+    from ..api.calibration import calibrate_site
+
+    asked = "as the site file says"
+    with listening(quiet, asked, BY_SITE_FILE) as listener:
+        result = calibrate_site(site_file, **listener._asdict())
+        listener.progress("report")
+        written = result.save(out)
+    following = {
+        "next": command_line("export", written[0], "--to", "urdf", "--out", out / "site.urdf"),
+        "field test of the LiDARs": command_line("certify", site_file, "--out", out),
+        "later, with new recordings": command_line("site", "check", out, "SITE"),
+    }
+    return result_told(
+        result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
+    )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -15,10 +17,11 @@ from .common import BY_SITE_FILE, EXIT_MOVED, EXIT_REFUSED, in_colour, json_text
 from .options import CLOUD, DEGREES, METRES, Command, run_option
 
 if TYPE_CHECKING:
-    from ..api.checking import CheckResult, Movement
-    from ..api.site_checking import CheckedPair, SiteCheck
+    from ..api.checking import CheckedPair, CheckResult, Movement, SiteCheck
     from ..base.datatypes import Array
     from ..base.errors import Reason
+
+Answer = TypeVar("Answer", "CheckResult", "SiteCheck")
 
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
@@ -141,16 +144,39 @@ def check(
             answer = CheckResult("cannot_tell", (refusal.reason.prefixed("stored"),))
         else:
             answer = check_recordings(stored, target, source, listener=listener, **asked)
+    return _told(answer, answer_fields, in_words, as_json=as_json, quiet=quiet)
+
+
+def _told(
+    answer: Answer,
+    fields: Callable[[Answer], dict[str, Any]],
+    words: Callable[[Answer], str],
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Print an answer, as one line of JSON or in words, and give the exit code."""
     if as_json:
-        show(json_line(answer))
+        show(json_text(fields(answer)))
     elif not quiet:
-        show(in_colour(in_words(answer), answer.status))
+        show(in_colour(words(answer), answer.status))
     return EXITS[answer.status]
 
 
-def json_line(answer: CheckResult) -> str:
-    """Write the answer as one line of JSON; what is not known is null."""
-    return json_text(answer_fields(answer))
+def _verdict(answer: CheckResult) -> str:
+    verdict = answer.status.replace("_", " ")
+    if answer.status == "same" and answer.tolerance is not None:
+        verdict += f" within {answer.tolerance.in_words}"
+    return verdict
+
+
+def _said(reasons: Sequence[Reason]) -> Iterator[str]:
+    """Write reasons, whose words may come from files."""
+    from ..base.errors import printable
+    from ..report.text import reason_lines
+
+    for reason in reasons:
+        yield from reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
 
 
 def answer_fields(answer: CheckResult) -> dict[str, Any]:
@@ -181,14 +207,10 @@ def answer_fields(answer: CheckResult) -> dict[str, Any]:
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
     from ..api.checking import FALSE_ALARM
-    from ..base.errors import printable
     from ..base.quantities import value_and_error
-    from ..report.text import reason_lines, wrapped
+    from ..report.text import wrapped
 
-    verdict = answer.status.replace("_", " ")
-    if answer.status == "same" and answer.tolerance is not None:
-        verdict += f" within {answer.tolerance.in_words}"
-    lines = [f"verdict: {verdict}"]
+    lines = [f"verdict: {_verdict(answer)}"]
     rotation, translation = answer.rotation, answer.translation
     if answer.step is not None and rotation is not None and translation is not None:
         how = "poles and scene" if answer.used == "poles" else "the scene alone"
@@ -206,9 +228,7 @@ def in_words(answer: CheckResult) -> str:
         words = answer.confirmation.words
         lines.append(f"  scene check under the stored pose: {words}")
     lines = [part for line in lines for part in wrapped(line, "    ")]
-    for reason in answer.reasons:
-        lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_said(answer.reasons)])
 
 
 def _direction(
@@ -261,40 +281,34 @@ def site_check(
       4    moved
       130  interrupted
     """
-    from ..api.site_checking import check_site
+    from ..api.checking import check_site
 
     with listening(quiet, None, BY_SITE_FILE, hidden=as_json) as listener:
         answer = check_site(
             result, site, rotation=rotation, translation=translation, listener=listener
         )
-    if as_json:
-        show(site_json_line(answer))
-    elif not quiet:
-        show(in_colour(site_in_words(answer), answer.status))
-    return EXITS[answer.status]
+    return _told(answer, site_fields, site_in_words, as_json=as_json, quiet=quiet)
 
 
-def site_json_line(answer: SiteCheck) -> str:
-    """Write the answer as one line of JSON."""
-    return json_text(
-        {
-            "schema": SITE_CHECK_SCHEMA,
-            "status": answer.status,
-            "moved": answer.moved,
-            "untold": answer.untold,
-            "reasons": answer.reasons,
-            "pairs": [
-                {"target": target, "source": source, **answer_fields(each)}
-                for target, source, each in answer.pairs
-            ],
-        }
-    )
+def site_fields(answer: SiteCheck) -> dict[str, Any]:
+    """Name all that the answer of a site says."""
+    return {
+        "schema": SITE_CHECK_SCHEMA,
+        "status": answer.status,
+        "moved": answer.moved,
+        "untold": answer.untold,
+        "reasons": answer.reasons,
+        "pairs": [
+            {"target": target, "source": source, **answer_fields(each)}
+            for target, source, each in answer.pairs
+        ],
+    }
 
 
 def site_in_words(answer: SiteCheck) -> str:
     """Write the answer as a person reads it: the LiDARs, a line for each pair, and reasons."""
     from ..base.errors import printable
-    from ..report.text import reason_lines, table, wrapped
+    from ..report.text import table, wrapped
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     said = []
@@ -308,37 +322,29 @@ def site_in_words(answer: SiteCheck) -> str:
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")
         lines.append(table(header, [_pair_row(each) for each in answer.pairs]))
-    for reason in answer.reasons:
-        lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
-    for reason, pairs in _worth_saying(answer):
-        named = printable(f"{'; '.join(pairs)}: {reason.message}")
-        lines += reason_lines(ReasonDoc(reason.code, named, {}))
+    lines += _said([*answer.reasons, *_worth_saying(answer)])
     for target, source, each in answer.pairs:
         if each.status == "cannot_tell":
-            lines.append(f"  {printable(f'{target}, {source}')}:")
-            for reason in each.reasons:
-                lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
+            lines += [f"  {printable(f'{target}, {source}')}:", *_said(each.reasons)]
     return "\n".join(lines)
 
 
-def _worth_saying(answer: SiteCheck) -> list[tuple[Reason, list[str]]]:
-    """List what is to be known of pairs that have an answer, and the pairs that it is said of."""
+def _worth_saying(answer: SiteCheck) -> Iterator[Reason]:
+    """List what is to be known of pairs that have an answer, with the pairs that it is said of."""
     found: dict[str, tuple[Reason, list[str]]] = {}
     for target, source, each in answer.pairs:
         for reason in each.reasons:
             if each.status != "cannot_tell" and reason.code in SAID_OF_ANSWERS:
                 found.setdefault(reason.message, (reason, []))[1].append(f"{target}, {source}")
-    return list(found.values())
+    for reason, pairs in found.values():
+        yield replace(reason, message=f"{'; '.join(pairs)}: {reason.message}")
 
 
 def _pair_row(pair: CheckedPair) -> tuple[str, ...]:
     from ..base.errors import printable
     from ..base.quantities import UNKNOWN, value_and_error
 
-    answer, turn, shift = pair.answer, pair.answer.rotation, pair.answer.translation
-    verdict = answer.status.replace("_", " ")
-    if answer.status == "same" and answer.tolerance is not None:
-        verdict += f" within {answer.tolerance.in_words}"
+    turn, shift = pair.answer.rotation, pair.answer.translation
     rotated = UNKNOWN if turn is None else value_and_error(turn.length, turn.sigma, "rad")
     translated = UNKNOWN if shift is None else value_and_error(shift.length, shift.sigma)
-    return printable(f"{pair.target}, {pair.source}"), verdict, rotated, translated
+    return printable(f"{pair.target}, {pair.source}"), _verdict(pair.answer), rotated, translated

@@ -215,9 +215,10 @@ def echo_warning(code: str, message: str) -> None:
 def result_told(
     result: CalibrationResult | SiteResult,
     written: Sequence[Path],
-    describe: Callable[[Sequence[str]], str],
+    following: Mapping[str, str],
     *,
     as_json: bool,
+    verbose: bool,
     quiet: bool,
     strict: bool,
 ) -> int:
@@ -229,17 +230,21 @@ def result_told(
         Of two LiDARs or of a site.
     written
         Its files.
-    describe
-        Writes it in words, and names its files.
-    as_json, quiet
-        Print the document instead, or nothing.
+    following
+        Commands to type next, by the words that introduce each.
+    as_json, verbose, quiet
+        Print the document instead of words, more of them, or nothing.
     strict
         Whether a warning is an error.
     """
+    from ..report.text import describe_result
+
     if as_json:
         show(written[0].read_bytes())
     elif not quiet:
-        show(in_colour(describe([str(path) for path in written]), result.status))
+        paths = [str(path) for path in written]
+        words = describe_result(result.document, paths, following, verbose=verbose)
+        show(in_colour(words, result.status))
     refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
         if refused and unseen:

@@ -1,26 +1,15 @@
-"""The commands ``retropole site init`` and ``site calibrate``, and the group of all of a site."""
+"""The command ``retropole site init``, and the group of all of a site."""
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import click
 
-from ..result import SITE_REPORT_FILE, SITE_RESULT_FILE
+from .calibrate import site_calibrate
 from .check import site_check
-from .common import (
-    BY_SITE_FILE,
-    Group,
-    command_line,
-    listening,
-    result_told,
-    say,
-    show,
-    show_written,
-)
-from .options import CLOUD, FILE, verdict_options
-from .out import out_folder
+from .common import Group, command_line, say, show, show_written
+from .options import CLOUD, FILE
 
 
 @click.group(cls=Group)
@@ -38,6 +27,7 @@ def site() -> None:
     """
 
 
+site.add_command(site_calibrate)
 site.add_command(site_check)
 
 
@@ -81,46 +71,3 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
         show_written(path)
         show(f"next: {printable(command_line('site', 'calibrate', path))}")
     return 0
-
-
-@site.command()
-@click.argument("site_file", metavar="SITE.toml", type=CLOUD)
-@out_folder("Folder for site-result.json and site-report.html.", SITE_RESULT_FILE, SITE_REPORT_FILE)
-@verdict_options("every pair and test, what was read and the time of each step")
-def calibrate(
-    site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
-) -> int:
-    """Find the poses of all LiDARs of a site in one frame.
-
-    SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one. A folder stands for its site.toml.
-
-    \b
-    Examples:
-      retropole site calibrate site.toml
-      retropole site calibrate quay/site.toml --out today --strict
-      retropole site calibrate site.toml --json | jq '.lidars[] | {name, T_site_lidar}'
-
-    \b
-    Exit code:
-      0    calibrated: the verdict is ok or warn
-      1    with --strict: the verdict is warn
-      2    a file or an option is wrong; an older result in --out is renamed
-      3    refused: no poses; the reason is printed and in site-result.json
-      130  interrupted
-    """
-    from ..api.calibration import calibrate_site
-    from ..report.text import describe_result
-
-    asked = "as the site file says"
-    with listening(quiet, asked, BY_SITE_FILE) as listener:
-        result = calibrate_site(site_file, **listener._asdict())
-        listener.progress("report")
-        written = result.save(out)
-    following = {
-        "next": command_line("export", written[0], "--to", "urdf", "--out", out / "site.urdf"),
-        "field test of the LiDARs": command_line("certify", site_file, "--out", out),
-        "later, with new recordings": command_line("site", "check", out, "SITE"),
-    }
-    describe = partial(describe_result, result.document, following=following, verbose=verbose)
-    return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

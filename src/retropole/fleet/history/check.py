@@ -15,7 +15,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from ...api.site_checking import pair_config, shared_placements, stored_pairs
+from ...api.checking import pair_config, shared_placements, stored_pairs
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document

@@ -5,7 +5,7 @@ from itertools import permutations
 
 import pytest
 
-from retropole.api.site_checking import CheckedPair, SiteCheck, verdict_of
+from retropole.api.checking import CheckedPair, SiteCheck, verdict_of
 from retropole.checking.movement import CheckResult, Status
 
 ANSWERS: dict[str, Status] = {"=": "same", "x": "moved", "?": "cannot_tell"}
