@@ -17,8 +17,8 @@ from ...base.errors import ReadError
 from .clocks import seconds
 from .models import Angles, Interpolated, Model, Returns, is_other, rings_of
 
-SMALL = 1e-9
-"""Metres by which a distance as a product may miss the ends of the range, which are kept."""
+SMALL = 1e-6
+"""Units by which the ends of a range, which are kept, may miss whole ones."""
 
 WIDEST_STEP = 1.0
 """Degrees from a row to the next; where it is more, the LiDAR was told to leave a sector out. At 20
@@ -29,6 +29,9 @@ STEP_BACK = 0.1
 
 DIFOP_START = bytes.fromhex("a5ff005a")
 """First bytes of the packets in which a RoboSense or a Leishen tells what it is."""
+
+AT_ONCE = 32
+"""Packets whose returns are placed at a time: what that takes stays in a processor's cache."""
 
 MOST_APART = 3.0
 """Degrees by which an elevation may differ from that of the table, as Leishen's driver has it."""
@@ -93,13 +96,12 @@ def decode(
         raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
     sent = seconds(layout.clock, packets, layout.stamp)
     rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
-    distance = np.multiply(rows.distance, model.distance_m, dtype=np.float64)
-    nearest, farthest = model.range_m
-    kept = (distance >= nearest - SMALL) & (distance <= farthest + SMALL)
+    least, most = np.array(model.range_m) / model.distance_m
+    kept = (rows.distance >= np.ceil(least - SMALL)) & (rows.distance <= np.floor(most + SMALL))
     kept &= rows.valid[:, :, None]
     is_dual = _is_dual(rows.azimuth)
     if is_dual:
-        kept &= _kept_of_two(rows, distance)
+        kept &= _kept_of_two(rows, model.distance_m)
     # From a row to the one after it in its packet, which of a dual return is the next but one.
     change = _change(rows.azimuth[:, :-1], rows.azimuth[:, 1:])
     usual = change[(change > 0) & (change <= WIDEST_STEP)]
@@ -122,10 +124,10 @@ def decode(
         return np.broadcast_to(values, kept.shape)[kept]
 
     return Returns(
-        xyz=_placed(layout, rows.azimuth, step, firing / period, own, distance, kept),
+        xyz=_placed(model, rows, step, firing / period, own, kept),
         intensity=rows.intensity[kept].astype(np.float64),
         ring=every(rings_of(own.elevation)[channel]),
-        time=every(sent[:, None, None] + late[:, :, None] + firing),
+        time=every((sent[:, None] + late)[:, :, None]) + every(firing),
         turn=every(turn.astype(np.int64)[:, :, None]),
         packet=every(np.arange(len(packets))[:, None, None]),
     )
@@ -172,40 +174,36 @@ def _layout(model: Model) -> Interpolated:
 
 
 def _placed(
-    layout: Interpolated,
-    azimuth: Array,
-    step: Array,
-    share: Array,
-    angles: Angles,
-    distance: Array,
-    kept: BoolArray,
+    model: Model, rows: _Rows, step: Array, share: Array, angles: Angles, kept: BoolArray
 ) -> Array:
-    """Coordinates (M, 3) of those kept of returns at some distances (N, R, S).
+    """Coordinates (M, 3) of those of the returns of rows that are kept (N, R, S).
 
-    Rows begin at azimuths (N, R), and turn by steps (N, R), both degrees, until the next; a share
-    of it (S,) is left behind when each fires.
+    Rows turn by steps (N, R), degrees, until the next; a share of it (S,) is behind as each fires.
     """
+    layout = _layout(model)
     channel = np.arange(len(share)) % len(angles.elevation)
     # Few steps differ, so that sines and cosines are those of few angles.
     steps, of_step = np.unique(step, return_inverse=True)
     of_step = of_step.reshape(step.shape)
-    on = np.deg2rad(np.outer(steps, share))
-    out, lens = np.cos(angles.elevation)[channel], layout.lens[0] * np.ones(len(share))
-    beside = angles.azimuth[channel] * layout.has_lens_of_channels
-    along = cross = np.zeros(())
-    for scale, ways, turned in (
-        (distance, out, on + angles.azimuth[channel]),
-        (1.0, lens, on + np.deg2rad(layout.lens[1]) + beside),
-    ):
-        along = along + scale * (ways * np.cos(turned))[of_step]
-        cross = cross + scale * (ways * np.sin(turned))[of_step]
-    ahead, aside = (f(np.deg2rad(azimuth))[:, :, None] for f in (np.cos, np.sin))
-    forward, right = along * ahead - cross * aside, along * aside + cross * ahead
-    plane = (forward, -right) if layout.is_x_ahead else (right, forward)
-    height = distance * np.sin(angles.elevation)[channel] + layout.lens[2]
-    xyz = np.empty((np.count_nonzero(kept), 3))
-    for axis, values in enumerate((*plane, height)):
-        xyz[:, axis] = values[kept]
+    on, beside = np.deg2rad(np.outer(steps, share)), angles.azimuth[channel]
+    beam = np.cos(angles.elevation)[channel] * np.exp(1j * (on + beside))
+    of_lens = on + np.deg2rad(layout.lens[1]) + layout.has_lens_of_channels * beside
+    lens, up = layout.lens[0] * np.exp(1j * of_lens), np.sin(angles.elevation)[channel]
+    turned = np.exp(1j * np.deg2rad(rows.azimuth))[:, :, None]
+    xyz, end = np.empty((np.count_nonzero(kept), 3)), 0
+    for first in range(0, len(kept), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        distance = rows.distance[part] * model.distance_m
+        # In the plane, ahead is real and clockwise is imaginary.
+        plane = beam[of_step[part]]
+        plane *= distance
+        plane += lens[of_step[part]]
+        plane *= turned[part]
+        plane = plane[kept[part]]
+        start, end = end, end + len(plane)
+        ways = (plane.real, -plane.imag) if layout.is_x_ahead else (plane.imag, plane.real)
+        xyz[start:end, 0], xyz[start:end, 1] = ways
+        xyz[start:end, 2] = (distance * up)[kept[part]] + layout.lens[2]
     return xyz
 
 
@@ -274,7 +272,7 @@ def _is_dual(azimuth: Array) -> bool:
     return bool(np.mean(every[1:] == every[:-1]) > MANY) if len(every) > 1 else False
 
 
-def _kept_of_two(rows: _Rows, distance: Array) -> BoolArray:
+def _kept_of_two(rows: _Rows, unit: float) -> BoolArray:
     """Find what remains (N, R, S) where each firing has two returns, in rows of one azimuth.
 
     The rows of a packet may be an odd number: the second return is in the next packet then.
@@ -284,10 +282,12 @@ def _kept_of_two(rows: _Rows, distance: Array) -> BoolArray:
     place = np.arange(len(same))
     begins = np.maximum.accumulate(np.where(np.insert(~same[:-1], 0, True), place, 0))
     first = np.flatnonzero(same & ((place - begins) % 2 == 0))
-    flat = distance.reshape(len(azimuth), -1)
+    flat = rows.distance.reshape(len(azimuth), -1)
     kept = np.ones(flat.shape, bool)
-    kept[first] = is_other(flat[first], flat[first + 1])
-    return kept.reshape(distance.shape)
+    kept[first] = is_other(
+        *(np.multiply(flat[k], unit, dtype=np.float64) for k in (first, first + 1))
+    )
+    return kept.reshape(rows.distance.shape)
 
 
 def _change(start: Array, end: Array) -> Array:
