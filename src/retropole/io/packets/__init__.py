@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.datatypes import Array, IntArray
-from ...base.errors import ReadError, naming, reported
+from ...base.errors import ReadError, UsageError, naming, reported
 from ...base.quantities import counted
 from ..bags import opened
 from ..fields import Columns, frame_from_columns, noted
@@ -90,12 +90,18 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
     ReadError
         Where the file is not a capture of such packets, or an Ouster's metadata are missing; where
         not exactly one sender fits.
+    UsageError
+        Where a topic or angles are given, and the packets are of none that has these.
     """
     with naming(path), reported("capture"):
         capture = walk(path)
-    senders, sizes, starts = _surveyed(path, capture)
+    senders, starts = _surveyed(path, capture)
     if not senders:
-        return _of_ouster(path, capture, sizes)
+        if topic is not None or angles is not None:
+            raise UsageError(
+                f"{path}: has packets of no LiDAR of the tables; topic and --angles are for these"
+            )
+        return _of_ouster(path, capture)
     name = _chosen(path, senders, topic)
     # Of a damaged packet nothing tells who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
@@ -117,7 +123,7 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
     return replace(recording, topic=name) if len(senders) > 1 else recording
 
 
-def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], Counter[int], IntArray]:
+def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray]:
     """Survey a capture; besides, where the payload of each packet begins in the file."""
     starts: list[int] = []
 
@@ -126,8 +132,8 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], Counter[
             starts.append(start)
             yield each
 
-    senders, sizes = survey(coming())
-    return senders, sizes, np.array(starts, np.int64)
+    senders, _ = survey(coming())
+    return senders, np.array(starts, np.int64)
 
 
 def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recording:
@@ -161,7 +167,7 @@ def topics_of_capture(path: Path) -> tuple[Topic, ...]:
     """List the LiDARs of a capture as topics, ``IP:port``, where there are several."""
     with naming(path), reported("capture"):
         capture = walk(path)
-    senders, *_ = _surveyed(path, capture)
+    senders, _ = _surveyed(path, capture)
     topics = tuple(
         Topic(name, f"{PACKETS_OF}{own.title}", len(own.rows)) for name, own in senders.items()
     )
@@ -233,6 +239,8 @@ def _recording(
     """Open what one LiDAR sent."""
     rows = np.array(sender.rows, np.int64)
     if sender.model is None:
+        if angles is not None:
+            raise UsageError(f"{path}: angles of a {sender.title} are known, --angles is of no use")
         coming = None if is_whole_file else partial(read, rows)
         return _decoded(
             path,
@@ -298,7 +306,7 @@ def _first(columns: Columns) -> float | None:
     return float(time.min()) if len(time) else None
 
 
-def _of_ouster(path: Path, capture: Capture, sizes: Counter[int]) -> Recording:
+def _of_ouster(path: Path, capture: Capture) -> Recording:
     """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
     words = sizes_in_words(capture)
     metadata = metadata_beside(path, words)

@@ -27,7 +27,7 @@ def metadata_beside(path: Path, sizes: str) -> Path:
         return beside[0]
     have = f"{len(beside)} files .json, none of them {same.name}" if beside else "no .json"
     raise ReadError(
-        f"{path}: its packets are not from a Velodyne ({sizes}); those of an Ouster need the "
+        f"{path}: its packets are of no known LiDAR ({sizes}); those of an Ouster need the "
         f"sensor's metadata beside them as {same.name}, found {have}"
     )
 
