@@ -248,15 +248,15 @@ class SiteCalibration:
     status: Status
     reasons: tuple[Reason, ...]
     site: Site
-    datum: str
     scans: tuple[tuple[Scan | None, ...], ...]
-    lidars: tuple[LidarPose, ...]
-    covariance: Array | None
-    groups: tuple[tuple[int, ...], ...]
-    poles: tuple[SitePole, ...]
-    pairs: tuple[PairCheck, ...]
-    loops: tuple[LoopClosure, ...]
-    tests: tuple[Test, ...]
-    without: tuple[WithoutPlacement, ...]
     seconds: Mapping[str, float]
+    datum: str = ""
+    lidars: tuple[LidarPose, ...] = ()
+    covariance: Array | None = None
+    groups: tuple[tuple[int, ...], ...] = ()
+    poles: tuple[SitePole, ...] = ()
+    pairs: tuple[PairCheck, ...] = ()
+    loops: tuple[LoopClosure, ...] = ()
+    tests: tuple[Test, ...] = ()
+    without: tuple[WithoutPlacement, ...] = ()
     notes: tuple[Reason, ...] = ()

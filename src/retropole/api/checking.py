@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace as replace_options
 
 from ..base.datatypes import PoseEstimate
-from ..base.errors import ReadError, Reason, Refusal, naming
+from ..base.errors import ReadError, Reason, Refusal
 from ..base.files import read_document
 from ..base.quantities import step_of
 from ..base.reasons import prefixed
@@ -30,9 +31,9 @@ from ..result import DEFAULT_CONFIG, SITE_RESULT_FILE, ResultDoc, RunConfig, ref
 from ..result.decoding import decode_site
 from ..result.site import SiteDoc
 from .calibration import known_of
-from .inputs import SILENT, Input, InputPair, Listener, read_input, read_pair
+from .inputs import SILENT, InputPair, Listener, read_pair
 from .site_file import LidarTable, SiteFile, read_site_file
-from .site_inputs import site_file_in
+from .site_inputs import read_of, site_file_in
 from .stored import are_swapped, hashes_of, loaded, with_sensors_from
 
 
@@ -324,17 +325,19 @@ def check_site(
     exchanged = _exchanged(document, file, site)
     if exchanged is not None:
         return SiteCheck("cannot_tell", (exchanged,))
-    recordings = _Recordings(file, site, listener)
+    tables = {lidar.name: lidar for lidar in file.lidar}
+    # Each is read once, of whatever pairs its LiDAR is.
+    read = cache(partial(read_of, file, site, listener))
     asked = Asked(rotation, translation)
     checked = []
     for k, (target, source) in enumerate(pairs, 1):
         listener.progress(step_of(f"check {target} and {source}", k, len(pairs)))
         stored = read_stored(result, lidars=(target, source))
-        tables = recordings.tables[target], recordings.tables[source]
-        config = pair_config(document, *tables)
+        both = tables[target], tables[source]
+        config = pair_config(document, *both)
         answer = CheckResult("cannot_tell", ())
-        for n in shared_placements(*tables):
-            pair = InputPair(recordings.read(target, n), recordings.read(source, n))
+        for n in shared_placements(*both):
+            pair = InputPair(*(read(file.lidar.index(table), n) for table in both))
             try:
                 answer = check_pair(stored, pair, config, asked)
             except Refusal as refusal:
@@ -400,27 +403,6 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
                     {"told_by": "hashes", "given_for": lidar.name, "of": owner},
                 )
     return None
-
-
-class _Recordings:
-    """The recordings of a site file, each read once."""
-
-    def __init__(self, file: SiteFile, site: Path, listener: Listener) -> None:
-        self.tables: Mapping[str, LidarTable] = {lidar.name: lidar for lidar in file.lidar}
-        self._given = file, site, listener
-        self._read: dict[tuple[str, int], Input] = {}
-
-    def read(self, lidar: str, placement: int) -> Input:
-        """Read what a LiDAR recorded in a placement."""
-        file, site, listener = self._given
-        at = lidar, placement
-        if at not in self._read:
-            table = self.tables[lidar]
-            where = f"{site}: lidar {lidar}, placement {file.placements[placement]}"
-            with naming(where, is_said_there=True):
-                place = site.parent / table.recordings[placement]
-                self._read[at] = read_input(place, table.reading(file.max_points), listener)
-        return self._read[at]
 
 
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:

@@ -114,22 +114,39 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     wanted = []
     for k, lidar in enumerate(file.lidar):
         for n, recording in enumerate(lidar.recordings):
-            where = f"{path}: lidar {lidar.name}, placement {file.placements[n]}"
             if recording and not (path.parent / recording).exists():
-                raise ReadError(f"{where}: {path.parent / recording}: no such file")
+                place = path.parent / recording
+                raise ReadError(f"{_where(file, path, k, n)}: {place}: no such file")
             if recording:
-                wanted.append(((k, n), path.parent / recording, where))
+                wanted.append((k, n))
     inputs: dict[tuple[int, int], Input] = {}
-    for count, ((k, n), place, where) in enumerate(wanted, 1):
+    for count, at in enumerate(wanted, 1):
         listener.progress(step_of("read", count, len(wanted)))
-        with naming(where, is_said_there=True):
-            inputs[k, n] = read_input(place, file.lidar[k].reading(file.max_points), listener)
+        inputs[at] = read_of(file, path, listener, *at)
     with naming(path, is_said_there=True):
         site = in_metres(site_of(file, inputs))
     config = SiteConfig(
         site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
     )
     return SiteInputs(site, inputs, config)
+
+
+def read_of(file: SiteFile, path: Path, listener: Listener, lidar: int, placement: int) -> Input:
+    """Read what a LiDAR of a site file recorded in a placement, by their indices.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        Where it cannot be read; names the file, the LiDAR and the placement.
+    """
+    table = file.lidar[lidar]
+    with naming(_where(file, path, lidar, placement), is_said_there=True):
+        place = path.parent / table.recordings[placement]
+        return read_input(place, table.reading(file.max_points), listener)
+
+
+def _where(file: SiteFile, path: Path, lidar: int, placement: int) -> str:
+    return f"{path}: lidar {file.lidar[lidar].name}, placement {file.placements[placement]}"
 
 
 def inputs_of(site: Site) -> SiteInputs:

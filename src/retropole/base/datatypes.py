@@ -360,16 +360,16 @@ class Calibration:
 
     status: Status
     reasons: tuple[Reason, ...]
-    T_target_source: Array | None
-    covariance: Array | None
-    poles: PoseEstimate | None
-    refined: PoseEstimate | None
-    hypotheses: tuple[Hypothesis, ...]
-    margin: float | None
-    predicted_error: tuple[ErrorAtRange, ...]
-    weakest: WeakDirection | None
-    placements: tuple[Placement, ...]
-    seconds: Mapping[str, float]
+    T_target_source: Array | None = None
+    covariance: Array | None = None
+    poles: PoseEstimate | None = None
+    refined: PoseEstimate | None = None
+    hypotheses: tuple[Hypothesis, ...] = ()
+    margin: float | None = None
+    predicted_error: tuple[ErrorAtRange, ...] = ()
+    weakest: WeakDirection | None = None
+    placements: tuple[Placement, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
     radius: RadiusEstimate | None = None
     confirmation: Confirmation | None = None

@@ -18,11 +18,10 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec import Meta
 
-from ..api import Array
 from ..base.errors import ReadError, said
 from ..result import BudgetEntry, ErrorAtRange, ResultDoc, encode
 from ..result.decoding import decode, decode_site
-from ..result.site import LidarDoc, SiteDoc
+from ..result.site import SiteDoc, as_site
 from .sites import FleetSite, Kind
 from .storage import below, names_in, remove, replace_bytes
 from .tables import arrow, opened, parquet_of
@@ -306,20 +305,15 @@ def _lidars(document: ResultDoc | SiteDoc) -> list[LidarEntry]:
 
     None where refused.
     """
-    poses: list[tuple[str, str, Array | None, ResultDoc | LidarDoc]]
-    if isinstance(document, SiteDoc):
-        poses = [(each.name, each.sensor, each.T_site_lidar, each) for each in document.lidars]
-    else:
-        poses = [("source", document.inputs[1].sensor, document.T_target_source, document)]
     return [
         LidarEntry(
-            name=name,
-            sensor=sensor,
-            T=T.ravel().tolist(),
-            covariance=of.covariance.ravel().tolist(),
-            predicted_error=list(of.predicted_error or ()),
-            budget=list(of.budget or ()),
+            name=each.name,
+            sensor=each.sensor,
+            T=each.T_site_lidar.ravel().tolist(),
+            covariance=each.covariance.ravel().tolist(),
+            predicted_error=list(each.predicted_error or ()),
+            budget=list(each.budget or ()),
         )
-        for name, sensor, T, of in poses
-        if T is not None and of.covariance is not None
+        for each in as_site(document).lidars[isinstance(document, ResultDoc) :]
+        if each.T_site_lidar is not None and each.covariance is not None
     ]

@@ -94,14 +94,8 @@ def state_refusal(
     return Calibration(
         status="refused",
         reasons=(refusal.reason,),
-        T_target_source=None,
-        covariance=None,
-        poles=None,
-        refined=None,
         hypotheses=hypotheses,
         margin=margin_of(hypotheses),
-        predicted_error=(),
-        weakest=None,
         placements=placements,
         seconds=seconds,
         confirmation=confirmation,
@@ -186,16 +180,9 @@ def state_answer_of_two(
         status="refused",
         reasons=(*reasons, *unusable),
         site=site,
-        datum="",
         scans=tuple(map(tuple, rows)),
-        lidars=(),
-        covariance=None,
         groups=((0, 1),) if found.hypotheses else ((0,), (1,)),
-        poles=(),
         pairs=(check,),
-        loops=(),
-        tests=(),
-        without=(),
         seconds=seconds,
         notes=tuple(named(note, names) for note in found.notes),
     )
@@ -291,21 +278,13 @@ def state_site_refusal(
     seconds: dict[str, float],
 ) -> SiteCalibration:
     """State a refusal, with all that was found before it."""
-    reason = Reason(refusal.code, refusal.message, refusal.values)
     return SiteCalibration(
         status="refused",
-        reasons=(reason, *list_unusable(site, scans, refusal), *blunders),
+        reasons=(refusal.reason, *list_unusable(site, scans, refusal), *blunders),
         site=site,
-        datum="",
         scans=scans.in_clouds,
-        lidars=(),
-        covariance=None,
         groups=tuple(tuple(group) for group in groups),
-        poles=(),
         pairs=tuple(_pair_check(pair, None) for pair in pairs),
-        loops=(),
-        tests=(),
-        without=(),
         seconds=seconds,
     )
 
