@@ -24,8 +24,7 @@ def _made(
 ) -> tuple[list[bytes], Angles, list[tuple[Any, ...]]]:
     """Write six packets, and list what they hold: place, time, turn, ring, intensity, packet."""
     manual = MANUALS[name]
-    channels = 16 if "16" in name else 32 if manual.per_block == 32 else 96
-    channels = 128 if name == "Ruby" else channels
+    channels = 16 if "16" in name else {48: 96}.get(manual.per_block, manual.per_block)
     is_halved = twice and name in ("RS-LiDAR-16", "Helios 16P")
     up = np.round(rng.permutation(np.linspace(-24, 15, channels)), 2)
     aside = np.round(rng.uniform(-5, 5, channels), 2)

@@ -117,6 +117,8 @@ AIRY = [0, 5.712, 12.376, 19.04, 25.704, 33.32, 41.888, 50.456, 59.024, 70.448, 
 HELIOS = [0, 1.57, 3.15, 4.72, 6.3, 7.87, 9.45, 11.36, 13.26, 15.17, 17.08, 18.99, 20.56, 22.14]
 HELIOS += [23.71, 25.29, 26.53, 29.01, 27.77, 30.25, 31.49, 33.98, 32.73, 35.22, 36.46, 37.7]
 HELIOS += [38.94, 40.18, 41.42, 42.67, 43.91, 45.15]
+TOGETHER = [3, 2, 4, *[3] * 4, *[2] * 8, 3, *[3] * 3, 2, 4, 2, 3, 3, 2, 2, 2, 3, 2, 1, 2, 3]
+RUBY_LITE = np.repeat([*range(16)] * 2, TOGETHER)
 FFEE, TAIL = bytes.fromhex("ffee"), b"\0" * 6
 
 MANUALS = {
@@ -146,6 +148,11 @@ MANUALS = {
         lambda t: (bytes.fromhex("55aa055a") + bytes(6) + _unix(t)).ljust(80, b"\0"),
         lambda _: b"\0" * 4, b"\xfe\x01", 128, 3, 0.005, ">",
         lambda k: 3.236 * (k % 64 // 4), 55.55, (0.03615, 0, 0),
+    ),
+    "Ruby Lite": Spinning(
+        lambda t: (bytes.fromhex("55aa055a") + bytes(6) + _unix(t)).ljust(80, b"\0"),
+        lambda _: b"\0" * 192, b"\xfe\x01", 80, 4, 0.005, ">",
+        lambda k: 3.236 * RUBY_LITE[k], 55.552, (0.03615, 0, 0),
     ),
     "Airy": Spinning(
         lambda t: _new(t, "000002"), lambda _: b"\0" * 22, FFEE, 48, 8, 0.005, ">",
