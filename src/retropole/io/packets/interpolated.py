@@ -121,7 +121,8 @@ def decode(
     channel = np.arange(kept.shape[2]) % channels
 
     def every(values: NDArray[Any]) -> NDArray[Any]:
-        return np.broadcast_to(values, kept.shape)[kept]
+        chosen: NDArray[Any] = np.broadcast_to(values, kept.shape)[kept]
+        return chosen
 
     return Returns(
         xyz=_placed(model, rows, step, firing / period, own, kept),
