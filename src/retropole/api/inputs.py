@@ -176,7 +176,7 @@ def read_input(
         )
     elif (how.topic, how.frames, how.intensity, how.angles) != (None, None, None, None):
         raise UsageError(
-            f"{role}: topic, frames, intensity and angles are chosen for files, not for arrays"
+            f"{role}: a topic or frames, intensity and angles are chosen in files, not in arrays"
         )
     else:
         if isinstance(given, PointCloud):
