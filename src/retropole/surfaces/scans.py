@@ -32,17 +32,14 @@ def why_few_poles(scan: Scan) -> str:
     if sensor is None:
         if cloud.frame is not None or len(cloud) > SWEEP or cloud.ring is not None:
             return ""
-        return (
-            "it is one sweep, and one of a LiDAR without rings has few returns on a pole: record "
-            "some seconds"
-        )
+        return "one sweep of a LiDAR without rings shows little of a pole: record some seconds"
     sweeps = 1 if cloud.frame is None else len(np.unique(cloud.frame))
     # Sweeps may have been put together before.
     if max(sweeps, len(cloud) / sensor.points) >= sensor.sweeps:
         return ""
     return (
-        f"it is {counted(sweeps, 'sweep')}, and so few of the {sensor.name} have few returns on a "
-        f"pole: record {sensor.seconds:g} s or more, {round(sensor.seconds / SWEEP_SECONDS)} sweeps"
+        f"{counted(sweeps, 'sweep')} of the {sensor.name}, too few to show a pole well: record "
+        f"{sensor.seconds:g} s or more, {round(sensor.seconds / SWEEP_SECONDS)} sweeps"
     )
 
 
