@@ -185,11 +185,11 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
         (
             {"target_topic": "/front"},
-            "target: topic, frames, intensity and angles are chosen for files",
+            "target: a topic or frames, intensity and angles are chosen in files",
         ),
         (
             {"frames": slice(0, 2)},
-            "target: topic, frames, intensity and angles are chosen for files",
+            "target: a topic or frames, intensity and angles are chosen in files",
         ),
         ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter of the list"),
         ({"hypothesis": 1}, "hypothesis is 1, expected a letter of the list"),
