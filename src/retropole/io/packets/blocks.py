@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.datatypes import Array, BoolArray, IntArray
+from .clocks import days_since_1970
 from .models import NEAR_TWIN, Angles, Blocks, Model, Returns, is_other
 
 CIRCLE = 36_000
@@ -186,9 +187,7 @@ def _times(layout: Blocks, packets: NDArray[np.uint8]) -> Array:
     date = packets[:, layout.date : layout.date + 6].astype(np.int64)
     # Years count from 1900, in some older firmware from 2000; without a year, seconds follow.
     year = date[:, 0] + np.where(date[:, 0] < 70, 2000, 1900)
-    months = (year - 1970) * 12 + date[:, 1] - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    days += date[:, 2] - 1
+    days = days_since_1970(year, date[:, 1], date[:, 2])
     of_day = date[:, 3] * 3600 + date[:, 4] * 60 + date[:, 5]
     plain = date[:, 1:] @ (256 ** np.arange(4, -1, -1))
     seconds = np.where(date[:, 0] == 0, plain, days * 86_400 + of_day)

@@ -28,12 +28,17 @@ def _number(sent: Bytes, first: int, size: int, *, is_big: bool) -> IntArray:
     return number
 
 
+def days_since_1970(year: IntArray, month: IntArray, day: IntArray) -> IntArray:
+    """Days (N,) from 1970 to a date; a month or a day that no calendar has counts on."""
+    months = (year - 1970) * 12 + month - 1
+    days: IntArray = months.astype("M8[M]").astype("M8[D]").astype(np.int64) + day - 1
+    return days
+
+
 def _hours(sent: Bytes) -> IntArray:
     """Seconds (N,) from 1970 to an hour, of year (from 2000), month, day and hour."""
     year, month, day, hour = (sent[:, k].astype(np.int64) for k in range(4))
-    months = (30 + year) * 12 + month - 1
-    days: IntArray = months.astype("M8[M]").astype("M8[D]").astype(np.int64) + day - 1
-    return days * 86400 + hour * 3600
+    return days_since_1970(2000 + year, month, day) * 86400 + hour * 3600
 
 
 def _date(sent: Bytes) -> IntArray:

@@ -324,8 +324,6 @@ def _tables() -> Iterator[Model]:
     """Read the tables of all makers; one that is ``like`` another has what it does not say."""
     for maker in MAKERS:
         file = files("retropole.io.packets").joinpath(f"{maker}.toml")
-        if not file.is_file():
-            continue
         tables: dict[str, dict[str, Any]] = tomllib.loads(file.read_text(encoding="utf-8"))
         for name, own in tables.items():
             other = tables.get(own.pop("like", ""), {})
