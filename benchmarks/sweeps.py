@@ -204,7 +204,7 @@ def run_pair(job: tuple[tuple[str, str], int, tuple[int, ...]]) -> list[PairRun]
         ]
         is_seen = all(len(xyz) >= ENOUGH and extent(xyz) > SHORTEST for xyz in sights)
         start = time.process_time()
-        answer = calibrate(*clouds, sensors=pair.sensors)
+        answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
         seconds = time.process_time() - start
         codes = tuple(reason.code for reason in answer.reasons)
         one = PairRun(names, seed, count, is_seen, answer.status, codes)

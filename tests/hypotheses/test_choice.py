@@ -13,6 +13,9 @@ from retropole.hypotheses.choice import (
     LEAST_OVERLAP,
     MIN_COVISIBLE_OVERLAP,
     MIN_OVERLAP,
+    MIN_UNCONTRADICTED_COVISIBLE,
+    MIN_UNCONTRADICTED_OVERLAP,
+    UNCONTRADICTED,
     check_choice,
     hypothesis_name,
     is_hypothesis_name,
@@ -65,7 +68,26 @@ def test_scenes_that_do_not_overlap_are_refused() -> None:
 def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
     of_all: float, of_both: float, is_refused: bool
 ) -> None:
-    best = replace(hypothesis(of_all, of_all), covisible_overlap=of_both)
+    violation = 1.01 * of_all / UNCONTRADICTED
+    best = replace(hypothesis(of_all, of_all, violation), covisible_overlap=of_both)
+    with pytest.raises(Refusal) if is_refused else nullcontext():
+        check_choice([best, hypothesis(-0.5, 0.0)])
+
+
+@pytest.mark.parametrize(("of_all", "of_both", "violation", "is_refused"), [
+    (1.01, 1.01, 0.99, False),
+    (0.99, 1.01, 0.99, True),
+    (1.01, 0.99, 0.99, True),
+    (1.01, 1.01, 1.01, True),
+])  # fmt: skip
+def test_overlap_may_be_smaller_still_where_next_to_nothing_contradicts(
+    of_all: float, of_both: float, violation: float, is_refused: bool
+) -> None:
+    overlap = of_all * MIN_UNCONTRADICTED_OVERLAP
+    best = replace(
+        hypothesis(overlap, overlap, violation * overlap / UNCONTRADICTED),
+        covisible_overlap=of_both * MIN_UNCONTRADICTED_COVISIBLE,
+    )
     with pytest.raises(Refusal) if is_refused else nullcontext():
         check_choice([best, hypothesis(-0.5, 0.0)])
 

@@ -44,6 +44,11 @@ share less than `MIN_OVERLAP`, but agree where they look at the same. Then all t
 more than `LEAST_OVERLAP`. Right poses have 0.43 and more of the first, of recordings from
 different places with the same poles the best has 0.30 (docs/hypotheses.md)."""
 
+UNCONTRADICTED, MIN_UNCONTRADICTED_OVERLAP, MIN_UNCONTRADICTED_COVISIBLE = 25.0, 0.04, 0.4
+"""LiDARs with limited fields of view share less still. The second of all points and the third of
+the covisible ones are enough where the overlap is so many times the free-space violation: right
+poses had 41 and more, wrong ones with as much of both 16 at most (docs/hypotheses.md)."""
+
 SAME_VERTICAL = np.radians(10.0)
 """The grounds that the two LiDARs see are one where their normals differ by less, rad: a plane that
 one of them takes for the ground by mistake is seldom so in the other's cloud, too."""
@@ -183,18 +188,26 @@ def check_overlap(
     Refusal
         ``no_overlap``.
     """
-    covisible = hypothesis.covisible_overlap or 0.0
-    if hypothesis.overlap < MIN_OVERLAP and (
-        hypothesis.overlap < LEAST_OVERLAP or covisible < MIN_COVISIBLE_OVERLAP
-    ):
-        raise Refusal(
-            "no_overlap",
-            f"under {name} only {hypothesis.overlap:.0%} of the points have a neighbour in "
-            f"the other cloud, and {covisible:.0%} of those that both LiDARs could see; "
-            f"{MIN_OVERLAP:.0%}, or {LEAST_OVERLAP:.0%} and {MIN_COVISIBLE_OVERLAP:.0%}, are "
-            f"needed: {question}",
-            {"overlap": hypothesis.overlap, "covisible": covisible, "needed": MIN_OVERLAP},
+    overlap, covisible = hypothesis.overlap, hypothesis.covisible_overlap or 0.0
+    is_uncontradicted = overlap >= UNCONTRADICTED * hypothesis.free_space_violation
+    if (
+        overlap >= MIN_OVERLAP
+        or (overlap >= LEAST_OVERLAP and covisible >= MIN_COVISIBLE_OVERLAP)
+        or (
+            is_uncontradicted
+            and overlap >= MIN_UNCONTRADICTED_OVERLAP
+            and covisible >= MIN_UNCONTRADICTED_COVISIBLE
         )
+    ):
+        return
+    raise Refusal(
+        "no_overlap",
+        f"under {name} only {overlap:.0%} of the points have a neighbour in "
+        f"the other cloud, and {covisible:.0%} of those that both LiDARs could see; "
+        f"{MIN_OVERLAP:.0%}, or {LEAST_OVERLAP:.0%} and {MIN_COVISIBLE_OVERLAP:.0%}, are "
+        f"needed: {question}",
+        {"overlap": overlap, "covisible": covisible, "needed": MIN_OVERLAP},
+    )
 
 
 def check_paired(paired: Sequence[PairedPlacement]) -> None:
