@@ -87,7 +87,7 @@ class TestNames:
             for named, value in wanted.items():
                 found = read_cloud(path, intensity=named).intensity
                 np.testing.assert_array_equal(found, [value] * 3)
-            with pytest.raises(ReadError, match=r"--intensity range: no such field; the fiel"):
+            with pytest.raises(ReadError, match=r"intensity range: no such field; the fiel"):
                 read_cloud(path, intensity="range")
 
     def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
