@@ -150,19 +150,19 @@ def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
-    known = *"xyz", *TABLE_KEYS, *wanted.names
     # So much in all, and so many times its size; coordinates compress 2 to 10 fold.
     spend = allowance(len(data), 2**28, 20)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
     with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for entry in archive.infolist():
+        names = [entry.filename.removesuffix(".npy") for entry in archive.infolist()]
+        known = *"xyz", *TABLE_KEYS, *(wanted.names(names) if len(names) > 1 else ())
+        for name, entry in zip(names, archive.infolist(), strict=True):
             # Deflate compresses at most 1032 bytes into one; an entry that promises more is
             # damaged.
             if entry.file_size > 1100 * max(entry.compress_size, 1):
                 promised = f"{entry.compress_size} bytes cannot unpack to {entry.file_size}"
                 raise ReadError(f"{entry.filename}: {promised}")
-            name = entry.filename.removesuffix(".npy")
-            if len(archive.infolist()) > 1 and not has_meaning(name, *known):
+            if len(names) > 1 and not has_meaning(name, *known):
                 continue
             with archive.open(entry) as file:
                 arrays[name] = _load(file, entry.file_size, spend)
@@ -229,8 +229,9 @@ def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = 
         _check_colours(table[:, -len(COLOURS) :])
     if len({name.lower() for name in names}) < len(names):
         raise ReadError(f"two columns have one name, the names are: {', '.join(names)}")
+    known = wanted.names(names)
     own = {
-        name: _whole(column) if has_meaning(name, *wanted.names) else column
+        name: _whole(column) if has_meaning(name, *known) else column
         for name, column in zip(names, table.T, strict=True)
     }
     return noted(cloud_from_columns(own, wanted), *notes)

@@ -73,7 +73,8 @@ class Wanted(NamedTuple):
     Attributes
     ----------
     intensity
-        Field that the intensity is read from, in any spelling; None takes the first of `INTENSITY`.
+        Field that the intensity is read from, in any spelling; None, or empty, takes the first of
+        `INTENSITY`.
     angles
         Of packets, the file of the unit's own angles; None takes those of the table.
     if_any
@@ -85,10 +86,29 @@ class Wanted(NamedTuple):
     angles: str | None = None
     if_any: tuple[str, ...] = ()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the intensity."""
-        return INTENSITY if self.intensity is None else (self.intensity, self.intensity.lower())
+    def names(self, fields: Iterable[str]) -> tuple[str, ...]:
+        """Say what the intensity is called among the fields of a file.
+
+        Raises
+        ------
+        ReadError
+            Where a field is wanted that is not there; lists those there are.
+        """
+        if not self.intensity:
+            return INTENSITY
+        named, fields = (self.intensity, self.intensity.lower()), list(fields)
+        if _find(fields, named) is not None:
+            return named
+        if "intensity" in self.if_any:
+            return INTENSITY
+        have = ", ".join(fields)
+        raise ReadError(f"intensity {self.intensity}: no such field; the fields are: {have}")
+
+    def or_known(self, known: Wanted) -> Wanted:
+        """Take what is not said as it is known of an older recording, where it is of use."""
+        own = self._asdict()
+        if_any = tuple(name for name in ("intensity", "angles") if own[name] is None)
+        return Wanted(**own | {name: getattr(known, name) for name in if_any} | {"if_any": if_any})
 
     def refuse_angles(self, fault: str) -> None:
         """Refuse angles that are given for what has no use for them; `fault` says why not."""
@@ -127,7 +147,7 @@ def left_out(promised: int, more: int) -> str:
     return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
 
 
-def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
+def _find(columns: Iterable[str], names: tuple[str, ...]) -> str | None:
     """Find the first column with one of the names, in any case; the exact spelling goes first."""
     plain: dict[str, str] = {}
     for spelled in (str, str.lower, _bare):
@@ -201,12 +221,7 @@ def cloud_from_columns(
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"field {', '.join(missing)} is missing; the fields are: {have}")
-    of_intensity = wanted.names
-    if wanted.intensity is not None and _find(columns, of_intensity) is None:
-        if "intensity" not in wanted.if_any:
-            have = ", ".join(columns)
-            raise ReadError(f"intensity {wanted.intensity}: no such field; the fields are: {have}")
-        of_intensity = INTENSITY
+    of_intensity = wanted.names(columns)
     parts = [_numbers(own, columns[own]) for own in found.values() if own is not None]
     if len({len(part) for part in parts}) > 1:
         lengths = ", ".join(str(len(part)) for part in parts)

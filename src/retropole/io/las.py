@@ -70,7 +70,8 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             # The scaled coordinates, and the other fields that are used here.
             own = header.point_format.dimension_names
-            names = [*"xyz", *(name for name in own if has_meaning(name, *wanted.names))]
+            known = wanted.names(own)
+            names = [*"xyz", *(name for name in own if has_meaning(name, *known))]
             # In blocks, so that memory follows what is in the file, not what its header promises.
             chunks = file.chunk_iterator(max(1, READ_BLOCK // header.point_format.size))
             blocks = [[np.array(block[name]) for name in names] for block in chunks]

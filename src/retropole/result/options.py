@@ -238,8 +238,9 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def source_intensity(self) -> str | None:
-        """Field of the source's intensity: its own, or else that of the target."""
-        return self.intensity_source or self.intensity
+        """Field of the source's intensity: its own, empty for the usual, or else the target's."""
+        own = self.intensity_source
+        return self.intensity if own is None else own
 
     @property
     def mast_sway(self) -> float | None:
