@@ -113,7 +113,8 @@ NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
 
 SENSORS = ("sensor_target", "sensor_source", "threshold_target", "threshold_source")
 TOPICS = ("target_topic", "source_topic")
-READING = ("unit", "unit_source", "intensity", "intensity_source", "angles", "angles_source")
+WANTED = ("intensity", "intensity_source", "angles", "angles_source")
+READING = ("unit", "unit_source", *WANTED)
 
 
 def placement_arguments(command: Command) -> Command:
