@@ -103,6 +103,8 @@ METAVARS = {
     "target_topic": "NAME",
     "source_topic": "NAME",
     "frames": "A:B",
+    "intensity": "NAME",
+    "intensity_source": "NAME",
     "angles": "FILE",
     "angles_source": "FILE",
 }
