@@ -116,7 +116,7 @@ def check(
     sensors, thresholds, units, fields of the intensity and angles are those of RESULT.
 
     Of a site, RESULT is site-result.json or its folder, and --parent and --child name the two
-    LiDARs; radius and sensors are those of the site.
+    LiDARs; radius, sensors, fields and angles are those of the site.
 
     \b
     Examples:
