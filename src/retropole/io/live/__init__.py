@@ -124,7 +124,8 @@ def source_of(
         listens = _port(text, port), host or ALL_INTERFACES, senders
         if kind == "velodyne":
             return VelodyneSource(*listens)
-        return TableSource(kind, *listens, None if wanted.angles is None else Path(wanted.angles))
+        own = None if wanted.angles is None else Path(wanted.angles)
+        return TableSource(kind, *listens, angles=own)
     if kind == "ouster":
         from .udp import OusterSource
 
