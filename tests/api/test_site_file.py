@@ -50,11 +50,13 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     lidar = (
         '[[lidar]]\nname = "c"\nrecordings = ["c.bag", ""]\nsensor = "VLP-16"\nserial = "7"\n'
         'threshold = 150\nunit = "mm"\ntopic = "/points"\nframes = "0:20"\n'
+        'intensity = "echo"\nangles = "units/7.csv"\n'
         "up = [0, 0.1, 1]\nup_sigma_deg = 0.5\n"
     )
     text = HEAD + "max_points = 100000\n" + poles + reference + LIDARS + lidar + SURVEY + POINT
-    site = decode_site_file(text.encode())
+    site = decode_site_file(text.encode(), Path("/quay"))
     assert site.surveyed
+    assert site.lidar[2].reading(1000).wanted == ("echo", "/quay/units/7.csv", ())
     assert site.lidar[2].frames == "0:20"
     assert site.control_point[0].seen[0].lidar == "mast-b"
     assert site.need is not None

@@ -5,11 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.api.inputs import Listener
+from retropole.api.inputs import Listener, read_input
 from retropole.api.site_file import decode_site_file
 from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
 from retropole.base.errors import ReadError
+from retropole.io.fields import Wanted
+from retropole.result import Reading
 from tests.api.site_files import NAMES, recorded, write_site
+from tests.io.files import required
+from tests.io.packets.sending import angles_of, datagram, pcap, turning
 
 SURVEY = """
 [[surveyed_pole]]
@@ -60,6 +64,38 @@ def test_what_a_lidar_table_says_goes_with_its_clouds(tmp_path: Path) -> None:
     assert gate.up.sigma == pytest.approx(np.radians(1))
     assert gate.clouds[0] is not None
     np.testing.assert_allclose(gate.clouds[0].xyz, recorded(20).xyz / 100, atol=1e-6)
+
+
+def test_packets_and_fields_are_read_as_calibrate_reads_them(tmp_path: Path) -> None:
+    path = write_site(tmp_path, 'intensity = "echo"\n')
+    text = path.read_text().replace("mast-b/1.pcd", "b.pcap").replace("gate/1.pcd", "gate.npz")
+    text = text.replace('name = "mast-b"', 'name = "mast-b"\nangles = "unit.csv"')
+    path.write_text(text.replace('"mast-b/2.pcd"', '""'))
+    (tmp_path / "b.pcap").write_bytes(pcap([datagram(each) for each in turning("XT16")]))
+    unit = angles_of(tmp_path / "unit.csv", 16)
+    gate = recorded(20)
+    echo = required(gate.intensity)
+    np.savez(tmp_path / "gate.npz", xyz=gate.xyz, intensity=np.zeros(200), echo=echo)
+    read = read_site(path)
+    for at, name, wanted in (
+        ((1, 0), "b.pcap", Wanted(angles=str(unit))),
+        ((2, 0), "gate.npz", Wanted("echo")),
+    ):
+        cloud = read.inputs[at].cloud
+        own = read_input(tmp_path / name, Reading(wanted=wanted)).cloud
+        np.testing.assert_array_equal(cloud.xyz, own.xyz)
+        np.testing.assert_array_equal(cloud.intensity, own.intensity)
+    assert read.inputs[1, 0].cloud.notes == ("angles of Hesai XT16: unit.csv",)
+    np.testing.assert_array_equal(read.inputs[2, 0].cloud.intensity, echo)
+    documents = {(each.lidar, each.placement): each for each in read.documents()}
+    assert documents[1, 0].reading(1000).wanted == Wanted(angles=str(unit))
+    assert documents[2, 0].reading(1000).wanted == Wanted("echo")
+    path.write_text(path.read_text().replace('"echo"', '"range"'))
+    with pytest.raises(ReadError, match=r"lidar gate, .*range: no such field; .*intensity, echo"):
+        read_site(path)
+    path.write_text(path.read_text() + 'angles = "unit.csv"\n')
+    with pytest.raises(ReadError, match=r"lidar gate, placement 1: .*holds no packets"):
+        read_site(path)
 
 
 def test_large_coordinates_lose_nothing(tmp_path: Path) -> None:

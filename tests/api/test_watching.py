@@ -23,6 +23,7 @@ from retropole.base.errors import ReadError, UsageError
 from retropole.export import Transform
 from retropole.export.recording import Published
 from retropole.io import Frame, read_frames
+from retropole.io.fields import USUAL, Wanted
 from retropole.result import InputDoc, RunConfig
 from retropole.result.watching import WatchDoc
 from retropole.simulation import SimulatedPair, place_again, simulate_pair
@@ -373,6 +374,27 @@ def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
     assert first.newest(0.0) is None
     first.close()
     second.close()
+
+
+def test_sources_read_the_field_and_the_angles_that_are_wanted(tmp_path: Path) -> None:
+    for name in ("front", "rear"):
+        np.savez(tmp_path / f"{name}.npz", xyz=np.eye(3), intensity=np.ones(3), echo=np.arange(3.0))
+    texts = [f"replay:{tmp_path / name}.npz" for name in ("front", "rear")]
+    read = []
+    for source in open_sources(texts, wanted=(Wanted("echo"), USUAL)):
+        frame = source.newest(1.0)
+        assert frame is not None
+        read.append(frame.cloud.intensity)
+        source.close()
+    np.testing.assert_array_equal(read, [[0, 1, 2], [1, 1, 1]])
+    unit = Wanted(angles="unit.csv")
+    for named, wanted, fault in (
+        (texts, unit, "holds no packets"),
+        ([f"folder:{tmp_path}", "hesai:2368"], unit, "angles are of packets of hesai, robosense"),
+        (["hesai:2368", f"folder:{tmp_path}"], Wanted("echo"), "packets have one intensity"),
+    ):
+        with pytest.raises(UsageError, match=fault):
+            open_sources(named, wanted=(wanted, USUAL))
 
 
 def test_names_come_from_topics() -> None:

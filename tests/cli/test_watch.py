@@ -62,7 +62,8 @@ def sources(recorded: Path) -> tuple[str, str]:
 def test_it_says_what_to_do_and_ends_with_the_answer(
     pair: SimulatedPair, recorded: Path, tmp_path: Path
 ) -> None:
-    ended = retropole("watch", *sources(recorded), "--sweeps", "4", "--no-page", "--out", tmp_path)
+    words = "--intensity", "intensity", "--sweeps", "4", "--no-page", "--out", tmp_path
+    ended = retropole("watch", *sources(recorded), *words)
     assert ended.returncode == 0, ended.stderr
     lines = ended.stderr.splitlines()
     assert any(line.startswith("Good: keep still") for line in lines)

@@ -10,6 +10,9 @@ from retropole.fleet import work
 from retropole.fleet.dataset import Row
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Hashed, Outcome, Task, answer, environment
+from retropole.result.decoding import decode_site
+from tests.api.site_files import write_site
+from tests.io.packets.sending import datagram, pcap, turning
 
 
 def task_of(site: FleetSite, **options: object) -> Task:
@@ -69,6 +72,26 @@ def test_a_site_at_a_url_has_its_recordings_below(far: dict[str, FleetSite]) -> 
     row = row_of(task_of(far["yard"]))
     assert (row.status, row.codes) == ("error", ["unreadable"])
     assert "must lie in its folder or below" in row.messages[0]
+
+
+def test_angles_that_a_site_file_names_are_brought_and_count(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    text = path.read_text().replace('"mast-a/1.pcd", "mast-a/2.pcd"', '"a.pcap", ""')
+    path.write_text(text.replace('name = "mast-a"', 'name = "mast-a"\nangles = "units/a.csv"'))
+    (tmp_path / "a.pcap").write_bytes(pcap([datagram(each) for each in turning("XT16")]))
+    memory = fsspec.filesystem("memory")
+    memory.put(str(tmp_path), "/packets", recursive=True)
+    site = FleetSite(id="packets", kind="site", site="memory://packets/site.toml")
+    assert "units/a.csv" in row_of(task_of(site)).messages[0]
+    lines = [f"{k + 1},{k - 5.5},0" for k in range(17)]
+    rows = []
+    for count in (16, 17):
+        memory.pipe_file("/packets/units/a.csv", "\n".join(lines[:count]).encode())
+        rows.append(row_of(task_of(site)))
+    assert rows[0].key != rows[1].key
+    document = decode_site((rows[0].document or "").encode())
+    assert document.inputs[0].angles == "memory://packets/units/a.csv"
+    assert "has angles of 17 channels" in rows[1].messages[0]
 
 
 def test_reports_may_go_to_a_url(sites: dict[str, FleetSite]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import read_cloud, read_recording, write_pcd
-from retropole.io.fields import Unit, cloud_from_columns
+from retropole.io.fields import Unit, Wanted, cloud_from_columns
 from tests.io.files import INTENSITY, XYZ
 from tests.paths import SHARED
 
@@ -87,8 +87,12 @@ class TestNames:
             for named, value in wanted.items():
                 found = read_cloud(path, intensity=named).intensity
                 np.testing.assert_array_equal(found, [value] * 3)
-            with pytest.raises(ReadError, match=r"--intensity range: no such field; the fiel"):
+            with pytest.raises(ReadError, match=r"intensity range: no such field; the fiel"):
                 read_cloud(path, intensity="range")
+            known = Wanted().or_known(Wanted("range"))
+            np.testing.assert_array_equal(
+                read_recording(path, wanted=known).cloud.intensity, [5] * 3
+            )
 
     def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
         for dtype, first in (

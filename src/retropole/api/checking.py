@@ -26,12 +26,12 @@ from ..checking.tolerance import Asked
 from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import sha256_of, topics_of
-from ..io.fields import Unit
+from ..io.fields import USUAL, Unit, Wanted
 from ..result import DEFAULT_CONFIG, SITE_RESULT_FILE, ResultDoc, RunConfig, refusal_of, result_file
 from ..result.decoding import decode_site
 from ..result.site import SiteDoc
 from .calibration import known_of
-from .inputs import SILENT, InputPair, Listener, read_pair
+from .inputs import SILENT, InputPair, Listener, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
 from .site_inputs import read_of, site_file_in
 from .stored import are_swapped, hashes_of, loaded, with_sensors_from
@@ -56,7 +56,8 @@ def read_stored(
 ) -> Stored:
     """Read a stored result; of a file that is not a result document, the options are the defaults.
 
-    Of a site, radius and sensors are those of its run, and other options the defaults.
+    Of a site, radius, sensors, angles and fields of the intensity are those of its run, and other
+    options the defaults.
 
     Parameters
     ----------
@@ -108,13 +109,27 @@ def read_stored(
     assert lidars is not None
     document = with_sensors_from(document, file.parent)
     sensor = {lidar.name: lidar.sensor for lidar in document.lidars}
+    known = wanted_of(document)
+    target, source = (known.get(name, USUAL) for name in lidars)
     config = RunConfig(
         radius_m=document.radius_m,
         radius_sigma_m=document.radius_sigma_m,
         sensor_target=sensor[lidars[0]],
         sensor_source=sensor[lidars[1]],
+        intensity=target.intensity,
+        intensity_source=source.intensity or "",
+        angles=target.angles,
+        angles_source=source.angles,
     )
     return Stored(pose, config, warnings, None, hashes_of(document, lidars))
+
+
+def wanted_of(document: SiteDoc) -> dict[str, Wanted]:
+    """Say by the names of LiDARs how the points of their recordings were made."""
+    return {
+        document.lidars[each.lidar].name: Wanted(each.intensity, each.angles)
+        for each in document.inputs
+    }
 
 
 def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None) -> None:
@@ -144,6 +159,10 @@ def check_recordings(
     source_topic: str | None = None,
     unit: Unit | None = None,
     unit_source: Unit | None = None,
+    intensity: str | None = None,
+    intensity_source: str | None = None,
+    angles: str | None = None,
+    angles_source: str | None = None,
     listener: Listener = SILENT,
 ) -> CheckResult:
     """Read new recordings with the options of the stored run, and check them against it.
@@ -158,6 +177,9 @@ def check_recordings(
         Movement that matters, rad and m; None for as little as the data tell.
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
+    intensity, intensity_source, angles, angles_source
+        The same; those of the stored run are left out where a recording has no use for them: no
+        such field, or no packets. A field of the intensity is that of both.
     listener
         Told of each step as it starts, and of each cloud once it is read.
 
@@ -178,10 +200,16 @@ def check_recordings(
         unit=unit or known.unit,
         unit_source=unit_source or unit or known.source_unit,
     )
+    of_target = Wanted(intensity, angles).or_known(known.of_target.wanted)
+    own = intensity if intensity_source is None else intensity_source
+    of_source = Wanted(own, angles_source).or_known(known.of_source.wanted)
     if are_swapped(stored.hashes, target, source):
         swapped = swap("RESULT was made of these very files", {"told_by": "hashes"})
         return CheckResult("cannot_tell", (swapped, *stored.warnings))
-    pair = read_pair(target, source, config, listener)
+    pair = InputPair(
+        read_input(target, config.of_target._replace(wanted=of_target), listener),
+        read_input(source, config.of_source._replace(wanted=of_source), listener),
+    )
     listener.progress("check")
     topics = topics_swapped(known, pair.target.topic, pair.source.topic)
     if topics is not None:
@@ -297,7 +325,8 @@ def check_site(
     site
         The site file of the new recordings, or the folder that holds ``site.toml``. Its LiDARs have
         the names that they have in the result; those that it leaves out are not checked. Of each
-        pair the first placement that tells is taken.
+        pair the first placement that tells is taken. Angles, and fields of the intensity, that it
+        does not say are those of the result.
     rotation, translation
         Movement that matters, rad and m; None for as little as the data tell.
     listener
@@ -310,7 +339,8 @@ def check_site(
         no two LiDARs that shared poles when the site was calibrated.
     """
     listener.progress("read")
-    document = loaded(result / SITE_RESULT_FILE if result.is_dir() else result, decode_site)
+    stored_file = result / SITE_RESULT_FILE if result.is_dir() else result
+    document = with_sensors_from(loaded(stored_file, decode_site), stored_file.parent)
     site = site_file_in(site)
     file = read_site_file(site)
     if document.status == "refused":
@@ -327,7 +357,7 @@ def check_site(
         return SiteCheck("cannot_tell", (exchanged,))
     tables = {lidar.name: lidar for lidar in file.lidar}
     # Each is read once, of whatever pairs its LiDAR is.
-    read = cache(partial(read_of, file, site, listener))
+    read = cache(partial(read_of, file, site, listener, known=wanted_of(document)))
     asked = Asked(rotation, translation)
     checked = []
     for k, (target, source) in enumerate(pairs, 1):
@@ -406,7 +436,15 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
 
 
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
-    """Take the options of a check of two LiDARs: of the poles from the result, else of the file."""
+    """Take the options of a check of two LiDARs: of the poles from the result, else of the file.
+
+    Where the file says neither angles nor the field of an intensity, they are those of the result.
+    """
+    known = wanted_of(stored)
+    of_target, of_source = (
+        Wanted(each.intensity, each.angles).or_known(known.get(each.name, USUAL))
+        for each in (target, source)
+    )
     return RunConfig(
         radius_m=stored.radius_m,
         radius_sigma_m=stored.radius_sigma_m,
@@ -418,6 +456,10 @@ def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunC
         source_topic=source.topic,
         unit=target.unit,
         unit_source=source.unit,
+        intensity=of_target.intensity,
+        intensity_source=of_source.intensity or "",
+        angles=of_target.angles,
+        angles_source=of_source.angles,
     )
 
 

@@ -13,7 +13,7 @@ from ..base.sensors import auto_threshold
 from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from ..io.beams import guess_sensors, rings_fault, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
-from ..io.fields import NAMES, Unit, intensities_of
+from ..io.fields import NAMES, Unit, Wanted, intensities_of
 from ..result import Reading, document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
 from ..verdict.similarity import beyond_sensors, unit_of_one
@@ -53,8 +53,8 @@ def describe(
     ReadError, UsageError, MissingExtraError
         As `io.read_cloud`.
     """
-    how = Reading(topic=topic, frames=frames, unit=unit, intensity=intensity, angles=angles)
-    return look_into(path, how)[0]
+    wanted = Wanted(intensity, angles)
+    return look_into(path, Reading(topic=topic, frames=frames, unit=unit, wanted=wanted))[0]
 
 
 def look_into(path: str | Path, how: Reading) -> tuple[InfoDoc, list[PointCloud]]:
@@ -67,12 +67,11 @@ def look_into(path: str | Path, how: Reading) -> tuple[InfoDoc, list[PointCloud]
         names = [own.name for own in filled if own.of_clouds]
         names = names or [own.name for own in filled if own.of_packets] or [None]
     read = partial(read_recording, path, frames=how.frames, max_points=MAX_POINTS, unit=how.unit)
-    angles = None if how.angles is None else Path(how.angles)
-    found = [read(topic=name, intensity=how.intensity, angles=angles) for name in names]
+    found = [read(topic=name, wanted=how.wanted) for name in names]
     document = InfoDoc(
         path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
-        clouds=[_cloud(each, how.intensity) for each in found],
+        clouds=[_cloud(each, how.wanted.intensity) for each in found],
     )
     return document, [each.cloud for each in found]
 

@@ -42,6 +42,10 @@ def evaluate(
     frames: slice | None = None,
     unit: str = "m",
     unit_source: str | None = None,
+    intensity: str | None = None,
+    intensity_source: str | None = None,
+    angles: str | None = None,
+    angles_source: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
     on_read: Callable[[Input], None] = lambda given: None,
 ) -> Alignment:
@@ -68,6 +72,8 @@ def evaluate(
     unit, unit_source
         Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
         it is another.
+    intensity, intensity_source, angles, angles_source
+        As `calibrate` takes them.
     progress, on_read
         Called with the name of each step as it starts, and with each cloud once it is read.
 

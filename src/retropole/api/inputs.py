@@ -29,7 +29,7 @@ from ..io import (
 )
 from ..io.beams import with_beam_origin, with_trusted_rings
 from ..io.coordinates import Oddity, oddity_of
-from ..io.fields import in_metres, unit_named
+from ..io.fields import USUAL, in_metres, unit_named
 from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..surfaces.scans import find_poles
 from ..surfaces.static import what_to_give
@@ -164,8 +164,7 @@ def read_input(
             frames=how.frames,
             max_points=how.max_points,
             unit=unit,
-            intensity=how.intensity,
-            angles=None if how.angles is None else Path(how.angles),
+            wanted=how.wanted,
             progress=listener.progress,
         )
         cloud = read.cloud
@@ -174,7 +173,7 @@ def read_input(
             f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
             "of shape (N, 3) or (N, 4)"
         )
-    elif (how.topic, how.frames, how.intensity, how.angles) != (None, None, None, None):
+    elif (how.topic, how.frames, how.wanted) != (None, None, USUAL):
         raise UsageError(
             f"{role}: a topic or frames, intensity and angles are chosen in files, not in arrays"
         )

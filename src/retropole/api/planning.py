@@ -146,6 +146,10 @@ def plan(
     max_points: int = DEFAULT_CONFIG.max_points,
     unit: str = DEFAULT_CONFIG.unit,
     unit_source: str | None = None,
+    intensity: str | None = None,
+    intensity_source: str | None = None,
+    angles: str | None = None,
+    angles_source: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> PolePlan:
     """Plan where to stand the poles, from recordings of the place without poles.
@@ -167,6 +171,8 @@ def plan(
         Rectangles (x, y, x, y) of the ground, metres, from the point on the ground below the
         target, x where its x axis points.
     sensor_target, sensor_source, target_topic, source_topic, frames, max_points, unit, unit_source
+        As `calibrate` takes them.
+    intensity, intensity_source, angles, angles_source
         As `calibrate` takes them.
     progress
         Called with the name of each step as it starts.

@@ -6,6 +6,7 @@ It stands in `api`, above `site`: clouds of a site are read as `calibrate` reads
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -22,7 +23,7 @@ from ..base.se3 import FARTHEST
 from ..base.sensors import name_from, sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
-from ..io.fields import Unit
+from ..io.fields import Unit, Wanted
 from ..io.recordings import MAX_POINTS
 from ..result.options import (
     Intensity,
@@ -53,6 +54,7 @@ FARTHEST_SEEN = 1000.0
 """Of a control point from the LiDAR that sees it, metres: none reaches it."""
 
 Name = Annotated[str, Meta(min_length=1, max_length=60)]
+Long = Annotated[str, Meta(min_length=1, max_length=1000)]
 Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 XYZ = Meta(min_length=3, max_length=3)
 Place = Annotated[list[Coordinate], XYZ]
@@ -103,8 +105,10 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     serial: Annotated[str, Meta(max_length=100)] = ""
     threshold: Intensity | None = None
     unit: Unit = "m"
-    topic: Annotated[str, Meta(min_length=1, max_length=1000)] | None = None
+    topic: Long | None = None
     frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
+    intensity: Long | None = None
+    angles: Long | None = None
     up: Upwards | None = None
     up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
     mast_sway_deg: MastSway | None = None
@@ -112,7 +116,8 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     def reading(self, max_points: int) -> Reading:
         """How its recordings are read, with at most so many points of a cloud."""
         frames = None if self.frames is None else frames_named(self.frames)
-        return Reading(self.sensor, self.threshold, self.topic, frames, max_points, self.unit)
+        how = frames, max_points, self.unit, Wanted(self.intensity, self.angles)
+        return Reading(self.sensor, self.threshold, self.topic, *how)
 
 
 class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
@@ -176,7 +181,7 @@ def read_site_file(path: Path) -> SiteFile:
 
 
 def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
-    """Take a site file from its bytes; sensors that it names by files are in its folder.
+    """Take a site file from its bytes; files that it names are in its folder.
 
     Raises
     ------
@@ -197,7 +202,14 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
         site = msgspec.convert(raw, SiteFile)
     except msgspec.ValidationError as error:
         raise ReadError(_in_words(str(error), raw)) from None
-    lidars = [replace(each, sensor=name_from(folder, each.sensor)) for each in site.lidar]
+    lidars = [
+        replace(
+            each,
+            sensor=name_from(folder, each.sensor),
+            angles=None if each.angles is None else os.path.abspath(folder / each.angles),
+        )
+        for each in site.lidar
+    ]
     site = replace(site, lidar=lidars)
     for fault in _faults(site):
         raise ReadError(fault)
@@ -311,8 +323,9 @@ def _lidar_faults(lidar: LidarTable, placements: int) -> Iterator[str]:
         )
     if not any(lidar.recordings):
         yield f"{of}, recordings: expected one at least"
-    if any("\0" in recording for recording in lidar.recordings):
-        yield f"{of}, recordings: no path has a null character"
+    for key, paths in (("recordings", lidar.recordings), ("angles", [lidar.angles or ""])):
+        if any("\0" in path for path in paths):
+            yield f"{of}, {key}: no path has a null character"
     if lidar.up is not None and not any(abs(value) > 1e-3 for value in lidar.up):
         yield f"{of}, up: expected a direction; this has no length"
     if (lidar.up is None) != (lidar.up_sigma_deg is None):

@@ -29,6 +29,7 @@ from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..base.world import in_metres
 from ..io import sha256_of
+from ..io.fields import USUAL, Wanted
 from ..result.site import RecordingDoc, SiteConfig, recording_document
 from .inputs import SILENT, Input, Listener, input_documents, read_input, refuse_repeated
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
@@ -131,8 +132,18 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     return SiteInputs(site, inputs, config)
 
 
-def read_of(file: SiteFile, path: Path, listener: Listener, lidar: int, placement: int) -> Input:
+def read_of(
+    file: SiteFile,
+    path: Path,
+    listener: Listener,
+    lidar: int,
+    placement: int,
+    *,
+    known: Mapping[str, Wanted] = {},
+) -> Input:
     """Read what a LiDAR of a site file recorded in a placement, by their indices.
+
+    `known` is of older recordings, by the names of LiDARs: what the file does not say.
 
     Raises
     ------
@@ -142,7 +153,9 @@ def read_of(file: SiteFile, path: Path, listener: Listener, lidar: int, placemen
     table = file.lidar[lidar]
     with naming(_where(file, path, lidar, placement), is_said_there=True):
         place = path.parent / table.recordings[placement]
-        return read_input(place, table.reading(file.max_points), listener)
+        how = table.reading(file.max_points)
+        wanted = how.wanted.or_known(known.get(table.name, USUAL))
+        return read_input(place, how._replace(wanted=wanted), listener)
 
 
 def _where(file: SiteFile, path: Path, lidar: int, placement: int) -> str:

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path, PurePath
 from typing import NamedTuple, TypeVar
 
@@ -21,7 +21,7 @@ from ..base.datatypes import Scan
 from ..base.errors import ReadError, UsageError, naming, printable, readable
 from ..base.files import path_in_text, path_of_text, read_document
 from ..base.quantities import counted, step_of
-from ..base.sensors import is_sensor_file, name_from
+from ..base.sensors import is_sensor_file
 from ..export import Transform
 from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
@@ -32,14 +32,19 @@ from ..result import (
     InputDoc,
     PoleDoc,
     ResultDoc,
+    RunConfig,
     any_result_file,
 )
 from ..result.decoding import decode
-from ..result.site import LIDARS, SITE_SCHEMA, RecordingDoc, SiteDoc, as_site
+from ..result.site import LIDARS, SITE_SCHEMA, LidarDoc, RecordingDoc, SiteDoc, as_site
 from .inputs import SILENT, Listener, read_input, recording_hash
 
 Loaded = TypeVar("Loaded")
 AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
+Struct = TypeVar("Struct", InputDoc, LidarDoc, RunConfig)
+
+SENSOR_KEYS, ANGLES_KEYS = ("sensor", "sensor_target", "sensor_source"), ("angles", "angles_source")
+"""Fields of documents that may name a file about a LiDAR, and those that do."""
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -369,32 +374,33 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     def name(text: str) -> str:
         return _name(text, folder, beside)
 
-    def sensor(text: str) -> str:
-        return name(text) if is_sensor_file(text) else text
-
-    return renamed(document, name, sensor)
+    return renamed(document, name, name)
 
 
 def renamed(
-    document: AnyDoc, name: Callable[[str], str], sensor: Callable[[str], str] = str
+    document: AnyDoc, name: Callable[[str], str], of_lidar: Callable[[str], str] = str
 ) -> AnyDoc:
-    """Call the files of a document, and its sensors, otherwise."""
-    inputs = [
-        structs.replace(each, path=name(each.path), sensor=sensor(each.sensor))
-        for each in document.inputs
-    ]
+    """Call the files of a document otherwise, and those of what is known of its LiDARs.
+
+    These are files of sensors and of angles.
+    """
+
+    def known(of: Struct) -> Struct:
+        given = {key: getattr(of, key, None) for key in (*SENSOR_KEYS, *ANGLES_KEYS)}
+        files = {k: t for k, t in given.items() if t and (k in ANGLES_KEYS or is_sensor_file(t))}
+        return structs.replace(of, **{key: of_lidar(text) for key, text in files.items()})
+
+    inputs = [structs.replace(known(each), path=name(each.path)) for each in document.inputs]
     document = structs.replace(document, inputs=inputs)
     if isinstance(document, SiteDoc):
         config = structs.replace(document.config, site_file=name(document.config.site_file))
-        lidars = [structs.replace(each, sensor=sensor(each.sensor)) for each in document.lidars]
-        return structs.replace(document, config=config, lidars=lidars)
-    given = {key: getattr(document.config, key) for key in ("sensor_target", "sensor_source")}
-    sensors = {key: sensor(each) for key, each in given.items()}
-    return structs.replace(document, config=structs.replace(document.config, **sensors))
+        return structs.replace(document, config=config, lidars=[*map(known, document.lidars)])
+    return structs.replace(document, config=known(document.config))
 
 
 def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
-    """Give the sensors that a document names by files so that they mean the same from anywhere.
+    """Give the files of sensors and of angles that a document names so that they are found from
+    anywhere.
 
     Parameters
     ----------
@@ -403,7 +409,7 @@ def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
     folder
         That holds it.
     """
-    return renamed(document, str, partial(name_from, folder))
+    return renamed(document, str, lambda text: str((folder / text).resolve()))
 
 
 def _name(text: str, folder: Path, beside: Path) -> str:

@@ -10,7 +10,15 @@ import click
 
 from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
 from .common import BY_SITE_FILE, command_line, listening, result_told, say
-from .options import CLOUD, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
+from .options import (
+    CLOUD,
+    READING,
+    SENSORS,
+    TOPICS,
+    placement_arguments,
+    run_options,
+    verdict_options,
+)
 from .out import out_folder
 
 
@@ -18,7 +26,7 @@ from .out import out_folder
 @placement_arguments
 @out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
-@run_options("unit", "unit_source", "intensity", "intensity_source", "angles", "angles_source")
+@run_options(*READING)
 @run_options("poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")

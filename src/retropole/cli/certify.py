@@ -19,7 +19,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import SENSORS, TOPICS, placement_arguments, run_options
+from .options import READING, SENSORS, TOPICS, placement_arguments, run_options
 from .out import out_folder
 
 EXIT_FAILED = 4
@@ -30,7 +30,7 @@ EXITS = {"pass": 0, "partial": EXIT_WARNED, "fail": EXIT_FAILED, "refused": EXIT
 @click.command()
 @placement_arguments
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
-@run_options("unit", "unit_source")
+@run_options(*READING)
 @out_folder("Folder for field-test.json and field-test.html.", RESULT_FILE, PAGE_FILE, default=None)
 @click.option("--json", "as_json", is_flag=True, help="Print the document, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")

@@ -72,6 +72,13 @@ def tolerance_options(command: Command) -> Command:
     "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
 @run_option("unit_source", help="The same for SOURCE alone.")
+@run_option(
+    "intensity",
+    help="Field of the new recordings' intensity.  [default: that of RESULT, where they have it]",
+)
+@run_option("intensity_source", help="The same for SOURCE alone.")
+@run_option("angles", help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
+@run_option("angles_source")
 @click.option("--parent", help="Where RESULT is of a site: the name of the LiDAR of TARGET.")
 @click.option("--child", help="The same of SOURCE.")
 @tolerance_options
@@ -106,10 +113,10 @@ def check(
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
     recordings of the same two LiDARs. With poles, the poles are used; without, the scene. Radius,
-    sensors, thresholds and units are those of RESULT.
+    sensors, thresholds, units, fields of the intensity and angles are those of RESULT.
 
     Of a site, RESULT is site-result.json or its folder, and --parent and --child name the two
-    LiDARs; radius and sensors are those of the site.
+    LiDARs; radius, sensors, fields and angles are those of the site.
 
     \b
     Examples:

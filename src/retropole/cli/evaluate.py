@@ -16,7 +16,7 @@ from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
-from .options import CLOUD, METRES, SEED, SENSORS, TOPICS, run_options
+from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, run_options
 
 if TYPE_CHECKING:
     from ..api.evaluation import Alignment, Compared, Errors
@@ -65,7 +65,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @click.option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
 @click.option("--child", help="The same of SOURCE.")
 @click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
-@run_options("radius_m", *SENSORS, *TOPICS, "frames", "unit", "unit_source")
+@run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
 @click.option(
     "--seed",
     type=SEED,
@@ -152,7 +152,7 @@ def evaluate(
         return _exit_code(found, as_json=as_json)
     T = read_transform(transform, parent=parent, child=child).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    read = {name: options[name] for name in (*TOPICS, "frames", "unit", "unit_source")}
+    read = {name: options[name] for name in (*TOPICS, "frames", *READING)}
     with listening(quiet, options["frames"], hidden=as_json) as listener:
         given = transform if parent is None and child is None else T
         aligned = score(target, source, given, sigma=sigma, seed=seed, **listener._asdict(), **read)

@@ -103,6 +103,8 @@ METAVARS = {
     "target_topic": "NAME",
     "source_topic": "NAME",
     "frames": "A:B",
+    "intensity": "NAME",
+    "intensity_source": "NAME",
     "angles": "FILE",
     "angles_source": "FILE",
 }
@@ -113,6 +115,8 @@ NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
 
 SENSORS = ("sensor_target", "sensor_source", "threshold_target", "threshold_source")
 TOPICS = ("target_topic", "source_topic")
+WANTED = ("intensity", "intensity_source", "angles", "angles_source")
+READING = ("unit", "unit_source", *WANTED)
 
 
 def placement_arguments(command: Command) -> Command:

@@ -18,7 +18,7 @@ from ..result.pole_plan import (
     SHORTEST,
 )
 from .common import command_line, listening, show, show_written
-from .options import CLOUD, METRES, TOPICS, Number, Whole, run_options
+from .options import CLOUD, METRES, READING, TOPICS, Number, Whole, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -85,8 +85,7 @@ ANGLE = Number(min=-360, max=360)
     metavar="X Y X Y",
     help="Rectangle where they may not; repeat it.",
 )
-@run_options("sensor_target", "sensor_source", *TOPICS, "frames", "max_points", "unit")
-@run_options("unit_source")
+@run_options("sensor_target", "sensor_source", *TOPICS, "frames", "max_points", *READING)
 @out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")

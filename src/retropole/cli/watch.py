@@ -25,7 +25,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import Whole, run_options
+from .options import WANTED, Whole, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Stopped(Event):
 @click.argument("target")
 @click.argument("source")
 @run_options("radius_m", "sensor_target", "sensor_source", "threshold_target", "threshold_source")
-@run_options("need_m", "at_m")
+@run_options("need_m", "at_m", *WANTED)
 @click.option(
     "--sweeps",
     type=Whole(3, 100),
@@ -154,6 +154,7 @@ def watch(
       retropole watch ros2:/front/points ros2:/rear/points --need-cm 2 --at-m 30 --listen
       retropole watch velodyne:2368 velodyne:2369 --sensor-target VLP-16
       retropole watch velodyne:2368 velodyne:2369 --from 192.168.1.201 --from 192.168.1.202
+      retropole watch hesai:2368 hesai:2369 --angles front.csv --angles-source rear.csv
       retropole watch ouster:7502:front.json ros2:/rear/points --interface eth0
       retropole watch folder:in/front folder:in/rear --plan retropole-plan
       retropole watch replay:drive.bag:/front replay:drive.bag:/rear
@@ -181,12 +182,19 @@ def watch(
     first, second = names or names_of(texts, ("target", "source"))
     if first == second:
         raise click.UsageError("both LiDARs have the same name")
+    known = None if stored is None else read_stored(stored)
+    read = RunConfig(**options)
+    wanted = [read.of_target.wanted, read.of_source.wanted]
+    if known is not None:
+        before = known.config.of_target.wanted, known.config.of_source.wanted
+        wanted = [each.or_known(own) for each, own in zip(wanted, before, strict=True)]
     wish = Wish(
-        RunConfig(**options),
+        # What is kept of sweeps are clouds, with one intensity.
+        RunConfig(**options | dict.fromkeys(WANTED)),
         (first, second),
         sweeps,
         None if plan is None else load_plan(plan, (first, second)),
-        None if stored is None else read_stored(stored),
+        known,
     )
     latest: list[bytes] = [b"{}"]
     with ExitStack() as stack:
@@ -196,7 +204,9 @@ def watch(
             check_publishing(domain=domain, interface=interface)
         sources = list[Source]()
         with stopped.breaking():
-            sources = open_sources(texts, domain=domain, interface=interface, senders=senders)
+            sources = open_sources(
+                texts, domain=domain, interface=interface, senders=senders, wanted=wanted
+            )
         if not sources:
             return stopped.code or EXIT_INTERRUPTED
         made = Watch(sources, wish, out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import posixpath
 import socket
@@ -365,7 +366,7 @@ class LocalFiles:
             inside = posixpath.normpath(name)
             if posixpath.isabs(inside) or inside.split("/")[0] == ".." or "\\" in name:
                 raise ReadError(
-                    f"{given}: lidar {lidar}: {name}: the recordings of a site file at a URL "
+                    f"{given}: lidar {lidar}: {name}: the files of a site file at a URL "
                     "must lie in its folder or below"
                 )
             place = below(folder_of(given), inside)
@@ -375,9 +376,23 @@ class LocalFiles:
         return path
 
     def metadata(self) -> list[str]:
-        """Hash the metadata that lie beside packets."""
+        """Hash what tells of packets: metadata beside them, and angles that a site file names.
+
+        Raises
+        ------
+        ReadError
+            Where one that is named cannot be read.
+        """
         beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
-        return [hash_of(path) for path in beside if path.is_file()]
+        found = [path for path in beside if path.is_file()]
+        if self.site is not None:
+            from ..api.site_file import read_site_file
+
+            for lidar in read_site_file(self.site).lidar:
+                if lidar.angles is not None:
+                    name = os.path.relpath(lidar.angles, self.site.parent)
+                    found.append(self._beside(self.site, lidar.name, name))
+        return [hash_of(path) for path in found]
 
     def renamed(self, text: str) -> str:
         """Call what lies in our own folder as it was given."""
@@ -397,7 +412,7 @@ class LocalFiles:
         """Call the files of a result document as they were given."""
         from ..api.stored import renamed
 
-        return renamed(document, self.renamed)
+        return renamed(document, self.renamed, self.renamed)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from .arrays import cloud_from_array as cloud_from_array
 from .arrays import read_bin, read_npy, read_npz, read_pts, read_text
 from .bags import BAGS as BAGS
 from .bags import is_rosbag2
-from .fields import Unit, in_metres, intensity_named, unit_named
+from .fields import USUAL, Unit, Wanted, in_metres, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
 from .lvx import LVX, lvx_topics, open_lvx
@@ -38,7 +38,7 @@ from .recordings import joined as joined
 from .recordings import read_within
 from .ros import bag_topics, open_bag
 
-READERS: dict[str, Callable[[Path], PointCloud]] = {
+READERS: dict[str, Callable[[Path, Wanted], PointCloud]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     ".las": read_las,
@@ -56,11 +56,7 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 
 
 def open_recording(
-    path: str | Path,
-    *,
-    topic: str | None = None,
-    angles: Path | None = None,
-    intensity: str | None = None,
+    path: str | Path, *, topic: str | None = None, wanted: Wanted = USUAL
 ) -> Recording:
     """Look at a file, a folder of frames or a bag without reading its points.
 
@@ -73,10 +69,8 @@ def open_recording(
     topic
         Of a bag, the topic to read; needed where several have point clouds. Of a capture, the
         ``IP:port`` of a LiDAR; needed where several sent.
-    angles
-        Of packets, a file of the unit's own angles.
-    intensity
-        Field that the intensity is read from; None takes the first of `fields.INTENSITY`.
+    wanted
+        The field of the intensity, and of packets the unit's own angles.
 
     Raises
     ------
@@ -88,35 +82,22 @@ def open_recording(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    recording = _opened(Path(path), topic, angles)
-    if intensity is None:
-        return recording
-
-    def frames(numbers: range) -> Iterator[Frame]:
-        coming = recording.read(numbers)
-        while True:
-            with intensity_named(intensity):
-                frame = next(coming, None)
-            if frame is None:
-                return
-            yield frame
-
-    return replace(recording, read=frames)
-
-
-def _opened(path: Path, topic: str | None, angles: Path | None) -> Recording:
+    path = Path(path)
     files = _files(path)
     if _is_bag(path):
-        return open_bag(path, topic, angles)
+        return open_bag(path, topic, wanted)
     if path.suffix.lower() in CAPTURES and path.is_file():
-        return open_packets(path, topic, angles)
+        return open_packets(path, topic, wanted)
+    wanted.refuse_angles(f"{path}: holds no packets, angles are of no use")
     if path.suffix.lower() in LVX and path.is_file():
-        return open_lvx(path, topic)
+        return open_lvx(path, topic, wanted)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
-    if angles is not None:
-        raise UsageError(f"{path}: holds no packets, --angles is of no use")
-    return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
+
+    def frames(numbers: range) -> Iterator[Frame]:
+        return (Frame(k, _read(files[k], wanted)) for k in numbers)
+
+    return Recording(path, len(files), frames)
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:
@@ -174,7 +155,7 @@ def read_cloud(
 
     Parameters
     ----------
-    path, topic, intensity
+    path, topic
         As `open_recording` takes them.
     frames
         Which frames to combine, by their numbers from 0, as Python slices a list. None takes them
@@ -186,6 +167,8 @@ def read_cloud(
         downsampled evenly.
     unit
         Of the file's coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
+    intensity
+        Field that it is read from; None takes the first of `fields.INTENSITY`.
 
     Returns
     -------
@@ -203,8 +186,9 @@ def read_cloud(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
+    wanted = Wanted(intensity)
     read = read_recording(
-        path, topic=topic, frames=frames, max_points=max_points, unit=unit, intensity=intensity
+        path, topic=topic, frames=frames, max_points=max_points, unit=unit, wanted=wanted
     )
     return read.cloud
 
@@ -216,8 +200,7 @@ def read_recording(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
-    angles: Path | None = None,
-    intensity: str | None = None,
+    wanted: Wanted = USUAL,
     progress: Callable[[str], None] = lambda step: None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
@@ -226,8 +209,8 @@ def read_recording(
     ----------
     path, topic, frames, max_points, unit
         As `read_cloud` takes them.
-    angles, intensity
-        As `open_recording` takes them.
+    wanted
+        As `open_recording` takes it.
     progress
         Called as each of several frames is about to be read, with which of how many it is.
 
@@ -237,7 +220,7 @@ def read_recording(
         As `read_cloud`.
     """
     unit = unit_named(unit)
-    recording = open_recording(path, topic=topic, angles=angles, intensity=intensity)
+    recording = open_recording(path, topic=topic, wanted=wanted)
     if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
@@ -261,13 +244,13 @@ def _files(path: Path) -> list[Path]:
         return [path]
 
 
-def _read(path: Path) -> PointCloud:
+def _read(path: Path, wanted: Wanted) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         known = ", ".join([*READERS, *BAGS, *PACKETS, *LVX])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     with naming(path):
-        return replace(reader(path), source=str(path))
+        return replace(reader(path, wanted), source=str(path))
 
 
 def frames_of(folder: Path) -> list[Path]:

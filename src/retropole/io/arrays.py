@@ -24,6 +24,8 @@ from .fields import (
     LARGEST,
     PLAIN_COLUMNS,
     REAL_KINDS,
+    USUAL,
+    Wanted,
     cloud_from_columns,
     floats,
     has_coordinates,
@@ -63,16 +65,17 @@ def _is_table(array: NDArray[Any]) -> bool:
     return array.ndim == 2 and array.shape[1] in (3, 4)
 
 
-def _from_table(table: NDArray[Any]) -> PointCloud:
+def _from_table(table: NDArray[Any], wanted: Wanted = USUAL) -> PointCloud:
     if table.dtype.names is not None:
         table = table.reshape(-1)
-        return cloud_from_columns({name: table[name] for name in table.dtype.names or ()})
+        columns = {name: table[name] for name in table.dtype.names or ()}
+        return cloud_from_columns(columns, wanted)
     if not _is_table(table):
         raise ReadError(
             f"a table of shape {table.shape} without names of columns, expected (N, 3) or (N, 4): "
             + " ".join(PLAIN_COLUMNS)
         )
-    return cloud_from_columns(dict(zip(PLAIN_COLUMNS, table.T, strict=False)))
+    return cloud_from_columns(dict(zip(PLAIN_COLUMNS, table.T, strict=False)), wanted)
 
 
 def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointCloud:
@@ -131,16 +134,16 @@ def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[
     return np.frombuffer(body, dtype).reshape(shape, order="F" if fortran else "C")
 
 
-def read_npy(path: Path) -> PointCloud:
+def read_npy(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read an NPY array: (N, 3), (N, 4), or one with named fields."""
     data = read_whole(path)
     # The header is Python text: NumPy raises whatever reading a damaged one raises.
     with reported("NPY file"):
         array = _load(io.BytesIO(data), len(data))
-    return _from_table(array)
+    return _from_table(array, wanted)
 
 
-def read_npz(path: Path) -> PointCloud:
+def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read an NPZ: x, y and z, or one table xyz or points (N, 3 or 4); intensity, ring, time.
 
     Where there is only one array, its name does not matter. Arrays with other names are skipped.
@@ -151,19 +154,21 @@ def read_npz(path: Path) -> PointCloud:
     spend = allowance(len(data), 2**28, 20)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
     with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for entry in archive.infolist():
+        names = [entry.filename.removesuffix(".npy") for entry in archive.infolist()]
+        known = *"xyz", *TABLE_KEYS, *(wanted.names(names) if len(names) > 1 else ())
+        for name, entry in zip(names, archive.infolist(), strict=True):
             # Deflate compresses at most 1032 bytes into one; an entry that promises more is
             # damaged.
             if entry.file_size > 1100 * max(entry.compress_size, 1):
                 promised = f"{entry.compress_size} bytes cannot unpack to {entry.file_size}"
                 raise ReadError(f"{entry.filename}: {promised}")
-            name = entry.filename.removesuffix(".npy")
-            if len(archive.infolist()) > 1 and not has_meaning(name, besides=(*"xyz", *TABLE_KEYS)):
+            if len(names) > 1 and not has_meaning(name, *known):
                 continue
             with archive.open(entry) as file:
                 arrays[name] = _load(file, entry.file_size, spend)
     if len(arrays) == 1:
-        return _from_table(*arrays.values())
+        (only,) = arrays.values()
+        return _from_table(only, wanted)
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
         raise ReadError(f"holds {' and '.join(tables)}, expected one table of points")
@@ -173,10 +178,10 @@ def read_npz(path: Path) -> PointCloud:
             raise ReadError(f"{name} has shape {table.shape}, expected (N, 3) or (N, 4)")
         # An array of intensities takes precedence over a fourth column.
         arrays = dict(zip(PLAIN_COLUMNS, table.T, strict=False)) | arrays
-    return cloud_from_columns(arrays)
+    return cloud_from_columns(arrays, wanted)
 
 
-def read_text(path: Path) -> PointCloud:
+def read_text(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read a table of text: columns by name where a first line names them, else x y z intensity.
 
     Values are separated by semicolons, tabs, commas or blanks: the first of these that is in the
@@ -184,18 +189,18 @@ def read_text(path: Path) -> PointCloud:
     the numbers that names x, y and z names the columns. A line of one whole number before the
     points is their number. Decimal commas are read where nothing else can be meant by them.
     """
-    return _read_lines(path)
+    return _read_lines(path, wanted)
 
 
-def read_pts(path: Path) -> PointCloud:
+def read_pts(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read a text as `read_text` does, also with colours, without names, as Leica's programs do.
 
     Six columns are x y z and red, green, blue; of seven, the fourth is the intensity.
     """
-    return _read_lines(path, LEICA_COLUMNS)
+    return _read_lines(path, wanted, LEICA_COLUMNS)
 
 
-def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointCloud:
+def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = ()) -> PointCloud:
     """Read a text; `wide` are the names that columns without names may have, if there are more."""
     body = _as_utf8(read_whole(path)).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     head = _head(body)
@@ -219,16 +224,17 @@ def _read_lines(path: Path, wide: tuple[tuple[str, ...], ...] = ()) -> PointClou
         raise LineError(head.counted_at, said)
     names = head.names or next((list(own) for own in wide if len(own) == columns), [])
     if not names:
-        return noted(_from_table(table), *notes)
+        return noted(_from_table(table, wanted), *notes)
     if not head.names:
         _check_colours(table[:, -len(COLOURS) :])
     if len({name.lower() for name in names}) < len(names):
         raise ReadError(f"two columns have one name, the names are: {', '.join(names)}")
+    known = wanted.names(names)
     own = {
-        name: _whole(column) if has_meaning(name) else column
+        name: _whole(column) if has_meaning(name, *known) else column
         for name, column in zip(names, table.T, strict=True)
     }
-    return noted(cloud_from_columns(own), *notes)
+    return noted(cloud_from_columns(own, wanted), *notes)
 
 
 def _as_utf8(data: bytes) -> bytes:
@@ -399,7 +405,7 @@ TINIEST = 1e-20
 whole numbers and padding that are read as float32 are."""
 
 
-def read_bin(path: Path) -> PointCloud:
+def read_bin(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read float32 x y z intensity (KITTI), or x y z intensity ring (nuScenes).
 
     Raises
@@ -415,7 +421,7 @@ def read_bin(path: Path) -> PointCloud:
     ]
     if len(fitting) == 1:
         rows = _rows(data, len(fitting[0]))
-        return cloud_from_columns(dict(zip(fitting[0], rows.T, strict=True)))
+        return cloud_from_columns(dict(zip(fitting[0], rows.T, strict=True)), wanted)
     raise ReadError(_why(data, bool(fitting)))
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,25 +66,58 @@ REAL_KINDS = "fiub"
 
 Columns = Mapping[str, NDArray[Any]]
 
-_NAMED: ContextVar[str | None] = ContextVar("the field of the intensity", default=None)
 
+class Wanted(NamedTuple):
+    """What a user says of how points are made; most files need none of it.
 
-@contextmanager
-def intensity_named(name: str | None) -> Iterator[None]:
-    """Within, take intensities from the field of this name, in any spelling; None from `INTENSITY`.
-
-    Every reader of a file comes to its columns in its own way, and to the cloud in this one.
+    Attributes
+    ----------
+    intensity
+        Field that the intensity is read from, in any spelling; None, or empty, takes the first of
+        `INTENSITY`.
+    angles
+        Of packets, the file of the unit's own angles; None takes those of the table.
+    if_any
+        Those of both, by name, that are left out where a file has no use for them: they are known
+        from an older recording, and were not given for this one.
     """
-    token = _NAMED.set(name)
-    try:
-        yield
-    finally:
-        _NAMED.reset(token)
+
+    intensity: str | None = None
+    angles: str | None = None
+    if_any: tuple[str, ...] = ()
+
+    def names(self, fields: Iterable[str]) -> tuple[str, ...]:
+        """Say what the intensity is called among the fields of a file.
+
+        Raises
+        ------
+        ReadError
+            Where a field is wanted that is not there; lists those there are.
+        """
+        if not self.intensity:
+            return INTENSITY
+        named, fields = (self.intensity, self.intensity.lower()), list(fields)
+        if _find(fields, named) is not None:
+            return named
+        if "intensity" in self.if_any:
+            return INTENSITY
+        have = ", ".join(fields)
+        raise ReadError(f"intensity {self.intensity}: no such field; the fields are: {have}")
+
+    def or_known(self, known: Wanted) -> Wanted:
+        """Take what is not said as it is known of an older recording, where it is of use."""
+        own = self._asdict()
+        if_any = tuple(name for name in ("intensity", "angles") if own[name] is None)
+        return Wanted(**own | {name: getattr(known, name) for name in if_any} | {"if_any": if_any})
+
+    def refuse_angles(self, fault: str) -> None:
+        """Refuse angles that are given for what has no use for them; `fault` says why not."""
+        if self.angles is not None and "angles" not in self.if_any:
+            raise UsageError(fault)
 
 
-def _named() -> tuple[str, ...]:
-    name = _NAMED.get()
-    return INTENSITY if name is None else (name, name.lower())
+USUAL = Wanted()
+"""Nothing is said."""
 
 
 def intensities_of(names: Iterable[str]) -> list[str]:
@@ -116,7 +147,7 @@ def left_out(promised: int, more: int) -> str:
     return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
 
 
-def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
+def _find(columns: Iterable[str], names: tuple[str, ...]) -> str | None:
     """Find the first column with one of the names, in any case; the exact spelling goes first."""
     plain: dict[str, str] = {}
     for spelled in (str, str.lower, _bare):
@@ -145,9 +176,9 @@ def has_coordinates(names: Iterable[str]) -> bool:
     return all(bare.intersection(own) for own in COORDINATES.values())
 
 
-def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
+def has_meaning(name: str, *besides: str) -> bool:
     """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
-    return not {name, _bare(name)}.isdisjoint((*INTENSITY, *RING, *TIME, *_named(), *besides))
+    return not {name, _bare(name)}.isdisjoint((*INTENSITY, *RING, *TIME, *besides))
 
 
 class NoReturnsError(ReadError):
@@ -159,7 +190,7 @@ class NoReturnsError(ReadError):
 
 
 def cloud_from_columns(
-    columns: Columns, origin: Array | None = None, source: str = ""
+    columns: Columns, wanted: Wanted = USUAL, origin: Array | None = None, source: str = ""
 ) -> PointCloud:
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
@@ -172,6 +203,8 @@ def cloud_from_columns(
     ----------
     columns
         The fields of the file, by name.
+    wanted
+        Of which the intensity is.
     origin
         (3,) where the beams start; None is the origin of the frame.
     source
@@ -180,16 +213,15 @@ def cloud_from_columns(
     Raises
     ------
     ReadError
-        Without x, y or z, without points, or with none that is finite and away from the origin.
+        Without x, y or z or the field that is wanted, without points, or with none that is finite
+        and away from the origin.
     """
     found = {name: _find(columns, names) for name, names in COORDINATES.items()}
     missing = [name for name, own in found.items() if own is None]
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"field {', '.join(missing)} is missing; the fields are: {have}")
-    if _named() != INTENSITY and _find(columns, _named()) is None:
-        have = ", ".join(columns)
-        raise ReadError(f"--intensity {_named()[0]}: no such field; the fields are: {have}")
+    of_intensity = wanted.names(columns)
     parts = [_numbers(own, columns[own]) for own in found.values() if own is not None]
     if len({len(part) for part in parts}) > 1:
         lengths = ", ".join(str(len(part)) for part in parts)
@@ -223,7 +255,7 @@ def cloud_from_columns(
     return PointCloud(
         notes=tuple(filter(None, (unit, _left_out_second(second)))),
         xyz=xyz if kept.all() else xyz[kept],
-        intensity=optional(_named(), _intensity),
+        intensity=optional(of_intensity, _intensity),
         ring=optional(RING, _ring),
         time=optional(TIME, _time),
         origin=start,
@@ -247,11 +279,13 @@ def _unit_of_coordinates(names: list[str]) -> str:
     return "" if unit == "m" else f"its columns give x, y and z in {unit} (--unit {unit})"
 
 
-def frame_from_columns(where: str, columns: Columns, origin: Array | None = None) -> PointCloud:
+def frame_from_columns(
+    where: str, columns: Columns, wanted: Wanted = USUAL, origin: Array | None = None
+) -> PointCloud:
     """Make a cloud as `cloud_from_columns` does, and an empty one where no point is a return."""
     with naming(where):
         try:
-            return cloud_from_columns(columns, origin, where)
+            return cloud_from_columns(columns, wanted, origin, where)
         except NoReturnsError as error:
             return PointCloud(np.zeros((0, 3)), dropped=error.points, source=where)
 

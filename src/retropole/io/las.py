@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.datatypes import PointCloud
 from ..base.errors import MissingExtraError, ReadError, said
-from .fields import cloud_from_columns, has_meaning
+from .fields import USUAL, Wanted, cloud_from_columns, has_meaning
 
 READ_BLOCK = 16 * 2**20
 """Bytes of decompressed points that are read at a time."""
@@ -36,7 +36,7 @@ FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the place of the table of chunks."""
 
 
-def read_las(path: Path) -> PointCloud:
+def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read a LAS or LAZ file, with its scale and offset applied.
 
     Raises
@@ -69,7 +69,9 @@ def read_las(path: Path) -> PointCloud:
                 _check_items(header.point_format.size, record.record_data)
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             # The scaled coordinates, and the other fields that are used here.
-            names = [*"xyz", *filter(has_meaning, header.point_format.dimension_names)]
+            own = header.point_format.dimension_names
+            known = wanted.names(own)
+            names = [*"xyz", *(name for name in own if has_meaning(name, *known))]
             # In blocks, so that memory follows what is in the file, not what its header promises.
             chunks = file.chunk_iterator(max(1, READ_BLOCK // header.point_format.size))
             blocks = [[np.array(block[name]) for name in names] for block in chunks]
@@ -85,7 +87,7 @@ def read_las(path: Path) -> PointCloud:
     count = sum(len(block[0]) for block in blocks)
     if count != header.point_count:
         raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
-    return cloud_from_columns(columns)
+    return cloud_from_columns(columns, wanted)
 
 
 def _check_header(file: BinaryIO, size: int) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base.errors import ReadError, naming, reported
 from ..base.quantities import counted
-from .fields import Columns, frame_from_columns, noted
+from .fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from .recordings import PACKETS_OF, Frame, Recording, Topic
 
 LVX = (".lvx2", ".lvx")
@@ -77,7 +77,7 @@ def lvx_topics(path: Path) -> tuple[Topic, ...]:
     return tuple(Topic(name, KIND, len(found.frames)) for name in sorted(found.names.values()))
 
 
-def open_lvx(path: Path, topic: str | None = None) -> Recording:
+def open_lvx(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Recording:
     """Open a recording, and choose a LiDAR: the given one, or the only one.
 
     Raises
@@ -93,7 +93,7 @@ def open_lvx(path: Path, topic: str | None = None) -> Recording:
         raise ReadError(f"{path}: {has}, expected one of: {names}")
     if not found.frames:
         raise ReadError(f"{path}: has no frames{found.note and f': {found.note}'}")
-    read = partial(_frames, path, found, own[0])
+    read = partial(_frames, path, found, own[0], wanted)
     return Recording(path, len(found.frames), read, topic=found.names[own[0]])
 
 
@@ -128,13 +128,15 @@ def _look(path: Path) -> _File:
     return _File(is_new, names, frames, note)
 
 
-def _frames(path: Path, found: _File, lidar: int, numbers: range) -> Iterator[Frame]:
+def _frames(
+    path: Path, found: _File, lidar: int, wanted: Wanted, numbers: range
+) -> Iterator[Frame]:
     with naming(path), path.open("rb") as file:
         for number in numbers:
             where = f"{path}: frame {number}"
             with reported("frame"):
                 columns, stamp, notes = _columns(file, found, number, lidar)
-            cloud = frame_from_columns(where, columns)
+            cloud = frame_from_columns(where, columns, wanted)
             yield Frame(number, noted(cloud, found.note, *notes), stamp)
 
 

@@ -23,7 +23,9 @@ from .arrays import read_table
 from .fields import (
     LARGEST,
     MAX_PROMISED,
+    USUAL,
     Columns,
+    Wanted,
     cloud_from_columns,
     left_out,
     noted,
@@ -77,7 +79,7 @@ class Header:
         return np.dtype(fields)
 
 
-def read_pcd(path: Path) -> PointCloud:
+def read_pcd(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read a PCD file; the translation of its VIEWPOINT is the beam origin.
 
     Raises
@@ -96,7 +98,7 @@ def read_pcd(path: Path) -> PointCloud:
         columns, more = _read_binary(body, header)
     else:
         columns, more = _read_compressed(body, header), 0
-    cloud = cloud_from_columns(columns, header.origin)
+    cloud = cloud_from_columns(columns, wanted, header.origin)
     return noted(cloud, *header.notes, left_out(header.points, more) if more else "")
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..base.datatypes import PointCloud
 from ..base.errors import LineError, ReadError
 from .arrays import read_table
-from .fields import MAX_PROMISED, cloud_from_columns, left_out, noted, read_whole
+from .fields import MAX_PROMISED, USUAL, Wanted, cloud_from_columns, left_out, noted, read_whole
 
 PLY_TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
@@ -48,7 +48,7 @@ class _Element:
         return [own.name for own in self.properties if not own.length]
 
 
-def read_ply(path: Path) -> PointCloud:
+def read_ply(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read the vertices of a PLY file; other elements, and lists, are skipped.
 
     Raises
@@ -83,7 +83,7 @@ def read_ply(path: Path) -> PointCloud:
             start = end
             columns, end = _read_element(data, start, element, ORDERS[encoding])
         more = (len(data) - end) * vertex.count // (end - start)
-    cloud = cloud_from_columns(columns)
+    cloud = cloud_from_columns(columns, wanted)
     return noted(cloud, left_out(vertex.count, more) if more and vertex is elements[-1] else "")
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ReadError, UsageError, naming, reported, shortened
+from ..base.errors import ReadError, naming, reported, shortened
 from ..base.quantities import counted
 from .bags import opened
-from .fields import NANOSECONDS, Columns, frame_from_columns, noted
+from .fields import NANOSECONDS, USUAL, Columns, Wanted, frame_from_columns, noted
 from .packets import packets_in
 from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
 from .unpacking import LARGEST_RECORD
@@ -49,11 +49,10 @@ def bag_topics(path: Path) -> tuple[Topic, ...]:
         return bag.topics
 
 
-def open_bag(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
+def open_bag(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Recording:
     """Open a bag, and choose the topic of point clouds: the given one, or the only one.
 
-    Where none has point clouds, one is chosen on which a driver publishes packets. `angles` is as
-    `packets.open_packets` takes it.
+    Where none has point clouds, one is chosen on which a driver publishes packets.
 
     Raises
     ------
@@ -67,10 +66,9 @@ def open_bag(path: Path, topic: str | None = None, angles: Path | None = None) -
     topics = bag_topics(path)
     chosen = _choose(path, topics, topic)
     if chosen.of_packets:
-        return packets_in(path, chosen, angles)
-    if angles is not None:
-        raise UsageError(f"{path}: topic {chosen.name} holds no packets, --angles is of no use")
-    return Recording(path, chosen.count, partial(_frames, path, chosen), topic=chosen.name)
+        return packets_in(path, chosen, wanted)
+    wanted.refuse_angles(f"{path}: topic {chosen.name} holds no packets, angles are of no use")
+    return Recording(path, chosen.count, partial(_frames, path, chosen, wanted), topic=chosen.name)
 
 
 def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
@@ -108,13 +106,14 @@ def _listed(topics: Sequence[Topic], *, kinds: bool = False) -> str:
     return ", ".join(words) + (f" and {more} more" if more > 0 else "") if words else "none"
 
 
-def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
+def _frames(path: Path, topic: Topic, wanted: Wanted, numbers: range) -> Iterator[Frame]:
     """Decode the chosen messages of a topic, each when it is requested."""
     with opened(path) as bag:
         number = -1
         for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name, topic.kind)):
             if number in numbers:
-                yield frame_of(f"{path}: ", topic.name, number, stamp, data, encoding, topic.kind)
+                own = number, stamp, data, encoding, topic.kind
+                yield frame_of(f"{path}: ", topic.name, *own, wanted)
             if number == numbers[-1]:
                 return
         promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
@@ -129,6 +128,7 @@ def frame_of(
     data: bytes,
     encoding: str,
     kind: str = CLOUDS,
+    wanted: Wanted = USUAL,
 ) -> Frame:
     """Decode a message with a point cloud.
 
@@ -142,6 +142,8 @@ def frame_of(
         Its bytes, and ``ros1`` or ``cdr``.
     kind
         Its type.
+    wanted
+        Field that its intensity is read from.
 
     Raises
     ------
@@ -155,14 +157,14 @@ def frame_of(
     if is_of_livox(kind):
         with naming(where), reported(kind):
             frame_id, columns, note = _livox_points(data, encoding)
-        cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
+        cloud = replace(frame_from_columns(where, columns, wanted), source=f"{source}{where}")
         name = shortened(frame_id, LONGEST_NAME)
         return Frame(number, noted(cloud, note), stamp / NANOSECONDS, name)
     with naming(where), reported(CLOUDS):
         # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
         columns = columns_of(message)
-    cloud = replace(frame_from_columns(where, columns), source=f"{source}{where}")
+    cloud = replace(frame_from_columns(where, columns, wanted), source=f"{source}{where}")
     frame_id = shortened(message.header.frame_id, LONGEST_NAME)
     return Frame(number, cloud, stamp / NANOSECONDS, frame_id)
 

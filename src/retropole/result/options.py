@@ -17,7 +17,7 @@ from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
-from ..io.fields import METRES, Unit
+from ..io.fields import METRES, USUAL, Unit, Wanted
 from ..io.recordings import LEAST_POINTS, MAX_POINTS
 
 UNITS = get_args(Unit)
@@ -103,10 +103,8 @@ class Reading(NamedTuple):
         Of a cloud with more, so many are kept, as `io.read_cloud` does.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
-    intensity
-        Field that the intensity is read from; None takes the usual one.
-    angles
-        Of packets, the file of the unit's own angles; None takes those of the table.
+    wanted
+        Field of the intensity, and of packets the unit's own angles.
     """
 
     sensor: str = "auto"
@@ -115,8 +113,7 @@ class Reading(NamedTuple):
     frames: slice | None = None
     max_points: int = MAX_POINTS
     unit: Unit = "m"
-    intensity: str | None = None
-    angles: str | None = None
+    wanted: Wanted = USUAL
 
 
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -240,6 +237,12 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         return self.unit_source or self.unit
 
     @property
+    def source_intensity(self) -> str | None:
+        """Field of the source's intensity: its own, empty for the usual, or else the target's."""
+        own = self.intensity_source
+        return self.intensity if own is None else own
+
+    @property
     def mast_sway(self) -> float | None:
         """1 σ of the sway that was stated, rad."""
         return None if self.mast_sway_deg is None else math.radians(self.mast_sway_deg)
@@ -253,16 +256,16 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        how = self.max_points, self.unit, self.intensity, self.angles
-        return Reading(sensor, threshold, topic, slice_of(self.frames), *how)
+        how = slice_of(self.frames), self.max_points, self.unit, Wanted(self.intensity, self.angles)
+        return Reading(sensor, threshold, topic, *how)
 
     @property
     def of_source(self) -> Reading:
         """How recordings of the source are read."""
         sensor, threshold, topic = self.sensor_source, self.threshold_source, self.source_topic
-        how = self.max_points, self.source_unit, self.intensity_source or self.intensity
-        frames = slice_of(self.frames)
-        return Reading(sensor, threshold, topic, frames, *how, self.angles_source)
+        wanted = Wanted(self.source_intensity, self.angles_source)
+        how = slice_of(self.frames), self.max_points, self.source_unit, wanted
+        return Reading(sensor, threshold, topic, *how)
 
 
 DEFAULT_CONFIG = RunConfig()

@@ -38,7 +38,7 @@ from ..base.datatypes import Array, Scan
 from ..base.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Fitness, Need
-from ..io.fields import Unit
+from ..io.fields import Unit, Wanted
 from ..io.recordings import MAX_POINTS
 from . import (
     COVARIANCE_ORDER,
@@ -119,11 +119,13 @@ class RecordingDoc(InputDoc, frozen=True, kw_only=True):
     topic: Text | None = None
     frames: Frames | None = None
     unit: Unit = "m"
+    intensity: Text | None = None
+    angles: Text | None = None
 
     def reading(self, max_points: int) -> Reading:
         """How it was read, with at most so many points of a cloud."""
-        frames = slice_of(self.frames)
-        return Reading(self.sensor, self.threshold, self.topic, frames, max_points, self.unit)
+        how = slice_of(self.frames), max_points, self.unit, Wanted(self.intensity, self.angles)
+        return Reading(self.sensor, self.threshold, self.topic, *how)
 
 
 class PairDoc(msgspec.Struct, frozen=True):
@@ -369,4 +371,5 @@ def recording_document(
     """Say of what was read which LiDAR and placement, by their indices, it is of, and how."""
     frames = None if how.frames is None else (how.frames.start, how.frames.stop, how.frames.step)
     at = {"lidar": lidar, "placement": placement}
-    return document_of(RecordingDoc, source, **at, topic=how.topic, frames=frames, unit=how.unit)
+    read = {"topic": how.topic, "frames": frames, "unit": how.unit}
+    return document_of(RecordingDoc, source, how.wanted, **at, **read)

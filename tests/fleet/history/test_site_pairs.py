@@ -4,10 +4,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from retropole.fleet.history.check import check_site, watched_pairs
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.result import encode
+from retropole.result.decoding import decode_site
 from tests.api.site_files import write_site
 from tests.fleet.history.test_check import CHECK
 from tests.report.site.made_up import document_of, made_up_site
@@ -43,6 +45,20 @@ def test_each_pair_has_its_recordings_and_options(quay: FleetSite) -> None:
     assert pair.site.source == str(folder / "mast-b/1.pcd")
     assert pair.site.result == str(folder / "site-result.json")
     assert (pair.site.fault, pair.site.config.radius_m) == ("", 0.02)
+
+
+def test_each_lidar_is_read_as_its_file_says_or_else_as_for_the_result(quay: FleetSite) -> None:
+    folder = Path(quay.site).parent
+    path, stored = Path(quay.site), decode_site((folder / "site-result.json").read_bytes())
+    wanted = {0: {"angles": "a.csv", "intensity": "echo"}, 1: {"angles": "b.csv"}}
+    inputs = [replace(each, **wanted.get(each.lidar, {})) for each in stored.inputs]
+    (folder / "site-result.json").write_bytes(encode(replace(stored, inputs=inputs)))
+    named = 'name = "mast-b"\nangles = "new.csv"'
+    path.write_text(path.read_text().replace('name = "mast-b"', named))
+    pairs = {pair.site.id: pair.site.config for pair in watched_pairs(quay)}
+    config = pairs["quay/mast-a/mast-b"]
+    assert config.of_target.wanted[:2] == ("echo", str(folder / "a.csv"))
+    assert config.of_source.wanted[:2] == ("", str(folder / "new.csv"))
 
 
 def test_a_pair_is_held_against_the_result_of_the_site(quay: FleetSite) -> None:

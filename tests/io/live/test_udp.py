@@ -14,12 +14,13 @@ import pytest
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import Frame, read_frames
 from retropole.io.bags import opened
+from retropole.io.fields import Wanted
 from retropole.io.live import Source, source_of
 from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
 from retropole.io.packets import drivers
 from retropole.io.packets.capture import packets, walk
 from tests.io.files import required
-from tests.io.packets.sending import bag_of
+from tests.io.packets.sending import angles_of, bag_of, turning
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -405,3 +406,15 @@ def test_what_is_of_another_maker_is_said() -> None:
         send([bytes(1206)] * 3)
         assert source.newest(0.3) is None
         assert "none of a Hesai: packets of returns expected, 1206 came" in source.waits_for
+
+
+def test_packets_are_placed_by_the_angles_of_the_unit(tmp_path: Path) -> None:
+    unit, sent, port = angles_of(tmp_path / "unit.csv", 16), turning("XT16", 120), free_port()
+    frame = None
+    wanted = Wanted(angles=str(unit))
+    with closing(source_of(f"hesai:{HOME}:{port}", wanted=wanted)) as source, sender(port) as send:
+        for k in range(0, len(sent), 20):
+            send(sent[k : k + 20])
+            frame = source.newest(0.01) or frame
+        frame = frame or source.newest(LONG)
+    assert required(frame).cloud.notes[0] == "angles of Hesai XT16: unit.csv"

@@ -72,6 +72,13 @@ def pcapng(packets: Sequence[bytes], order: str = "<") -> bytes:
     return b"".join(parts)
 
 
+def angles_of(path: Path, channels: int, heading: str = "Channel,Elevation,Azimuth") -> Path:
+    """Write a unit's own angles as Hesai's web page gives them."""
+    rows = [f"{k + 1},{k - 5.5},{k / 100}" for k in range(channels)]
+    path.write_text("\n".join([heading, *rows, "0123abcd"]) + "\n", encoding="utf-8-sig")
+    return path
+
+
 def turning(name: str, packets: int = 40) -> list[bytes]:
     """Write packets of a Hesai that turns by 1.5 degrees a block and sees a wall all around."""
     model = model_named(name)

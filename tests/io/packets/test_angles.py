@@ -8,17 +8,13 @@ import pytest
 import retropole as rp
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import open_recording, read_recording
+from retropole.io.fields import Wanted
 from retropole.io.packets.angles import read_angles
 from tests.cli.commands import retropole_here
+from tests.io.packets.sending import angles_of as table
 from tests.io.packets.sending import datagram, hesai, model_named, pcap
 
 MODEL = model_named("XT16")
-
-
-def table(path: Path, channels: int, heading: str = "Channel,Elevation,Azimuth") -> Path:
-    rows = [f"{k + 1},{k - 5.5},{k / 100}" for k in range(channels)]
-    path.write_text("\n".join([heading, *rows, "0123abcd"]) + "\n", encoding="utf-8-sig")
-    return path
 
 
 @pytest.mark.parametrize("heading", ["Channel,Elevation,Azimuth", "EEFF,1,1,\nLaser id,El,Az"])
@@ -41,7 +37,7 @@ def test_the_notes_say_which_angles_were_used(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(pcap([datagram(payload) for payload in payloads]))
     plain = read_recording(path).cloud
-    own = read_recording(path, angles=table(tmp_path / "unit.csv", 16)).cloud
+    own = read_recording(path, wanted=Wanted(angles=str(table(tmp_path / "unit.csv", 16)))).cloud
     assert plain.notes == ("angles of Hesai XT16: the table of the model",)
     assert own.notes == ("angles of Hesai XT16: unit.csv",)
     assert (plain.nominal_angles, own.nominal_angles) == ("Hesai XT16", "")
@@ -50,7 +46,9 @@ def test_the_notes_say_which_angles_were_used(tmp_path: Path) -> None:
     cloud = tmp_path / "a.xyz"
     cloud.write_text("1 2 3\n")
     with pytest.raises(UsageError, match="holds no packets"):
-        open_recording(cloud, angles=path)
+        open_recording(cloud, wanted=Wanted(angles=str(path)))
+    known = Wanted().or_known(Wanted(angles=str(path)))
+    assert open_recording(cloud, wanted=known).count == 1
 
 
 def test_commands_take_the_file_and_a_result_keeps_it(tmp_path: Path) -> None:

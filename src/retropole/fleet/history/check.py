@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from ...api.checking import pair_config, shared_placements, stored_pairs
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
+from ...api.stored import with_sensors_from
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
@@ -94,7 +95,8 @@ def _result_of_site(site: FleetSite, answers: Mapping[str, Row] | None) -> tuple
     place = site.result or folder_of(site.site)
     if exists(place, as_folder=True):
         place = below(place, SITE_RESULT_FILE)
-    return decode_site(read_bytes(place, LARGEST_DOCUMENT)), place
+    document = decode_site(read_bytes(place, LARGEST_DOCUMENT))
+    return with_sensors_from(document, Path(place).parent), place
 
 
 def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iterator[WatchedPair]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ...base.errors import RetropoleError, UsageError
+from ..fields import USUAL, Wanted
 from ..recordings import Frame
 
 SOURCE_KINDS = {
@@ -82,6 +83,7 @@ def source_of(
     domain: int | None = None,
     interface: str | None = None,
     senders: Collection[str] = (),
+    wanted: Wanted = USUAL,
 ) -> Source:
     """Open a source by what it is called.
 
@@ -93,28 +95,37 @@ def source_of(
         Of ROS 2, as `dds.DdsSource` takes them.
     senders
         Of packets, as `udp.PacketSource` takes them.
+    wanted
+        Of packets by the tables, the unit's own angles; of clouds, the field of the intensity.
 
     Raises
     ------
     UsageError
-        Where there is no such kind, or a part is missing.
+        Where there is no such kind, a part is missing, or what is wanted is of no use.
     ReadError, MissingExtraError
         Where it cannot be opened.
     """
     kind, _, where = text.partition(":")
     if kind not in {each.partition(":")[0] for each in SOURCE_KINDS} or not where:
         raise UsageError(f"{text!r} is no source, expected one of {', '.join(SOURCE_KINDS)}")
+    if kind not in (*MAKERS[1:], "replay"):
+        wanted.refuse_angles(f"{text}: angles are of packets of {', '.join(MAKERS[1:])}")
+    if kind in (*MAKERS, "ouster") and wanted.intensity and "intensity" not in wanted.if_any:
+        raise UsageError(f"{text}: packets have one intensity, no field of it is named")
     # Each loads what it needs alone.
     if kind == "ros2":
         from .dds import DdsSource
 
-        return DdsSource(where, domain=domain, interface=interface)
+        return DdsSource(where, domain=domain, interface=interface, wanted=wanted)
     if kind in MAKERS:
         from .udp import ALL_INTERFACES, TableSource, VelodyneSource
 
         host, _, port = where.rpartition(":")
         listens = _port(text, port), host or ALL_INTERFACES, senders
-        return VelodyneSource(*listens) if kind == "velodyne" else TableSource(kind, *listens)
+        if kind == "velodyne":
+            return VelodyneSource(*listens)
+        own = None if wanted.angles is None else Path(wanted.angles)
+        return TableSource(kind, *listens, angles=own)
     if kind == "ouster":
         from .udp import OusterSource
 
@@ -125,7 +136,7 @@ def source_of(
     if kind == "folder":
         from .files import FolderSource
 
-        return FolderSource(Path(where))
+        return FolderSource(Path(where), wanted)
     path, found, topic = where.rpartition(":/")
     # A drive of Windows has one letter before the same signs.
     named = bool(found) and len(path) > 1
@@ -133,10 +144,10 @@ def source_of(
     if kind == "bag":
         from .files import BagSource
 
-        return BagSource(file, name)
+        return BagSource(file, name, wanted)
     from .replay import ReplaySource
 
-    return ReplaySource(file, name)
+    return ReplaySource(file, name, wanted=wanted)
 
 
 def open_sources(
@@ -145,8 +156,11 @@ def open_sources(
     domain: int | None = None,
     interface: str | None = None,
     senders: Collection[str] = (),
+    wanted: Sequence[Wanted] = (USUAL, USUAL),
 ) -> list[Source]:
     """Open the sources of target and source, as `source_of` takes them; both or none.
+
+    What is wanted is for each of its own.
 
     Raises
     ------
@@ -161,8 +175,10 @@ def open_sources(
         raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
     opened: list[Source] = []
     try:
-        for text in texts:
-            opened.append(source_of(text, domain=domain, interface=interface, senders=senders))
+        for text, own in zip(texts, wanted, strict=True):
+            opened.append(
+                source_of(text, domain=domain, interface=interface, senders=senders, wanted=own)
+            )
     except RetropoleError:
         for source in opened:
             source.close()

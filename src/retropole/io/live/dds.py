@@ -15,7 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ...base.errors import MissingExtraError, UsageError, said
-from ..fields import NANOSECONDS
+from ..fields import NANOSECONDS, USUAL, Wanted
 from ..recordings import CLOUDS, Frame
 from ..ros import frame_of
 from .replay import QUIET
@@ -174,6 +174,8 @@ class DdsSource:
         As ROS names it: ``/front/points``.
     domain, interface
         As `domain_or_default` and `participant` take them.
+    wanted
+        Field of the intensity.
 
     Raises
     ------
@@ -182,8 +184,14 @@ class DdsSource:
     """
 
     def __init__(
-        self, topic: str, *, domain: int | None = None, interface: str | None = None
+        self,
+        topic: str,
+        *,
+        domain: int | None = None,
+        interface: str | None = None,
+        wanted: Wanted = USUAL,
     ) -> None:
+        self._wanted = wanted
         self._topic = f"/{topic.strip('/')}"
         self._domain = domain_or_default(domain)
         self._participant = participant(self._domain, interface)
@@ -279,7 +287,7 @@ class DdsSource:
         self._last = time.monotonic()
         number, self._count = self._count, self._count + 1
         now, data = time.time_ns(), taken[-1].data
-        frame = frame_of("", self.name, number, now, data, "cdr")
+        frame = frame_of("", self.name, number, now, data, "cdr", wanted=self._wanted)
         apart = _clock_of(data) - now / NANOSECONDS
         # A sweep takes 0.1 s, and its way some.
         if abs(apart) < 1.0:

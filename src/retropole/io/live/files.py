@@ -25,6 +25,7 @@ from ...base.files import check_is_file
 from ...base.quantities import counted
 from .. import READERS, open_recording
 from ..bags import MAX_TOPICS, check_extra, entries_of, open_database, topics_in
+from ..fields import USUAL, Wanted
 from ..recordings import CLOUDS, Frame, holds_clouds, time_of_recording
 from ..ros import MAX_LISTED, frame_of
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
@@ -117,6 +118,8 @@ class FolderSource(_Looking):
     ----------
     folder
         Its files that are point clouds are sweeps, of one format or several; hidden ones are not.
+    wanted
+        Field of their intensity.
 
     Raises
     ------
@@ -126,11 +129,11 @@ class FolderSource(_Looking):
 
     has_ended = False
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, wanted: Wanted = USUAL) -> None:
         if not folder.is_dir():
             raise ReadError(f"{folder}: there is no such folder")
         super().__init__(f"folder:{folder}")
-        self._folder = folder
+        self._folder, self._wanted = folder, wanted
         self._files: dict[Path, _File] = {}
         self._count = 0
         self._see()
@@ -165,7 +168,7 @@ class FolderSource(_Looking):
             if unchanged < SETTLED or (file.has_failed and unchanged < GIVE_UP):
                 continue
             try:
-                frame = next(open_recording(path).read(range(1)))
+                frame = next(open_recording(path, wanted=self._wanted).read(range(1)))
             except ReadError:
                 if _version_of(path) != file.version:
                     continue
@@ -429,6 +432,8 @@ class BagSource(_Looking):
         recorded before the last of them is not read.
     topic
         The topic to read; needed where several have point clouds.
+    wanted
+        Field of the intensity.
 
     Raises
     ------
@@ -440,7 +445,7 @@ class BagSource(_Looking):
         Where the bag is of a kind that shows what it holds only when it is closed.
     """
 
-    def __init__(self, path: Path, topic: str | None = None) -> None:
+    def __init__(self, path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> None:
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
         if not path.is_dir():
@@ -451,7 +456,7 @@ class BagSource(_Looking):
             )
         check_extra()
         super().__init__(f"bag:{path}")
-        self._path = path
+        self._path, self._wanted = path, wanted
         self._recorded = Recorded(topic)
         self._parts: list[tuple[Path, Part]] = []
 
@@ -479,8 +484,8 @@ class BagSource(_Looking):
             taken = self._recorded.take()
             if taken is None:
                 return None
-            topic, kind, number, (stamp, data, encoding) = taken
-            return frame_of(f"{self._path}: ", topic, number, stamp, data, encoding, kind)
+            topic, kind, number, message = taken
+            return frame_of(f"{self._path}: ", topic, number, *message, kind, self._wanted)
 
     def _find_parts(self) -> None:
         """Find the last file of the bag, or those that follow the one that is read."""

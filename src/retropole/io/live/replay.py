@@ -15,7 +15,7 @@ from typing import NamedTuple
 from ...base.errors import UsageError
 from .. import open_recording
 from ..bags import opened
-from ..fields import NANOSECONDS
+from ..fields import NANOSECONDS, USUAL, Wanted
 from ..recordings import Frame, Recording
 from ..ros import frame_of
 
@@ -46,6 +46,8 @@ class ReplaySource:
         As `open_recording` takes them.
     rate
         How many times as fast as it was recorded.
+    wanted
+        As `open_recording` takes it.
 
     Raises
     ------
@@ -53,12 +55,14 @@ class ReplaySource:
         As `open_recording`, and where the rate is not a positive number.
     """
 
-    def __init__(self, path: Path, topic: str | None = None, rate: float = 1.0) -> None:
+    def __init__(
+        self, path: Path, topic: str | None = None, rate: float = 1.0, wanted: Wanted = USUAL
+    ) -> None:
         if not (math.isfinite(rate) and rate > 0):
             raise UsageError(f"{path}: cannot be played at a rate of {rate:g}, expected above 0")
         self.name = f"replay:{path}"
         self._rate = rate
-        self._entries = _entries(open_recording(path, topic=topic))
+        self._entries = _entries(open_recording(path, topic=topic, wanted=wanted), wanted)
         self._lock = Lock()
         self._closed = Event()
         self._start: float | None = None
@@ -127,21 +131,21 @@ class ReplaySource:
         self._count += 1
 
 
-def _entries(recording: Recording) -> Generator[Entry, None, None]:
+def _entries(recording: Recording, wanted: Wanted) -> Generator[Entry, None, None]:
     """Go through the frames of a recording, each read when it is called for where that can be."""
     if recording.model:
         return _of_packets(recording)
     if recording.topic is not None:
-        return _of_bag(recording.path, recording.topic)
+        return _of_bag(recording.path, recording.topic, wanted)
     return _of_files(recording)
 
 
-def _of_bag(path: Path, topic: str) -> Generator[Entry, None, None]:
+def _of_bag(path: Path, topic: str, wanted: Wanted) -> Generator[Entry, None, None]:
     with opened(path) as bag:
         kind = next(own.kind for own in bag.topics if own.name == topic and own.of_clouds)
         for number, (stamp, data, encoding) in enumerate(bag.messages(topic, kind)):
-            read = partial(frame_of, f"{path}: ", topic, number, stamp, data, encoding, kind)
-            yield stamp / NANOSECONDS, read
+            own = number, stamp, data, encoding, kind, wanted
+            yield stamp / NANOSECONDS, partial(frame_of, f"{path}: ", topic, *own)
 
 
 def _of_files(recording: Recording) -> Generator[Entry, None, None]:

@@ -198,7 +198,7 @@ class PacketSource:
         where = f"port {self._port}: sweep {number}"
         with naming(where), reported("sweep"):
             own = sweep.columns()
-        cloud = frame_from_columns(where, own, sweep.origin)
+        cloud = frame_from_columns(where, own, origin=sweep.origin)
         # A sensor whose clock was never set counts from when it was switched on.
         is_known = sweep.stamp is not None and is_unix(sweep.stamp)
         stamp = sweep.stamp if is_known else received

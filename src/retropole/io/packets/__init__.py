@@ -19,7 +19,7 @@ from ...base.datatypes import Array, IntArray
 from ...base.errors import ReadError, UsageError, naming, reported
 from ...base.quantities import counted
 from ..bags import opened
-from ..fields import Columns, frame_from_columns, noted
+from ..fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from ..recordings import PACKETS_OF, Frame, Recording, Topic, is_unix
 from . import drivers
 from .angles import angles_told, read_angles
@@ -71,7 +71,7 @@ Reading = Callable[[IntArray], Iterator[Datagram]]
 """From ascending numbers of packets that one LiDAR sent to these packets."""
 
 
-def open_packets(path: Path, topic: str | None = None, angles: Path | None = None) -> Recording:
+def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Recording:
     """Recognize the sensor of a capture, and find its sweeps, which takes a pass through it.
 
     Parameters
@@ -80,8 +80,8 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
         A capture.
     topic
         ``IP:port`` of the sender; needed where several LiDARs sent.
-    angles
-        File of the unit's own angles.
+    wanted
+        The unit's own angles, and the field of the intensity.
 
     Raises
     ------
@@ -97,11 +97,11 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
         capture = walk(path)
     senders, starts = _surveyed(path, capture)
     if not senders:
-        if topic is not None or angles is not None:
-            raise UsageError(
-                f"{path}: has packets of no LiDAR of the tables; topic and --angles are for these"
-            )
-        return _of_ouster(path, capture)
+        fault = f"{path}: has packets of no LiDAR of the tables; topic and angles are for these"
+        wanted.refuse_angles(fault)
+        if topic is not None:
+            raise UsageError(fault)
+        return _of_ouster(path, capture, wanted)
     name = _chosen(path, senders, topic)
     # Of a damaged packet nothing tells who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
@@ -119,7 +119,7 @@ def open_packets(path: Path, topic: str | None = None, angles: Path | None = Non
         times = capture.times[rows].tolist()
         return (Datagram(own, name, at) for own, at in zip(payloads, times, strict=True))
 
-    recording = _recording(path, senders[name], read, angles, (note,), is_whole_file=is_plain)
+    recording = _recording(path, senders[name], read, wanted, (note,), is_whole_file=is_plain)
     return replace(recording, topic=name) if len(senders) > 1 else recording
 
 
@@ -136,7 +136,7 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray
     return senders, np.array(starts, np.int64)
 
 
-def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recording:
+def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
     """Open a topic of a bag on which a driver publishes packets.
 
     Raises
@@ -160,7 +160,7 @@ def packets_in(path: Path, topic: Topic, angles: Path | None = None) -> Recordin
         raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
     # A bag does not say who sent what: the LiDAR is the one with most packets.
     sender = max(senders.values(), key=lambda each: len(each.rows))
-    return replace(_recording(path, sender, read, angles, ()), topic=topic.name)
+    return replace(_recording(path, sender, read, wanted, ()), topic=topic.name)
 
 
 def topics_of_capture(path: Path) -> tuple[Topic, ...]:
@@ -231,7 +231,7 @@ def _recording(
     path: Path,
     sender: Sender,
     read: Reading,
-    angles: Path | None,
+    wanted: Wanted,
     notes: tuple[str, ...],
     *,
     is_whole_file: bool = False,
@@ -239,18 +239,19 @@ def _recording(
     """Open what one LiDAR sent."""
     rows = np.array(sender.rows, np.int64)
     if sender.model is None:
-        if angles is not None:
-            raise UsageError(f"{path}: angles of a {sender.title} are known, --angles is of no use")
+        wanted.refuse_angles(f"{path}: angles of a {sender.title} are known, others are of no use")
         coming = None if is_whole_file else partial(read, rows)
         return _decoded(
             path,
             lambda: velodyne_sweeps(path, coming),
             sender.name,
+            wanted,
             sizes=f"{sender.size} bytes",
             notes=notes,
         )
     model = sender.model
-    own = sender.angles if angles is None else read_angles(angles, model)
+    angles = wanted.angles
+    own = sender.angles if angles is None else read_angles(Path(angles), model)
 
     def payloads(chosen: IntArray | None = None) -> Iterator[bytes]:
         return (each.payload for each in read(rows if chosen is None else rows[chosen]))
@@ -261,7 +262,7 @@ def _recording(
         for number, sweep in sweeps_of(model, own, index, numbers, payloads):
             came = sender.times[int(index.rows[number][0])]
             sweep = sweep._replace(stamp=came if is_unix(came) else None)
-            yield _frame(path, number, sweep, sender.name, notes)
+            yield _frame(path, number, sweep, sender.name, notes, wanted)
 
     return Recording(path, len(index.rows), frames, model=sender.name)
 
@@ -270,6 +271,7 @@ def _decoded(
     path: Path,
     sweeps: Callable[[], Iterator[Sweep]],
     name: str,
+    wanted: Wanted,
     *,
     sizes: str,
     notes: tuple[str, ...],
@@ -282,18 +284,20 @@ def _decoded(
     def frames(numbers: range) -> Iterator[Frame]:
         for number, sweep in enumerate(sweeps()):
             if number in numbers:
-                yield _frame(path, number, sweep, name, notes)
+                yield _frame(path, number, sweep, name, notes, wanted)
             if number == numbers[-1]:
                 return
 
     return Recording(path, count, frames, model=name)
 
 
-def _frame(path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, ...]) -> Frame:
+def _frame(
+    path: Path, number: int, sweep: Sweep, name: str, notes: tuple[str, ...], wanted: Wanted
+) -> Frame:
     where = f"{path}: sweep {number}"
     with naming(where), reported("sweep"):
         own = sweep.columns()
-    cloud = noted(frame_from_columns(where, own, sweep.origin), *notes, *sweep.notes)
+    cloud = noted(frame_from_columns(where, own, wanted, sweep.origin), *notes, *sweep.notes)
     stamp = _first(own) if sweep.stamp is None else sweep.stamp
     # A maker alone says less than the rings of the cloud.
     model = "" if name in (VELODYNE, OUSTER) else name
@@ -306,7 +310,7 @@ def _first(columns: Columns) -> float | None:
     return float(time.min()) if len(time) else None
 
 
-def _of_ouster(path: Path, capture: Capture) -> Recording:
+def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
     """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
     words = sizes_in_words(capture)
     metadata = metadata_beside(path, words)
@@ -314,4 +318,4 @@ def _of_ouster(path: Path, capture: Capture) -> Recording:
     read = partial(sweeps_of_capture, path, metadata)
     with naming(metadata), reported("file of an Ouster's metadata"):
         name = model_named(metadata)
-    return _decoded(path, read, name, sizes=words, notes=(note,))
+    return _decoded(path, read, name, wanted, sizes=words, notes=(note,))
