@@ -166,7 +166,7 @@ def scene_term(
     return SceneTerm(lidars, sets, weigh(pairs, covariance), by_poses, place)
 
 
-STEP = 0.003
+STEP = 0.02
 """Stop where no step is above this part of the 1 σ that independent residuals would leave. Steps
 fall to a half or a third each, so that as much is left at most, and the last is gone whole."""
 
@@ -174,7 +174,7 @@ MAX_STRIDE = 4.0
 """Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
 and fro, each −2 times the one before, and a third of one is right."""
 
-FEW_STEP = 0.2
+FEW_STEP = 0.5
 """The approach takes a part of the patches, until no step is above this part."""
 
 NARROWING, INFORMATION_SHARE = 0.06, 4.0
@@ -327,12 +327,12 @@ def _descend(
             for each, sets in zip(problem.scenes, scenes, strict=True)
         )
         end = _solve(problem, T, tuple(term for term in found if term is not None), sigma)
-        step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
+        step = se3.local(T, end.T).reshape(-1)
         scaled = step[free] / np.sqrt(np.diag(end.inverse)[: len(step)][free])
         small = bool(np.abs(scaled).max(initial=0.0) < tolerance)
         stride, before = _stride_of(scaled, before)
         # The last step is whole: the answer solves the problem that its covariance is of.
-        T = end.T if small else _moved(T, stride * step)
+        T = end.T if small else se3.retract(T, (stride * step).reshape(-1, POSE))
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * end.inverse[: len(step), : len(step)] + narrowed
         sigma = end.sigma
@@ -341,11 +341,6 @@ def _descend(
             break
     assert end is not None
     return end
-
-
-def _moved(T: Array, step: Array) -> Array:
-    steps = step.reshape(-1, POSE)
-    return np.stack([se3.retract(one, by) for one, by in zip(T, steps, strict=True)])
 
 
 def _stride_of(scaled: Array, before: Array | None) -> tuple[float, Array | None]:
@@ -380,7 +375,16 @@ def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], s
     errors, variance = best[poses:], np.diag(inverse)[poses:]
     sizes = group_scales(problem.groups, problem.known, precision, errors, variance)
     search = inverse[:poses, :poses]
-    return End(_moved(T, best[:poses]), T, errors, sizes, precision, inverse, search, terms)
+    return End(
+        se3.retract(T, best[:poses].reshape(-1, POSE)),
+        T,
+        errors,
+        sizes,
+        precision,
+        inverse,
+        search,
+        terms,
+    )
 
 
 def inverse_of(information: Array) -> Array:

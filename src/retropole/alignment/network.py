@@ -131,8 +131,8 @@ def steps_to(start: Array, T: Array) -> tuple[Array, Array]:
 
     The second (6 L, 6 L) is their derivative by steps from the others.
     """
-    steps = [se3.local(a, b) for a, b in zip(start, T, strict=True)]
-    return np.concatenate(steps), block_diag(*map(se3.local_jacobian, steps))
+    steps = se3.local(start, T)
+    return steps.reshape(-1), block_diag(*se3.local_jacobian(steps))
 
 
 def poses_of_pair(T_target_source: Array) -> Array:
