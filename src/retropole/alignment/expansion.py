@@ -52,8 +52,20 @@ in units of 1 σ and of the information, at which the distribution is its own av
 then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
 rounds."""
 
-_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(FEW_NODES)
-_WEIGHT = _WEIGHT / _WEIGHT.sum()
+LITTLE_OPEN = {1: 0.02, 3: 0.5, 4: 0.8}
+"""Nodes that will do where no axis is left open by more than so many times the noise sideways: over
+so little the likelihood is all but a parabola, and n nodes are exact to the power 2 n − 1. An exact
+view leaves nothing open."""
+
+_HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*LITTLE_OPEN, FEW_NODES)}
+
+
+def _nodes_over(sideways: Array, noise: float) -> tuple[Array, Array]:
+    """Nodes (M, 1), and their weights (M,), over what is left open sideways (N,), 1 σ, metres."""
+    most = float(sideways.max(initial=0.0))
+    few = (n for n, share in LITTLE_OPEN.items() if most <= share * noise)
+    at, weight = _HERMITE[next(few, FEW_NODES)]
+    return at[:, None], weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,22 +134,23 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     depthways = spread[:, 0, 1] / np.maximum(sideways, 1e-12)
     sigma = np.hypot(view.noise[0] * seen.sine, view.noise[1] * np.sqrt(1.0 - seen.sine**2))
     rest = np.maximum(spread[:, 0, 0] - depthways**2, 0.0) / sigma**2
+    at, weight = _nodes_over(sideways, float(view.noise[1]))
     # All nodes at once: the arrays are small, and calls cost more than what they compute.
     arc = arc_likelihood(
-        (seen.depth + moved[:, 0] + _AT[:, None] * depthways).reshape(-1),
-        (seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways).reshape(-1),
-        np.tile(sigma, FEW_NODES),
-        np.full(FEW_NODES * len(sigma), view.noise[1]),
+        (seen.depth + moved[:, 0] + at * depthways).reshape(-1),
+        (seen.lateral_offset + moved[:, 1] + at * sideways).reshape(-1),
+        np.tile(sigma, len(at)),
+        np.full(len(at) * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, FEW_NODES),
-        np.tile(beams.beside, FEW_NODES),
+        np.tile(beams.half_width, len(at)),
+        np.tile(beams.beside, len(at)),
     )
-    information, inlier = _averaged(arc.information, _WEIGHT), _averaged(arc.inlier, _WEIGHT)
-    noise = _averaged(arc.inlier[:, None] * arc.noise, _WEIGHT)
+    information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
+    noise = _averaged(arc.inlier[:, None] * arc.noise, weight)
     noise /= np.maximum(inlier, 1e-300)[:, None]
     noise[:, 0] += rest
-    score = _averaged(arc.score, _WEIGHT) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
-    return Average(_averaged(arc.log, _WEIGHT), score, information, inlier, noise)
+    score = _averaged(arc.score, weight) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
+    return Average(_averaged(arc.log, weight), score, information, inlier, noise)
 
 
 def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
@@ -146,15 +159,16 @@ def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) 
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
+    at, weight = _nodes_over(sideways, float(view.noise[1]))
     free = passed_beam_likelihood(
-        (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
-        np.full(FEW_NODES * count, view.noise[1]),
+        (seen.lateral_offset + moved + at * sideways).reshape(-1),
+        np.full(len(at) * count, view.noise[1]),
         radius,
-        np.tile(beams.passed_half_width, FEW_NODES),
+        np.tile(beams.passed_half_width, len(at)),
     )
-    information = _averaged(free.information, _WEIGHT)
-    score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]
-    log = _averaged(free.log, _WEIGHT)
+    information = _averaged(free.information, weight)
+    score = _averaged(free.score, weight) + information[:, :, 0] * moved[:, None]
+    log = _averaged(free.log, weight)
     return Average(log, score, information, np.zeros(0), np.zeros((0, 2)))
 
 
