@@ -115,16 +115,16 @@ def places_of(
     information = np.zeros((count, size, size))
     gradients, flat = np.zeros((count, size)), np.zeros((count, size))
     for term, gain, own in zip(terms, gains, labels, strict=True):
-        by_step = term.by_step(gain.T @ marginal)
         order = np.argsort(own, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(own[order]) > 0])
         at = own[order][starts]
-        pulls = by_step * residuals_of(term, end)[:, None]
-        gradients[at] += np.add.reduceat(pulls[order], starts)
-        by_metre = by_step * np.sqrt(term.weighed.weights)[:, None]
-        flat[at] += np.add.reduceat(by_metre[order], starts)
-        for p, rows in zip(at, np.split(order, starts[1:]), strict=True):
-            information[p] += by_step[rows].T @ by_step[rows]
+        by_step = term.by_step(gain.T @ marginal)[order]
+        pulls = by_step * residuals_of(term, end)[order, None]
+        gradients[at] += np.add.reduceat(pulls, starts)
+        by_metre = by_step * np.sqrt(term.weighed.weights)[order, None]
+        flat[at] += np.add.reduceat(by_metre, starts)
+        for p, rows in zip(at, np.split(by_step, starts[1:]), strict=True):
+            information[p] += rows.T @ rows
     return Places(covariance, marginal, information, gradients, flat)
 
 
