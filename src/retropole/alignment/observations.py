@@ -115,11 +115,8 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
     # Several poles are in one cloud, which is large.
-    rays = {id(cloud): cloud.xyz - cloud.origin for _, cloud in seen}
-    lengths = {key: se3.lengths(each) for key, each in rays.items()}
-    found = [
-        _near(pole, cloud, divergence, rays[id(cloud)], lengths[id(cloud)]) for pole, cloud in seen
-    ]
+    lengths = {id(cloud): se3.lengths(cloud.xyz - cloud.origin) for _, cloud in seen}
+    found = [_near(pole, cloud, divergence, lengths[id(cloud)]) for pole, cloud in seen]
     ray = np.concatenate([near.returns for near in found]) - origin
     ranges = np.linalg.norm(ray, axis=1)
     passed_pole = np.repeat(np.arange(len(seen)), [len(near.passed) for near in found])
@@ -168,23 +165,27 @@ class _Near(NamedTuple):
     passed: Array
 
 
-def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array) -> _Near:
+def _near(pole: Pole, cloud: PointCloud, divergence: float, ranges: Array) -> _Near:
     """Find the beams that met a pole, and those that passed close beside and returned from behind.
 
-    The cloud's rays (P, 3) and ranges (P,) are given, metres.
+    The cloud's ranges (P,) are given, metres.
     """
     away = float(np.linalg.norm(pole.point - cloud.origin))
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     # What is farther from the middle of the pole across the ray, or nearer along it, plays no part.
     reach = np.abs(own).max() + room + 2 * BESIDE
-    toward = ray @ ((pole.point - cloud.origin) / away)
+    ahead = (pole.point - cloud.origin) / away
+    toward = cloud.xyz @ ahead - cloud.origin @ ahead
     cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
     nearby = np.flatnonzero((ranges > away - reach) & (toward > cosine * ranges))
+    ray = cloud.xyz[nearby] - cloud.origin
     # A ray passes the axis at no less than its part across the plane of the axis and the origin.
-    across = np.abs(ray[nearby] @ np.cross(pole.direction, pole.point - cloud.origin))
-    nearby = nearby[across < (room + BESIDE) * ranges[nearby]]
-    directions = ray[nearby] / ranges[nearby, None]
+    near = np.abs(ray @ np.cross(pole.direction, pole.point - cloud.origin)) < (
+        (room + BESIDE) * ranges[nearby]
+    )
+    nearby, ray = nearby[near], ray[near]
+    directions = ray / ranges[nearby, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
     behind = ranges[nearby] > by.ranges + OUTLIER_RADIUS

@@ -58,12 +58,13 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     within = 2 * radius / THINNEST_POLE
     cloud = with_trusted_rings(cloud)
     found = with_beam_origin(cloud)
-    if _count_near(found, within) < min(MIN_POLE_POINTS, len(cloud)) and cloud.ring is not None:
+    near = _count_near(found, within)
+    if near < min(MIN_POLE_POINTS, len(cloud)) and cloud.ring is not None:
         # Seen from far away all points of a ring have one elevation, from wherever they were seen.
         middle = replace(cloud, origin=np.median(cloud.xyz, axis=0))
         told = with_beam_origin(middle)
         found = found if told is middle else told
-    near = _count_near(found, within)
+        near = _count_near(found, within)
     if near < min(MIN_POLE_POINTS, len(cloud)):
         away = float(np.median(_ranges(cloud)))
         odd = oddity_of(cloud)
@@ -94,10 +95,10 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
 
 
 def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
-    reach = np.zeros(len(cloud))
-    for axis in range(3):
-        np.maximum(reach, np.abs(cloud.xyz[:, axis]), out=reach)
-    np.maximum(reach, np.abs(cloud.origin).max(), out=reach)
+    largest = max(cloud.xyz.max(initial=0.0), -cloud.xyz.min(initial=0.0), *np.abs(cloud.origin))
+    if largest <= most:
+        return
+    reach = np.maximum(np.abs(cloud.xyz).max(axis=1), np.abs(cloud.origin).max())
     far = int(np.count_nonzero(reach > most))
     if 2 * far < len(cloud):
         advice = "so few are damaged or no returns; leave them out"
