@@ -27,8 +27,8 @@ START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
 """Where the search for the scale begins, about the square of the mean: its place for normal ones,
 logarithms."""
 
-LOG_ROUNDING = 1e-12
-"""Step of a logarithm at which its place is found."""
+LOG_ROUNDING = 1e-7
+"""Step of a logarithm at which its place is found: the next of Newton's is its square."""
 
 LEAST_SCATTER = 1e-6
 """Least that values are found to scatter by, and their variance in common, as a part of what is

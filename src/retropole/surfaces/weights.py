@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
@@ -49,7 +48,7 @@ class Weighed:
     square: Array
 
     def by(self, directions: Array) -> Array:
-        """(P, ...) change of the residuals by directions (6 + B, ...) of the pose and the errors."""
+        """(P, ...) change of the residuals by directions (6 + B, ...) of pose and errors."""
         by_pose = self.pairs.jacobian @ directions[:POSE]
         rows = by_pose + self.pairs.by_errors(directions[POSE:])
         return self._held((np.sqrt(self.weights) * rows.T).T, self.along[:, :-1] @ directions)
@@ -115,10 +114,9 @@ def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
     rows = tangents.reshape(-1, 6)
     noise = rows.T @ rows
     scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
-    root = cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6), lower=True)
+    root = np.linalg.cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6))
     # Singular values of the rows: as eigenvalues of their squares, which span twenty powers of
     # ten where few surfaces are seen, the small ones are lost in rounding.
-    basis, scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="economic")
-    whitened = solve_triangular(root, scene.T, lower=True).T
-    turned, singular, _ = svd(whitened)
+    basis, scene = np.linalg.qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale)
+    turned, singular, _ = np.linalg.svd(np.linalg.solve(root, scene.T).T)
     return basis @ turned, MIN_HOLD**2 / (singular**4 + MIN_HOLD**2)
