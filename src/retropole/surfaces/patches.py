@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import small_gicp
-from scipy.spatial import cKDTree
 
 from ..alignment.certainty import chi2_limit
 from ..alignment.solver import ROUNDING
@@ -15,6 +14,7 @@ from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RING, band_of, by_error
 from .averaging import averaged
 from .registration import SAMPLE, voxel_downsample
+from .visibility import tree_of
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)
 """Patches are fitted to clouds downsampled to one point per cube of these sides, metres: small ones
@@ -144,7 +144,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
             at = every_nth(points, SAMPLE)
             finer = [part.centres for part in parts if len(part.centres)]
             if finer:
-                near = cKDTree(np.concatenate(finer))
+                near = tree_of(np.concatenate(finer))
                 at = at[np.isinf(near.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
             parts.append(_patches_of(points, tree, at, cloud.origin, cloud.axis, count))
     every = Patches(
@@ -298,7 +298,7 @@ def _doubted(patches: Patches) -> Patches:
     if not len(doubtful):
         return patches
     count = min(CONFIRMING, len(patches.centres))
-    distance, near = cKDTree(patches.centres).query(patches.centres[doubtful], k=count)
+    distance, near = tree_of(patches.centres).query(patches.centres[doubtful], k=count)
     between = patches.centres[near] - patches.centres[doubtful][:, None]
     own, other = patches.normals[doubtful], patches.normals[near]
     off = np.maximum(
