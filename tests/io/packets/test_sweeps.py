@@ -20,6 +20,7 @@ from retropole.io.packets.sweeps import (
 from retropole.io.recordings import time_of_recording
 from tests.io.files import required
 from tests.io.packets.sending import bag_of, hesai, model_named
+from tests.io.packets.written import together
 
 MODEL = model_named("Pandar40P")
 
@@ -39,7 +40,7 @@ def test_sweeps_are_turns_of_each_channel(step: int) -> None:
     sent = turning(400, step)
     positions = positions_of(MODEL, sent)
     packets = np.array([list(payload) for payload in sent], np.uint8)
-    whole = blocks.decode(MODEL, packets, None, positions)
+    whole = together(blocks.decode(MODEL, packets, None, positions))
     index = index_of(MODEL, positions, None)
     asked = list[int]()
 
