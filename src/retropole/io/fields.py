@@ -377,7 +377,7 @@ def _time(values: NDArray[Any]) -> Array | None:
     if len(seconds) and least >= first and most < end:
         return seconds / NANOSECONDS
     # Above any time in seconds (year 5138), below any Unix time in milliseconds.
-    plausible = not len(seconds) or (-1e11 < least and most < 1e11)
+    plausible = not len(seconds) or (least > -1e11 and most < 1e11)
     return seconds if plausible else None
 
 
