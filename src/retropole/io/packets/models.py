@@ -319,8 +319,9 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes
     ----------
-    name, maker, port
-        Of the model; the port, UDP, is the one that it sends to unless it was told otherwise.
+    name, maker, port, port_told
+        Of the model; the ports, UDP, are those that it sends returns, and what it tells of itself,
+        to unless it was told otherwise; 0 where it does not tell its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
@@ -347,6 +348,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     range_m: tuple[float, float]
     layout: AnyLayout
     source: str
+    port_told: int = 0
     elevation_deg: tuple[float, ...] = ()
     azimuth_deg: tuple[float, ...] = ()
     tried: str = ""
