@@ -240,12 +240,16 @@ def test_of_two_senders_the_first_is_taken(
     first, other = payloads(path), payloads(shared(HDL32))
     read = list(read_frames(path))
     sent, frames = list[bytes](), list[Frame]()
+
+    def have_all_come() -> bool:
+        return len(looked_at) == len(sent)
+
     with sender(port) as send, sender(port) as disturb:
         for k in range(0, len(first), 10):
             for own, part in ((send, first[k : k + 10]), (disturb, other[k : k + 10])):
                 own(part)
                 sent += part
-                until(lambda: len(looked_at) == len(sent))
+                until(have_all_come)
             frame = source.newest(0)
             frames += [frame] if frame else []
     assert [frame.number for frame in frames] == [0, 1, 2]
