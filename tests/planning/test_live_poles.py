@@ -232,5 +232,16 @@ def test_sweeps_that_are_left_out_are_counted(step: int, words: str) -> None:
     assert bool(now.skipped) == bool(words)
     if words:
         assert now.skipped.endswith(": this computer decodes and searches 3.3 a second")
-        # Of those alone that came lately.
         assert not seen_now(watched, 10.0).skipped
+
+
+def test_sweeps_are_counted_where_it_takes_long_to_search_one() -> None:
+    watched = Watched(cast(Source, SimpleNamespace(name="replay:a")), View("rear"), None)
+    watched.came.extend([(0.0, 0), (4.0, 40), (8.0, 80), (12.0, 120)])
+    now = seen_now(watched, 14.5)
+    assert now.sweeps_per_s == pytest.approx(10.0)
+    words = "skipped 78 of 80 sweeps of rear: this computer decodes and searches 0.25 a second"
+    assert now.skipped == words
+    # Of one that is silent nothing is said.
+    watched.view = View("rear", silent="no packet came")
+    assert not seen_now(watched, 14.5).skipped

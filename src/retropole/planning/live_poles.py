@@ -417,12 +417,16 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
 def seen_now(lidar: Watched, now: float) -> LidarNow:
     """Say what a LiDAR sees now."""
     view, looked = lidar.view, lidar.view.looked
-    recent = [(at, number) for at, number in lidar.came if now - at <= LATELY_CAME]
+    came = list(lidar.came)
+    recent = [(at, number) for at, number in came if now - at <= LATELY_CAME]
+    if len(recent) < 3 and not view.silent:
+        # To search both may take longer.
+        recent = came[-3:]
     rate, skipped = 0.0, ""
     if len(recent) > 1:
         (first, number), (last, newest) = recent[0], recent[-1]
         rate = (newest - number) / max(last - first, 0.05)
-        if last - first > LATELY_CAME / 2:
+        if last - first >= LATELY_CAME / 3:
             skipped = _skipped(view.name, newest - number, len(recent) - 1, last - first)
     poles = [
         PoleNow(

@@ -182,7 +182,7 @@ def sweeps_of(
         places = places[(places >= before) & (places < end)]
         if len(places):
             rows = needed[places]
-            packets = np.concatenate(held)[places - before]
+            packets = (held[0] if len(held) == 1 else np.concatenate(held))[places - before]
             ends = int(index.turns.min()), int(index.turns.max())
             turn = int(index.turns[number])
             yield number, sweep(model, angles, packets, index.positions[rows], turn, ends)
