@@ -341,10 +341,8 @@ def main() -> None:
     elif len(options.models) == 1:
         decoded(options.models[0], options.decode)
     else:
-        print(
-            "| model | packets | million points | s | decoded, times | MB | read, times | MB more |"
-        )
-        print("| --- | --- | --- | --- | --- | --- | --- | --- |", flush=True)
+        titles = "model", "packets", "points, million", "s", "decoded", "MB", "read", "memory, MB"
+        print(f"| {' | '.join(titles)} |\n{'| --- ' * len(titles)}|", flush=True)
         for name in options.models:
             # Each in a process of its own, whose memory is its own.
             words = [__file__, "--decode", str(options.decode), "--models", name]

@@ -6,6 +6,7 @@ be incomplete.
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -62,8 +63,8 @@ class Sender:
     name: str
     model: Model | None
     size: int
-    rows: list[int] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
+    rows: array[int] = field(default_factory=lambda: array("q"))
+    times: array[float] = field(default_factory=lambda: array("d"))
     angles: Angles | None = None
     told: int = 0
 
@@ -200,8 +201,8 @@ def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
         if own is None:
             own = senders[name] = _sender(model, payload)
         if len(payload) == own.size and (model is None) == (own.model is None):
-            own.rows += np.asarray(rows).tolist()
-            own.times += np.asarray(times).tolist()
+            own.rows.frombytes(np.asarray(rows, np.int64).tobytes())
+            own.times.frombytes(np.asarray(times, np.float64).tobytes())
     for name, own in senders.items():
         found = (
             angles_told(own.model, payload)
@@ -245,7 +246,7 @@ def _recording(
     is_whole_file: bool = False,
 ) -> Recording:
     """Open what one LiDAR sent."""
-    rows, times = np.array(sender.rows, np.int64), np.array(sender.times)
+    rows, times = np.array(sender.rows, np.int64), np.array(sender.times, np.float64)
     order = np.argsort(rows, kind="stable")
     rows, times = rows[order], times[order]
     if sender.model is None:
