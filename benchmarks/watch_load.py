@@ -12,8 +12,7 @@ minute: sweeps a second of each that were searched, how long ago the newest was,
 The need cannot be met, so that the watch goes on.
 
 ``--decode`` writes captures of so many packets, in which every firing has a return, and prints how
-many times as fast as a LiDAR sends them one core decodes and reads them, by CPU time. Set
-OMP_NUM_THREADS=1.
+many times as fast as a LiDAR sends them one core decodes and reads them, by CPU time.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,8 +192,9 @@ def difop(elevation: list[float], azimuth: list[float], unit: float = 0.01) -> b
 def together(parts: Iterable[Returns]) -> Returns:
     """Put together what was decoded part by part."""
     first, *others = parts
-    every = zip(first, *others, strict=True)
-    return Returns(*(None if own[0] is None else np.concatenate(own) for own in every))
+    columns: Any = zip(first, *others, strict=True)
+    found: Any = [None if own[0] is None else np.concatenate(own) for own in columns]
+    return Returns(*found)
 
 
 def as_array(packets: list[bytes]) -> NDArray[np.uint8]:

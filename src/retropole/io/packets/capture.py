@@ -10,7 +10,6 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -160,11 +159,14 @@ OF_ONE_SIZE = 8
 
 def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
     """Put records into one table, in their order."""
-    parts = [np.zeros(0, RECORDS)]
-    for is_one, some in groupby(records, lambda own: isinstance(own, Record)):
-        own = list(some)
-        parts += [np.array(own, RECORDS)] if is_one else own
-    return np.concatenate(parts)
+    parts, ones = list[NDArray[np.void]](), list[Record]()
+    for own in records:
+        if isinstance(own, Record):
+            ones.append(own)
+        else:
+            parts += [np.array(ones, RECORDS), own]
+            ones = []
+    return np.concatenate([*parts, np.array(ones, RECORDS)])
 
 
 def _alike_records(block: bytes, here: int, length: int, at: int, order: Order) -> NDArray[np.void]:
