@@ -113,16 +113,19 @@ def seen_by(model: Model, cloud: PointCloud) -> Packets:
     channel = np.abs(np.arcsin(z / away)[:, None] - model.angles.elevation).argmin(axis=1)
     turned = np.arctan2(x, y) - model.angles.azimuth[channel]
     row = np.round(turned / (2 * np.pi) * rows).astype(int) % rows
-    distance, intensity = (np.full((rows, layout.channels), each) for each in (20.0, 10.0))
+    # In a byte, as LiDARs of Hesai send it.
+    scaled = cloud.intensity * (255 / max(cloud.intensity.max(), 255))
+    least = float(np.quantile(scaled, 0.25))
+    distance, intensity = (np.full((rows, layout.channels), each) for each in (20.0, least))
     distance[row, channel] = away
-    intensity[row, channel] = cloud.intensity
+    intensity[row, channel] = scaled
     shape = count, layout.count, layout.channels
     azimuth = np.arange(rows).reshape(shape[:2]) * 36_000 // rows
     packets = as_array(hesai(model, np.zeros(shape, int), azimuth)).copy()
     raw = np.round(distance / model.distance_m).astype(int).reshape(shape)
     block, slot = np.mgrid[: layout.count, : layout.channels]
     at = layout.start + layout.distance + block * layout.block + slot * layout.channel
-    sent = raw & 255, raw >> 8, np.clip(intensity, 0, 255).reshape(shape)
+    sent = raw & 255, raw >> 8, intensity.reshape(shape)
     for k, values in enumerate(sent):
         packets[:, at + k] = values
     return packets

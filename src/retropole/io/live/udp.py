@@ -10,7 +10,7 @@ import errno
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
@@ -218,17 +218,8 @@ class PacketSource:
         self._thread.join(5 * LOOK)
 
     def _receive(self) -> None:
-        with self._socket:
-            while not self._closed.is_set():
-                try:
-                    packet, sender = self._socket.recvfrom(2**16)
-                except TimeoutError:
-                    continue
-                except OSError:
-                    # The network went away; it may come back.
-                    self._closed.wait(LOOK)
-                    continue
-                self._take(packet, sender, time.time())
+        for packet, sender in _coming(self._socket, self._closed):
+            self._take(packet, sender, time.time())
 
     def _take(self, packet: bytes, sender: tuple[str, int], received: float) -> None:
         misfit = self._kind.misfit(packet)
@@ -366,18 +357,15 @@ class Told:
                 self._thread.join(5 * LOOK)
 
     def _receive(self) -> None:
-        with self._socket:
-            while not self._closed.is_set():
-                try:
-                    packet, (address, _) = self._socket.recvfrom(2**16)
-                except TimeoutError:
-                    continue
-                except OSError:
-                    self._closed.wait(LOOK)
-                    continue
-                is_known = address in self.packets or len(self.packets) < 100
-                if is_known and packet.startswith(DIFOP_START):
-                    self.packets[address] = packet
+        for packet, (address, _) in _coming(self._socket, self._closed):
+            if packet.startswith(DIFOP_START):
+                keep(self.packets, address, packet)
+
+
+def keep(told: dict[str, bytes], address: str, packet: bytes) -> None:
+    """Keep what came last from an address; of more than a hundred no LiDAR would be found."""
+    if address in told or len(told) < 100:
+        told[address] = packet
 
 
 class TableSource(PacketSource):
@@ -438,14 +426,12 @@ class TableSource(PacketSource):
 
             def sweep(packet: bytes, received: float) -> Sweep | None:
                 nonlocal known, take, used, last
-                model, own = recognized(packet), used
-                if model is not None and model is not known:
-                    own = None if angles is None else read_angles(angles, model)
-                heard = self._heard()
-                if model is not None and angles is None and heard is not last:
-                    own, last = angles_told(model, heard) or own, heard
-                if model is not None and (model is not known or _differ(own, used)):
-                    known, take, used = model, live(model, own), own
+                model, heard = recognized(packet), b"" if angles else self._heard()
+                if model is not None and (model is not known or heard is not last):
+                    last = heard
+                    own = read_angles(angles, model) if angles else angles_told(model, heard)
+                    if model is not known or (own is not None and not own.looks_as(used)):
+                        known, take, used = model, live(model, own), own
                 whole = take(packet)
                 if whole is None or not unheard or used is not None:
                     return whole
@@ -474,29 +460,15 @@ class TableSource(PacketSource):
 
     def _heard(self) -> bytes:
         """What the LiDAR whose packets are taken told last; empty before it did."""
-        sender = self._sender
-        if sender is None:
-            return b""
-        told = self._told
-        heard = self._own_told.get(sender[0], b"")
-        return heard or (b"" if told is None else told.packets.get(sender[0], b""))
+        address = self._sender[0] if self._sender else ""
+        others = self._told.packets if self._told else {}
+        return self._own_told.get(address) or others.get(address, b"")
 
     def _take(self, packet: bytes, sender: tuple[str, int], received: float) -> None:
-        is_told = self._tells and packet.startswith(DIFOP_START)
-        if is_told and (sender[0] in self._own_told or len(self._own_told) < 100):
-            self._own_told[sender[0]] = packet
+        if self._tells and packet.startswith(DIFOP_START):
+            keep(self._own_told, sender[0], packet)
         else:
             super()._take(packet, sender, received)
-
-
-def _differ(one: Angles | None, other: Angles | None) -> bool:
-    """Whether two LiDARs look elsewhere."""
-    if one is None or other is None:
-        return one is not other
-    return not (
-        np.array_equal(one.elevation, other.elevation)
-        and np.array_equal(one.azimuth, other.azimuth)
-    )
 
 
 class OusterSource(PacketSource):
@@ -594,6 +566,19 @@ def _address(text: str) -> str:
 
 def _named(sender: tuple[str, int]) -> str:
     return f"{sender[0]}:{sender[1]}"
+
+
+def _coming(own: socket.socket, closed: Event) -> Iterator[tuple[bytes, tuple[str, int]]]:
+    """Receive packets, and who sent each, until that is to end; then close the port."""
+    with own:
+        while not closed.is_set():
+            try:
+                yield own.recvfrom(2**16)
+            except TimeoutError:
+                continue
+            except OSError:
+                # The network went away; it may come back.
+                closed.wait(LOOK)
 
 
 def _opened(port: int, host: str) -> socket.socket:

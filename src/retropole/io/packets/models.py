@@ -120,6 +120,13 @@ class Angles:
         """Rank of each channel (C,) by its elevation, from below."""
         return rings_of(self.elevation).astype(np.int16)
 
+    def looks_as(self, other: Angles | None) -> bool:
+        """Whether its channels look where those of another do."""
+        return other is not None and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("elevation", "azimuth")
+        )
+
     @cached_property
     def ways(self) -> tuple[Array, Array, Array]:
         """Where channels look at azimuth 0, each (C,): ahead, to the right and up."""
