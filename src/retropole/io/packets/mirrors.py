@@ -49,6 +49,10 @@ def decode(
     start = np.round(positions[:, :1] * (FINE // MIRRORS)).astype(np.int64)
     whole = start + wrapped(azimuth - azimuth[:, :1], FINE)
     turn = (whole // (FINE // MIRRORS))[..., None]
+    adjusted = [
+        (each.T.copy(), np.roll(each.T, -1, axis=0) - each.T)
+        for each in (() if angles.adjusted is None else angles.adjusted)
+    ]
     for own in fired(model, packets):
         if angles.adjusted is None:
             ahead, aside, up = angles.ways
@@ -56,18 +60,25 @@ def decode(
             x, y = sine * ahead + cosine * aside, cosine * ahead - sine * aside
         else:
             here, part = low[own.part], share[own.part]
-            added = [
-                (1 - part) * each.T[here] + part * each.T[(here + 1) % 180]
-                for each in angles.adjusted
-            ]
-            turned = beams[own.part][..., None] + angles.azimuth + added[0]
-            elevation = angles.elevation + added[1]
-            level, up = np.cos(elevation), np.sin(elevation)
-            x, y = level * np.sin(turned), level * np.cos(turned)
+            # Between two steps, of which each has a row of (180, C).
+            added, more = (
+                np.take(each, here, axis=0) + part * np.take(step, here, axis=0)
+                for each, step in adjusted
+            )
+            sine, cosine = _sine_and_cosine(beams[own.part][..., None] + angles.azimuth + added)
+            up, level = _sine_and_cosine(angles.elevation + more)
+            x, y = level * sine, level * cosine
         distance = own.distance
         xyz = own.take(distance * x, distance * y, distance * up)
         ring, turns = own.take(angles.ring)[0], own.take(turn[own.part])[0]
         yield Returns(xyz.T, own.intensity, ring, own.time, turns, own.packet)
+
+
+def _sine_and_cosine(angle: Array) -> tuple[Array, Array]:
+    """Give both by the tangent of the half, which NumPy works out several times faster."""
+    tangent = np.tan(angle / 2)
+    more = 2 / (1 + tangent * tangent)
+    return tangent * more, more - 1
 
 
 def _layout(model: Model) -> Mirrors:

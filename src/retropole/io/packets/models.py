@@ -54,9 +54,9 @@ class Returns(NamedTuple):
     packet: IntArray
 
 
-IN_CACHE = 2**14
-"""Returns that are decoded at a time: what that takes stays in a processor's cache, and few pages
-of memory are new, which the system gives slowly."""
+IN_CACHE = 2**13
+"""Returns that are decoded at a time: what that takes stays in a processor's cache, and no array
+has the 128 kB from which on glibc asks the system for new pages each time, which is slow."""
 
 
 def parts_in_cache(packets: int, slots: int) -> Iterator[slice]:
