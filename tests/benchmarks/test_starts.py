@@ -67,7 +67,11 @@ SMALLEST = {
     "benchmarks/sway.py": ["--runs 1 --sizes 0.05 --frequencies 0.3 --frames 3"],
     "benchmarks/units.py": ["--seeds 1000:1001 --kinds"],
     "benchmarks/watch.py": ["--runs 1 --only good"],
-    "benchmarks/watch_load.py": ["--minutes 0"],
+    "benchmarks/watch_load.py": [
+        "--minutes 0",
+        "--by udp --minutes 0",
+        *(f"--decode 500 --models {name}" for name in ("XT32", "Helios", "M1", "'Mid-360, HAP'")),
+    ],
     "benchmarks/wrong_files.py": ["data --wrong 1 --right 0"],
     "docs/make_images.py": ["images --only bias"],
     "studies.paper": ["--seeds 1 --only table1"],

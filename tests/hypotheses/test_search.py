@@ -12,6 +12,7 @@ import pytest
 
 from retropole.base.datatypes import Detection, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
+from retropole.base.reasons import Code
 from retropole.base.sensors import LITTLE, find_sensor
 from retropole.hypotheses import search
 from retropole.hypotheses.placements import (
@@ -186,7 +187,7 @@ def test_of_too_few_poles_it_is_said_what_helps(
 
 @pytest.mark.parametrize("first", ["too_few_poles", "no_overlap"])
 def test_two_poles_that_lack_nothing_are_not_refused_for_what_one_pole_lacks(
-    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch, first: str
+    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch, first: Code
 ) -> None:
     answer, _ = confirmed
     poles, place = Refusal(first, "by the poles", {}), Refusal("too_few_poles", "by one pole", {})
