@@ -108,7 +108,7 @@ def test_terms_are_derivatives_by_both_poses(steps: Steps) -> None:
                 unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(scene.sets.layout, (i, j))
             ],
         )
-        T_i, T_j = end.T[i], end.T[j]
+        T_i, T_j = end.about[i], end.about[j]
         tight = 1e-12 * np.eye(6)
 
         def residuals(step: Array, T_i: Array = T_i, T_j: Array = T_j) -> Array:

@@ -163,17 +163,16 @@ def scene_term(
     return SceneTerm(lidars, sets, pairs, weigh(pairs, covariance), by_poses, place)
 
 
-STEP = 5e-8
-"""Stop where a step is below this, rad and m. Forces of poles, survey and scenes that balance each
-other turn with a step, to first order by half of it; steps of 2e-7 left 1.3e-6 of 1 σ at one of a
-hundred sites (tests/adjustment/test_independent.py, seed 69)."""
+STEP = 0.003
+"""Stop where no step is above this part of the 1 σ that independent residuals would leave. Steps
+fall to a half or a third each, so that as much is left at most, and the last is gone whole."""
 
 MAX_STRIDE = 4.0
 """Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
 and fro, each −2 times the one before, and a third of one is right."""
 
-FEW_STEP = 3e-4
-"""The approach takes a part of the patches, until a step is below this, rad and m."""
+FEW_STEP = 0.2
+"""The approach takes a part of the patches, until no step is above this part."""
 
 NARROWING, INFORMATION_SHARE = 0.06, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
@@ -324,8 +323,10 @@ def _descend(
         terms = tuple(term for term in found if term is not None)
         end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
-        small = bool(np.abs(step).max() < tolerance)
-        stride, before = _stride_of(step, np.diag(end.inverse)[: len(step)], before)
+        free = problem.factor.free
+        scaled = step[free] / np.sqrt(np.diag(end.inverse)[: len(step)][free])
+        small = bool(np.abs(scaled).max(initial=0.0) < tolerance)
+        stride, before = _stride_of(scaled, before)
         # The last step is whole: the answer solves the problem that its covariance is of.
         T = end.T if small else _moved(T, stride * step)
         narrowed = NARROWING**iteration * covariance
@@ -342,15 +343,13 @@ def _moved(T: Array, step: Array) -> Array:
     return np.stack([se3.retract(one, by) for one, by in zip(T, steps, strict=True)])
 
 
-def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
-    """How much of a step to go, and what of it to remember for the next (Aitken 1926).
+def _stride_of(scaled: Array, before: Array | None) -> tuple[float, Array | None]:
+    """How much of a step, in σ, to go, and what of it to remember for the next (Aitken 1926).
 
     Weights and partners change with the pose, so that each step is followed by a smaller one in the
     same direction, or back where it was too long. Of two steps the second tells the ratio, and
     thereby the sum of all to come.
     """
-    free = variance > 0
-    scaled = step[free] / np.sqrt(variance[free])
     if before is None:
         return 1.0, scaled
     ratio = float(scaled @ before / max(float(before @ before), 1e-300))
