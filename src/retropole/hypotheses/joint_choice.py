@@ -133,7 +133,9 @@ class _Search:
     `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
     second in the frame of the first; both for either order. The same poses come up by thousands of
     ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
-    and the choice that the search starts from keep alive.
+    and the choice that the search starts from keep alive. `known` has one of each LiDAR's poses
+    that are the same, and `reached` what the LiDARs counted when their poses were last the same:
+    whoever comes there with no more finds nothing new.
     """
 
     pairs: dict[tuple[int, int], Pair]
@@ -143,6 +145,8 @@ class _Search:
     beside: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
     same: dict[tuple[int, int], bool] = field(default_factory=dict)
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
+    known: dict[int, list[Array]] = field(default_factory=dict)
+    reached: dict[frozenset[tuple[int, int]], float] = field(default_factory=dict)
     steps: int = 0
     best: float = -np.inf
     found: list[Choice] = field(default_factory=list)
@@ -153,6 +157,8 @@ class _Search:
         if self.steps > MOST_STEPS:
             return
         if so_far.count + self._most(left + unlinked) <= self.best - EQUAL:
+            return
+        if not unlinked and not self._is_new(so_far):
             return
         if not left:
             if not unlinked:
@@ -167,6 +173,24 @@ class _Search:
         if others and (not options or self._most_of(others, lidar) > 0):
             # Those that already have a pose may all be wrong about this one.
             self.run(so_far, others, [*unlinked, lidar])
+
+    def _is_new(self, choice: Choice) -> bool:
+        """Whether these poses were not reached yet, or with a smaller count."""
+        same = frozenset((i, self._number(i, T)) for i, T in choice.poses.items())
+        if self.reached.get(same, -np.inf) >= choice.count:
+            return False
+        self.reached[same] = choice.count
+        return True
+
+    def _number(self, lidar: int, T: Array) -> int:
+        """Number a pose of a LiDAR: the same poses, the same numbers."""
+        known = self.known.setdefault(lidar, [])
+        number = next(
+            (k for k, one in enumerate(known) if self._is_same(lidar, T, one)), len(known)
+        )
+        if number == len(known):
+            known.append(T)
+        return number
 
     def _keep(self, choice: Choice) -> None:
         self.best = max(self.best, choice.count)
