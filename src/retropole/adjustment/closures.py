@@ -24,7 +24,7 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.uncertainty import floor
 from .answer import LoopClosure
-from .descent import End, SceneTerm
+from .descent import End, SceneTerm, inverse_of
 from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60
@@ -150,7 +150,7 @@ def _edge(
     rows = np.flatnonzero(errors)
     information[rows, rows] += precision
     slope[rows] -= precision * end.errors[place[errors] - unknowns.poses]
-    inverse = np.linalg.inv(information)
+    inverse = inverse_of(information)
     of_pose = np.flatnonzero(np.isin(place, unknowns.pose(lidars[1])))
     if np.sqrt(np.diag(inverse)[of_pose].max()) > MAX_TRANSLATION_SIGMA:
         return None

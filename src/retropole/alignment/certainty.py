@@ -346,9 +346,9 @@ def budget_of(
 
 
 def excess(covariance: Array, other: Array) -> Array:
-    """Give by how much a covariance is more than another, in the directions where it is."""
+    """Give by how much a covariance (..., N, N) is more than another, in the directions it is."""
     more, way = np.linalg.eigh(covariance - other)
-    return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
+    return np.asarray((way * np.maximum(more, 0.0)[..., None, :]) @ np.swapaxes(way, -1, -2))
 
 
 def few_freedom(freedom: float) -> float:
