@@ -89,7 +89,7 @@ def _coinciding(
         if patches is None:
             continue
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
-        apart = patches.residuals + patches.by_error @ errors
+        apart = patches.residuals + patches.by_errors(errors)
         weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
         differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_APART
         count += float(np.sum(weights[differ]))

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
 
@@ -95,7 +94,7 @@ class SceneTerm:
         The pair.
     sets
         Patches of both.
-    pairs, weighed
+    weighed
         Those that correspond, and what they say of the pose of the second LiDAR in the frame of the
         first, and of the errors.
     by_poses
@@ -106,10 +105,14 @@ class SceneTerm:
 
     lidars: tuple[int, int]
     sets: PatchSets
-    pairs: PatchPairs
     weighed: Weighed
     by_poses: Array
     place: IntArray
+
+    @property
+    def pairs(self) -> PatchPairs:
+        """Patches that correspond."""
+        return self.weighed.pairs
 
     def by_step(self, directions: Array) -> Array:
         """(P, M) change of the residuals of unit weight by directions (12 + B, M) of `place`."""
@@ -120,12 +123,12 @@ class SceneTerm:
         """Take (6 + B, ...) by the relative pose and the errors to (12 + B, ...) of `place`."""
         return np.concatenate([self.by_poses.T @ own[:POSE], own[POSE:]])
 
-    @cached_property
+    @property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
         return self._at_place(self._at_place(self.weighed.square[:-1, :-1]).T)
 
-    @cached_property
+    @property
     def slope_without_errors(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
         return -self._at_place(self.weighed.square[:-1, -1])
@@ -160,7 +163,7 @@ def scene_term(
         return None
     place = np.r_[unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(sets.layout, lidars)]
     by_poses = relative_jacobian(T[i], T[j])
-    return SceneTerm(lidars, sets, pairs, weigh(pairs, covariance), by_poses, place)
+    return SceneTerm(lidars, sets, weigh(pairs, covariance), by_poses, place)
 
 
 STEP = 0.003
@@ -314,16 +317,17 @@ def _descend(
     """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
     T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
     before: Array | None = None
-    unknowns = problem.factor.unknowns
+    end: End | None = None
+    unknowns, free = problem.factor.unknowns, problem.factor.free
     for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
+        # The terms of a step are most of what a site keeps in memory: those before are let go.
+        end = None
         found = (
             scene_term(each.lidars, sets, T, search, unknowns, problem.origins_known)
             for each, sets in zip(problem.scenes, scenes, strict=True)
         )
-        terms = tuple(term for term in found if term is not None)
-        end = _solve(problem, T, terms, sigma)
+        end = _solve(problem, T, tuple(term for term in found if term is not None), sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
-        free = problem.factor.free
         scaled = step[free] / np.sqrt(np.diag(end.inverse)[: len(step)][free])
         small = bool(np.abs(scaled).max(initial=0.0) < tolerance)
         stride, before = _stride_of(scaled, before)
@@ -335,6 +339,7 @@ def _descend(
         end = replace(end, T=T, search=search, converged=small, iterations=iteration)
         if small:
             break
+    assert end is not None
     return end
 
 
@@ -381,8 +386,9 @@ def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], s
 def inverse_of(information: Array) -> Array:
     """Invert a positive definite matrix, in a third of the time that a general one takes."""
     root, failed = lapack.dpotrf(information)
-    half, _ = lapack.dpotri(root)
-    upper = np.triu(half)
-    if failed or not np.isfinite(upper).all():
+    half, _ = lapack.dpotri(root, overwrite_c=True)
+    if failed or not np.isfinite(half).all():
         return np.asarray(np.linalg.inv(information))
-    return np.asarray(upper + np.triu(upper, 1).T)
+    below = np.tril_indices(len(half), -1)
+    half[below] = half.T[below]
+    return np.asarray(half)
