@@ -187,10 +187,10 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
 
 def replace_residuals(term: SceneTerm, residuals: Array) -> SceneTerm:
     """With what the surfaces do not hold already left out, so that nothing is left to the poles."""
-    unit, whole = residuals * root_weights(term), term.weighed
-    rows = whole.by(np.eye(whole.table.shape[1] - 1))
-    table = np.column_stack([rows, unit])
-    return replace(term, weighed=replace(whole, table=table, left=np.zeros_like(whole.left)))
+    whole = term.weighed
+    along = np.column_stack([whole.along[:, :-1], np.zeros(len(whole.along))])
+    pairs = replace(whole.pairs, residuals=residuals)
+    return replace(term, weighed=replace(whole, pairs=pairs, along=along))
 
 
 def of_poses(term: SceneTerm) -> Array:
