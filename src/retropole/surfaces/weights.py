@@ -49,7 +49,7 @@ class Weighed:
     square: Array
 
     def by(self, directions: Array) -> Array:
-        """(P, ...) change of the residuals by directions (6 + B, ...) of the pose and the errors."""
+        """(P, ...) change of the residuals by directions (6 + B, ...) of pose and errors."""
         by_pose = self.pairs.jacobian @ directions[:POSE]
         rows = by_pose + self.pairs.by_errors(directions[POSE:])
         return self._held((np.sqrt(self.weights) * rows.T).T, self.along[:, :-1] @ directions)
