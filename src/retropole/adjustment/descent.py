@@ -126,15 +126,10 @@ class SceneTerm:
     @property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
-        return self._at_place(self._at_place(self.weighed.square[:-1, :-1]).T)
-
-    @property
-    def slope_without_errors(self) -> Array:
-        """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
-        return -self._at_place(self.weighed.square[:-1, -1])
+        return self._at_place(self._at_place(self.weighed.square).T)
 
     def slope(self, values: Array, poses: int) -> Array:
-        """(12 + B,) of the same at the poses it was taken at, under errors.
+        """(12 + B,) of the logarithm of the likelihood at the poses it was taken at, under errors.
 
         Parameters
         ----------
@@ -144,7 +139,8 @@ class SceneTerm:
             How many parameters all poses have.
         """
         errors = np.where(self.place >= poses, values[self.place], 0.0)
-        return np.asarray(self.slope_without_errors - self.information @ errors)
+        residuals = self.weighed.residuals + self.by_step(errors)
+        return -self._at_place(self.weighed.pull(residuals))
 
 
 def scene_term(
@@ -166,7 +162,7 @@ def scene_term(
     return SceneTerm(lidars, sets, weigh(pairs, covariance), by_poses, place)
 
 
-STEP = 0.003
+STEP = 0.01
 """Stop where no step is above this part of the 1 σ that independent residuals would leave. Steps
 fall to a half or a third each, so that as much is left at most, and the last is gone whole."""
 
@@ -174,7 +170,7 @@ MAX_STRIDE = 4.0
 """Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
 and fro, each −2 times the one before, and a third of one is right."""
 
-FEW_STEP = 0.2
+FEW_STEP = 0.3
 """The approach takes a part of the patches, until no step is above this part."""
 
 NARROWING, INFORMATION_SHARE = 0.06, 4.0
@@ -316,9 +312,9 @@ def _descend(
 ) -> End:
     """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
     T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
+    unknowns, free = problem.factor.unknowns, problem.factor.free
     before: Array | None = None
     end: End | None = None
-    unknowns, free = problem.factor.unknowns, problem.factor.free
     for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
         # The terms of a step are most of what a site keeps in memory: those before are let go.
         end = None
@@ -371,9 +367,10 @@ def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], s
     information, gradient = factor.information, factor.vector
     index = np.arange(poses, len(gradient))
     information[index, index] += precision
+    nothing = np.zeros(len(gradient))
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information
-        np.add.at(gradient, term.place, term.slope_without_errors)
+        np.add.at(gradient, term.place, term.slope(nothing, poses))
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ gradient
