@@ -19,12 +19,13 @@ from scipy.special import chdtrc
 from ..alignment.adjustment import MAX_TRANSLATION_SIGMA
 from ..alignment.certainty import excess
 from ..alignment.network import Observation
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.uncertainty import floor
 from .answer import LoopClosure
-from .descent import End, SceneTerm, inverse_of
+from .descent import End, SceneTerm
 from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60

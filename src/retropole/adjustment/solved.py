@@ -29,13 +29,14 @@ from ..alignment.certainty import (
     sways,
 )
 from ..alignment.network import Network, Observation, about, factor_of
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.systematic import Groups
 from ..surfaces.patch_pairs import CLUSTER_SIDE, labels_of
 from .answer import WithoutPlacement
-from .descent import End, RefinementProblem, SceneTerm, inverse_of
+from .descent import End, RefinementProblem, SceneTerm
 
 PLACE_BIAS = 0.0005
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the

@@ -26,6 +26,7 @@ from ..base.datatypes import Array, BoolArray
 from ..base.systematic import Groups
 from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from .network import PoleFactor
+from .solver import inverse_of
 from .unknowns import POSE
 
 POLES_ONLY = "tape", "radius"
@@ -180,7 +181,7 @@ def solve_factor(factor: PoleFactor, precision: Array) -> FactorEstimate:
     index = np.arange(poses, len(information))
     information[index, index] += precision
     inverse = np.zeros_like(information)
-    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ factor.vector
     return FactorEstimate(best[:poses], best[poses:], inverse)
 

@@ -219,9 +219,11 @@ class PatchPairs:
         """(B,) sum of the residuals' derivatives by all errors, each times its own of (P,)."""
         pull = np.zeros(self.layout.size)
         for lidar, (by, share) in enumerate(self.by_lidar):
-            pull[self.layout.device(lidar)] = rows @ by[:, :DEVICE]
+            own = rows[:, None] * by
+            pull[self.layout.device(lidar)] = own[:, :DEVICE].sum(axis=0)
+            of_rings = share.T @ own[:, DEVICE:]
             for kind in range(RING):
-                pull[self.layout.rings(lidar, kind)] = (rows * by[:, DEVICE + kind]) @ share
+                pull[self.layout.rings(lidar, kind)] = of_rings[:, kind]
         return pull
 
     def put_by_error(self, factor: Array, table: Array) -> None:
