@@ -232,10 +232,11 @@ def parts_of_poles(name: str, factor: PoleFactor, inverse: Array) -> list[Part]:
     """
     wide = np.sqrt(few_freedom(factor.redundancy))
     by_poses = inverse[: factor.unknowns.poses]
-    scatter = root_of(factor.information - factor.depth @ factor.depth.T)
+    depth = by_poses @ factor.depth
+    scatter = by_poses @ factor.information @ by_poses.T - depth @ depth.T
     return [
-        part_of(name, np.asarray(wide * by_poses @ scatter), is_random=True),
-        part_of(DEPTH, np.asarray(by_poses @ factor.depth)),
+        part_of(name, wide * root_of(scatter), is_random=True),
+        part_of(DEPTH, np.asarray(depth)),
     ]
 
 

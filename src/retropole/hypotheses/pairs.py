@@ -31,7 +31,7 @@ LEAST_TOLD = 0.1
 """Overlap of the best hypothesis below which the scenes show different places."""
 
 
-ROUGH, ROUGH_ERROR = 8, 0.03
+SPARSE, SPARSE_ERROR = 8, 0.03
 """First every so many of the points are compared, and all of them where the first may be off by so
 much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by 0.025 at most."""
 
@@ -174,7 +174,7 @@ def _scored(
 ) -> Pair:
     assert target is not None
     assert source is not None
-    some = [replace(view, points=view.points[::ROUGH]) for view in (target, source)]
+    some = [replace(view, points=view.points[::SPARSE]) for view in (target, source)]
     rough = [_by_scene(match, poles, *some) for match, poles in found]
     first = max(rough, key=lambda each: each.score)
     first = _by_scene(first.match, first.poles, target, source)
@@ -229,9 +229,9 @@ def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the whole scene may leave standing, or possible, what a part of it speaks of."""
     at_best = replace(
         each,
-        overlap=each.overlap + ROUGH_ERROR,
-        free_space_violation=each.free_space_violation - ROUGH_ERROR,
-        score=each.score + 2 * ROUGH_ERROR,
+        overlap=each.overlap + SPARSE_ERROR,
+        free_space_violation=each.free_space_violation - SPARSE_ERROR,
+        score=each.score + 2 * SPARSE_ERROR,
     )
     return _stands(at_best, best) or _is_possible(at_best, best)
 
