@@ -265,9 +265,10 @@ def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = 
     """
     start = problem.factor.T if T is None else T
     searched = _solve(problem, start, (), problem.known).search
-    if few:
-        return approach(problem, start, searched)
-    return converge(problem, approach(problem.without_rings(), start, searched), searched)
+    near = approach(problem.without_rings(), start, searched)
+    end = converge(problem, near, searched, few=few)
+    # A scene with little in it needs all of it.
+    return converge(problem, near, searched) if few and not end.scene else end
 
 
 def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
@@ -288,9 +289,20 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
     return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
 
 
-def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
-    """Descend with all patches from where an approach ended, with rings or without, to rest."""
-    return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
+def converge(problem: RefinementProblem, near: End, covariance: Array, *, few: bool = False) -> End:
+    """Descend from where an approach ended, with rings or without: with all patches to rest.
+
+    Parameters
+    ----------
+    problem, near
+        What is minimised, and from where.
+    covariance
+        (6 L, 6 L) how far the approach may have been off where it started.
+    few
+        Whether a part of the patches is enough, and no rest is.
+    """
+    sets = [each.few if few else each.sets for each in problem.scenes]
+    return _descend(problem, sets, near, covariance, FEW_STEP if few else STEP)
 
 
 class _Begin(NamedTuple):

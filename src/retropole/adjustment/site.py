@@ -172,7 +172,7 @@ def tested(
     end: End,
     parts: tuple[Part, ...],
     *,
-    few: bool = False,
+    few: bool,
 ) -> Adjusted:
     """Test every observation at the answer.
 
@@ -366,7 +366,7 @@ def adjusted_of_two(
         joint = replace(joint, network=joint.network.with_bands(bands))
     words = of_lidar(site.lidars[0].name)
     datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, words)
-    return tested(site, datum, joint, end, parts)
+    return tested(site, datum, joint, end, parts, few=False)
 
 
 def _poles(
