@@ -6,7 +6,7 @@ same pose from several placements is one hypothesis. The scene is asked once for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -195,7 +195,7 @@ def _scored(
     return Pair(lidars, hypotheses, _overlaps(best))
 
 
-def _by_scene(match: Match, poles: dict[int, int], target: View, source: View) -> Hypothesis:
+def _by_scene(match: Match, poles: Mapping[int, int], target: View, source: View) -> Hypothesis:
     seen = compare_views(target, source, match.T_target_source, within=OVERLAP_DISTANCE)
     return Hypothesis(
         match,

@@ -57,7 +57,7 @@ class Weighed:
     def pull(self, residuals: Array) -> Array:
         """(6 + B,) derivative of half the sum of squares by pose and errors, of unit weight."""
         rows = np.sqrt(self.weights) * self._held(residuals)
-        return np.r_[rows @ self.pairs.jacobian, self.pairs.pull_of_errors(rows)]
+        return np.concatenate([rows @ self.pairs.jacobian, self.pairs.pull_of_errors(rows)])
 
     @cached_property
     def square(self) -> Array:
