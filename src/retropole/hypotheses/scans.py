@@ -186,5 +186,5 @@ def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array,
 
 def patches_of(scans: SiteScans) -> list[Patches | None]:
     """Fit surface patches to what each LiDAR recorded; None where it recorded nothing."""
-    scenes = [scans.scene(lidar) for lidar in range(len(scans.by_lidar))]
+    scenes = (scans.scene(lidar) for lidar in range(len(scans.by_lidar)))
     return [None if scene is None else surface_patches(scene) for scene in scenes]
