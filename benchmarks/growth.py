@@ -37,8 +37,8 @@ MANY_POLES, MIN_ANGLE_DEG = 3, (15.0, 5.0)
 """Least angle between any two poles, up to so many and with more: for many poles there is no
 arrangement in which all are 15° apart."""
 
-SITE, SEED, SITE_METHOD = "posts", 7, "poles+scene"
-"""Scene and seed of the sites, and the method that calibrates them."""
+SITE, PLACEMENTS, SEED, SITE_METHOD = "posts", 4, 7, "poles+scene"
+"""Scene, placements of poles and seed of the sites, and the method that calibrates them."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,9 @@ def resized(cloud: PointCloud, count: int, rng: np.random.Generator) -> PointClo
 
 
 def grow_site(size: int) -> Growth:
-    """Calibrate a site of so many LiDARs on posts, with two placements of poles."""
-    site = simulate_site(SITE, np.random.default_rng(SEED), lidars=size).as_site()
+    """Calibrate a site of so many LiDARs on posts."""
+    rng = np.random.default_rng(SEED)
+    site = simulate_site(SITE, rng, lidars=size, placements=PLACEMENTS).as_site()
     points = sum(len(each) for lidar in site.lidars for each in lidar.clouds if each is not None)
     begun = time.process_time()
     found = calibrate_site(site)
