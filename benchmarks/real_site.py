@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from insertion import InsertedSite, insert_into_site
-from retropole import pipeline as calibration
+from retropole import pipeline
 from retropole.adjustment.answer import LoopClosure, SiteCalibration
 from retropole.adjustment.closures import close_loops
 from retropole.adjustment.descent import End
@@ -36,6 +36,7 @@ from retropole.base.datatypes import DEFAULT_RADIUS, Array
 from retropole.base.description import Site, SiteLidar
 from retropole.simulation import SimulationError
 from retropole.surfaces.registration import prepare, register
+from retropole.verdict import statement
 from semireal import PAIRS, WEAK, Loaded, load
 from wrong_files import REACH, VOXEL, registered
 
@@ -118,8 +119,8 @@ def run(job: tuple[int, str, Path]) -> Outcome:
         return list(close_loops(at, end))
 
     # The answer does not hold what its loops were closed with.
-    calibration.close_loops = close
-    answer = outcome_of(seed, calibration.calibrate_site(site_of(made)), made.poses)
+    statement.close_loops = close
+    answer = outcome_of(seed, pipeline.calibrate_site(site_of(made)), made.poses)
     return replace(answer, by_poles=by_poles[0]) if by_poles else answer
 
 

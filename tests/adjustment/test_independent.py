@@ -29,8 +29,8 @@ AGREE = 1e-6
 """Of 1 σ: far below anything that an adjustment is used for, far above rounding."""
 
 FINE = 1e-5
-"""Part of 1 σ that the last step may have here. By half of it, to first order, do the forces of
-poles, survey and scenes turn that balance each other, and the comparison is of one linear problem."""
+"""Part of 1 σ that the last step may have here. Forces of poles, survey and scenes that balance
+each other turn by half of it, to first order; GTSAM solves with them as they are there."""
 
 SURVEYS = (None, Survey((0,)), Survey(points=4), Survey((1,), points=2))
 UP_SIGMA = np.radians(0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -11,15 +12,18 @@ import urllib.request
 from importlib import import_module
 from pathlib import Path
 from threading import Timer
+from typing import cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from benchmarks.again import record_again
 from retropole.api.watching import Watch
 from retropole.base import se3
 from retropole.io import write_pcd
-from retropole.result.watching import WatchDoc
+from retropole.report.watch_terminal import drawn
+from retropole.result.watching import LidarNow, WatchDoc
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.cli.commands import retropole, retropole_here, transform_of
 
@@ -157,6 +161,29 @@ def test_one_signal_breaks_off_what_never_ends(
         signal.signal(number, before)
     assert ended.returncode == code
     assert signal.getsignal(signal.SIGALRM) == signal.SIG_DFL
+
+
+def test_a_watch_says_once_in_a_pipe_that_it_skips_sweeps(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    words = [f"skipped {k} of 30 sweeps of front: …" for k in (0, 7, 8)]
+    lidars = [
+        LidarNow(
+            name="front", source="x", sweeps_per_s=10, age_s=0.1, points=9, poles=[],
+            skipped=each if k else "",
+        )
+        for k, each in enumerate(words)
+    ]  # fmt: skip
+    with watch._view(quiet=False) as view:
+        for lidar in lidars:
+            said = WatchDoc(
+                phase="placing", is_good=False, code="a", next="Go", seconds=1, lidars=[lidar]
+            )
+            view(said)
+    assert capfd.readouterr().err.splitlines() == ["Go", words[1]]
+    console = Console(width=100, file=io.StringIO())
+    console.print(drawn(said))
+    assert words[2] in cast(io.StringIO, console.file).getvalue()
 
 
 def test_a_watch_that_nobody_looks_at_says_what_cannot_be_written(

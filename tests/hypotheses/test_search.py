@@ -12,6 +12,7 @@ import pytest
 
 from retropole.base.datatypes import Detection, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
+from retropole.base.reasons import Code
 from retropole.base.sensors import LITTLE, find_sensor
 from retropole.hypotheses import search
 from retropole.hypotheses.placements import (
@@ -182,3 +183,21 @@ def test_of_too_few_poles_it_is_said_what_helps(
     assert message.startswith("the LiDAR sees 0 poles, 2 are needed; ")
     assert said in message
     assert ("threshold" in message) is (said == "check the tape and the threshold")
+
+
+@pytest.mark.parametrize("first", ["too_few_poles", "no_overlap"])
+def test_two_poles_that_lack_nothing_are_not_refused_for_what_one_pole_lacks(
+    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch, first: Code
+) -> None:
+    answer, _ = confirmed
+    poles, place = Refusal(first, "by the poles", {}), Refusal("too_few_poles", "by one pole", {})
+    monkeypatch.setattr(search, "choose", lambda *_, **__: Chosen((), (), poles))
+    monkeypatch.setattr(search, "choose_after_icp", lambda *_: Chosen((), (), poles))
+    monkeypatch.setattr(search, "choose_by_place", lambda *_, **__: Chosen((), (), place))
+    bare = [
+        replace(each, target=nothing_bright(each.target), source=nothing_bright(each.source))
+        for each in answer.placements
+    ]
+    refusal = choose_with_candidates(bare, 0.02, untimed).refusal
+    assert refusal is not None
+    assert str(refusal).startswith("by one pole" if first == "too_few_poles" else "by the poles")

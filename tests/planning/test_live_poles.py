@@ -1,6 +1,7 @@
 """Poles followed from sweep to sweep."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -30,6 +31,7 @@ from retropole.planning.live_poles import (
     is_same_pair,
     look,
     present,
+    seen_now,
 )
 from retropole.simulation import simulate_pair
 from tests.conftest import PoleMaker
@@ -216,3 +218,30 @@ def test_sweeps_that_do_not_repeat_are_searched_together() -> None:
 
     assert sizes("Avia") == [5, 10, 10, 10]
     assert sizes("XT32") == [5, 5, 5, 5]
+
+
+@pytest.mark.parametrize(("step", "words"), [(1, ""), (3, "skipped 20 of 30 sweeps of front")])
+def test_sweeps_that_are_left_out_are_counted(step: int, words: str) -> None:
+    source = cast(Source, SimpleNamespace(name="replay:a"))
+    watched = Watched(source, View("front"), None)
+    for number in range(0, 61, step):
+        watched.came.append((number / 10, number))
+    now = seen_now(watched, 6.0)
+    assert now.sweeps_per_s == pytest.approx(10.0)
+    assert now.skipped.startswith(words)
+    assert bool(now.skipped) == bool(words)
+    if words:
+        assert now.skipped.endswith(": this computer decodes and searches 3.3 a second")
+        assert not seen_now(watched, 10.0).skipped
+
+
+def test_sweeps_are_counted_where_it_takes_long_to_search_one() -> None:
+    watched = Watched(cast(Source, SimpleNamespace(name="replay:a")), View("rear"), None)
+    watched.came.extend([(0.0, 0), (4.0, 40), (8.0, 80), (12.0, 120)])
+    now = seen_now(watched, 14.5)
+    assert now.sweeps_per_s == pytest.approx(10.0)
+    words = "skipped 78 of 80 sweeps of rear: this computer decodes and searches 0.25 a second"
+    assert now.skipped == words
+    # Of one that is silent nothing is said.
+    watched.view = View("rear", silent="no packet came")
+    assert not seen_now(watched, 14.5).skipped

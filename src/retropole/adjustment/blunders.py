@@ -201,8 +201,10 @@ def _without(
     few: bool,
 ) -> tuple[Adjusted, float] | None:
     """Adjust what is left, and count how many more patches coincide; None where it is refused."""
+    # The poles alone have not far to go from where all fit each other.
+    near = replace(datum, poses=dict(enumerate(adjusted.end.T)))
     try:
-        rest = adjust(recorded, datum, few=few)
+        rest = adjust(recorded, near, few=few)
     except Refusal:
         return None
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)

@@ -21,11 +21,10 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
 from ..alignment.network import PoleFactor
-from ..alignment.solver import MAX_ITERATIONS
+from ..alignment.solver import MAX_ITERATIONS, inverse_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -126,15 +125,10 @@ class SceneTerm:
     @property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
-        return self._at_place(self._at_place(self.weighed.square[:-1, :-1]).T)
-
-    @property
-    def slope_without_errors(self) -> Array:
-        """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
-        return -self._at_place(self.weighed.square[:-1, -1])
+        return self._at_place(self._at_place(self.weighed.square).T)
 
     def slope(self, values: Array, poses: int) -> Array:
-        """(12 + B,) of the same at the poses it was taken at, under errors.
+        """(12 + B,) of the logarithm of the likelihood at the poses it was taken at, under errors.
 
         Parameters
         ----------
@@ -144,7 +138,8 @@ class SceneTerm:
             How many parameters all poses have.
         """
         errors = np.where(self.place >= poses, values[self.place], 0.0)
-        return np.asarray(self.slope_without_errors - self.information @ errors)
+        residuals = self.weighed.residuals + self.by_step(errors)
+        return -self._at_place(self.weighed.pull(residuals))
 
 
 def scene_term(
@@ -271,9 +266,10 @@ def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = 
     """
     start = problem.factor.T if T is None else T
     searched = _solve(problem, start, (), problem.known).search
-    if few:
-        return approach(problem, start, searched)
-    return converge(problem, approach(problem.without_rings(), start, searched), searched)
+    near = approach(problem.without_rings(), start, searched)
+    end = converge(problem, near, searched, few=few)
+    # A scene with little in it needs all of it.
+    return converge(problem, near, searched) if few and not end.scene else end
 
 
 def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
@@ -294,9 +290,20 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
     return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
 
 
-def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
-    """Descend with all patches from where an approach ended, with rings or without, to rest."""
-    return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
+def converge(problem: RefinementProblem, near: End, covariance: Array, *, few: bool = False) -> End:
+    """Descend from where an approach ended, with rings or without: with all patches to rest.
+
+    Parameters
+    ----------
+    problem, near
+        What is minimised, and from where.
+    covariance
+        (6 L, 6 L) how far the approach may have been off where it started.
+    few
+        Whether a part of the patches is enough, and no rest is.
+    """
+    sets = [each.few if few else each.sets for each in problem.scenes]
+    return _descend(problem, sets, near, covariance, FEW_STEP if few else STEP)
 
 
 class _Begin(NamedTuple):
@@ -317,9 +324,9 @@ def _descend(
 ) -> End:
     """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
     T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
+    unknowns, free = problem.factor.unknowns, problem.factor.free
     before: Array | None = None
     end: End | None = None
-    unknowns, free = problem.factor.unknowns, problem.factor.free
     for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
         # The terms of a step are most of what a site keeps in memory: those before are let go.
         end = None
@@ -367,33 +374,15 @@ def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], s
     information, gradient = factor.information, factor.vector
     index = np.arange(poses, len(gradient))
     information[index, index] += precision
+    nothing = np.zeros(len(gradient))
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information
-        np.add.at(gradient, term.place, term.slope_without_errors)
+        np.add.at(gradient, term.place, term.slope(nothing, poses))
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ gradient
     errors, variance = best[poses:], np.diag(inverse)[poses:]
     sizes = group_scales(problem.groups, problem.known, precision, errors, variance)
     search = inverse[:poses, :poses]
-    return End(
-        se3.retract(T, best[:poses].reshape(-1, POSE)),
-        T,
-        errors,
-        sizes,
-        precision,
-        inverse,
-        search,
-        terms,
-    )
-
-
-def inverse_of(information: Array) -> Array:
-    """Invert a positive definite matrix, in a third of the time that a general one takes."""
-    root, failed = lapack.dpotrf(information)
-    half, _ = lapack.dpotri(root, overwrite_c=True)
-    if failed or not np.isfinite(half).all():
-        return np.asarray(np.linalg.inv(information))
-    below = np.tril_indices(len(half), -1)
-    half[below] = half.T[below]
-    return np.asarray(half)
+    moved = se3.retract(T, best[:poses].reshape(-1, POSE))
+    return End(moved, T, errors, sizes, precision, inverse, search, terms)

@@ -29,6 +29,7 @@ from ..alignment.certainty import (
     sways,
 )
 from ..alignment.network import Network, Observation, about, factor_of
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -316,7 +317,7 @@ def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part])
     information += by_scene
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - poses, dtype=bool)])
     inverse = np.zeros_like(information)
-    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     sigma = considered(groups, end.sigma)
     which = np.flatnonzero(sigma)
     wide = np.zeros((unknowns.size, len(which)))
@@ -370,7 +371,7 @@ def _changed(
 ) -> WithoutPlacement:
     scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
     scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
+    inverse = inverse_of(scaled) / np.outer(scale, scale)
     own = free < poses
     if np.sqrt(np.diag(inverse)[own].max()) > MAX_TRANSLATION_SIGMA:
         return WithoutPlacement(placement, None, None, None)

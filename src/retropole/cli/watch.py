@@ -319,13 +319,18 @@ def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
         yield only_faults
         return
     if not sys.stderr.isatty():
-        last, noted = [""], list[str]()
+        last, noted, has_skipped = [""], list[str](), set[str]()
 
         def line(said: WatchDoc) -> None:
             for words in said.words:
                 if words not in noted:
                     say(words)
             noted[:] = said.words
+            # How many changes all the time: the first says it.
+            for lidar in said.lidars:
+                if lidar.skipped and lidar.name not in has_skipped:
+                    say(lidar.skipped)
+                    has_skipped.add(lidar.name)
             # Counts change with every sweep.
             if said.code != last[0]:
                 say(said.next)

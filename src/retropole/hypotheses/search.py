@@ -99,7 +99,10 @@ def choose_with_candidates(
     if by_place and first.refusal.code in BY_PLACE:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
-        if chosen is not None:
+        # What it lacks is no advice to those whose two poles are well set up.
+        if chosen is not None and (
+            chosen.refusal is None or first.refusal.code in ("too_few_poles", "parallel_poles")
+        ):
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
     refusal = with_what_was_tried(explained(first.refusal, placements), tried)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.errors import ReadError, Refusal, quoting
+from ..base.quantities import counted
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
 from ..extraction.candidates import with_candidates, with_dimmer_candidates
@@ -39,6 +40,9 @@ SAME = 0.5
 LATELY, REMEMBERED = 1.0, 30.0
 """A pole is there that was seen so lately, and is missed for so long after, s: one at the limit of
 what can be found is not in every sweep."""
+
+LATELY_CAME = 3.0
+"""How often sweeps come and are searched is counted over so many seconds."""
 
 SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
 """Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
@@ -413,10 +417,17 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
 def seen_now(lidar: Watched, now: float) -> LidarNow:
     """Say what a LiDAR sees now."""
     view, looked = lidar.view, lidar.view.looked
-    recent = [(at, number) for at, number in lidar.came if now - at <= 3.0]
-    rate = 0.0
+    came = list(lidar.came)
+    recent = [(at, number) for at, number in came if now - at <= LATELY_CAME]
+    if len(recent) < 3 and not view.silent:
+        # To search both may take longer.
+        recent = came[-3:]
+    rate, skipped = 0.0, ""
     if len(recent) > 1:
-        rate = (recent[-1][1] - recent[0][1]) / max(recent[-1][0] - recent[0][0], 0.05)
+        (first, number), (last, newest) = recent[0], recent[-1]
+        rate = (newest - number) / max(last - first, 0.05)
+        if last - first >= LATELY_CAME / 3:
+            skipped = _skipped(view.name, newest - number, len(recent) - 1, last - first)
     poles = [
         PoleNow(
             name=str(track.number),
@@ -438,6 +449,17 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
         points=0 if looked is None else len(looked.cloud),
         poles=poles,
         word=view.fault or view.silent,
+        skipped=skipped,
+    )
+
+
+def _skipped(name: str, came: int, taken: int, seconds: float) -> str:
+    """Say how many sweeps were not taken of those that came; nothing where all were."""
+    if taken >= came:
+        return ""
+    return (
+        f"skipped {came - taken} of {counted(came, 'sweep')} of {name}: this computer decodes and "
+        f"searches {taken / seconds:.2g} a second"
     )
 
 

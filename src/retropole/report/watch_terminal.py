@@ -36,6 +36,9 @@ def _below(said: WatchDoc) -> Iterator[RenderableType]:
     if said.wanted:
         yield ProgressBar(said.wanted, min(said.captured, said.wanted), width=60)
     yield _table(said.lidars)
+    for lidar in said.lidars:
+        if lidar.skipped:
+            yield Text(printable(lidar.skipped))
     words = []
     if said.angle_rad is not None:
         words.append(f"angle between the poles {math.degrees(said.angle_rad):.0f}°")

@@ -57,6 +57,8 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
         Of the newest sweep.
     word
         Why nothing comes, or what is wrong with what comes; empty where all is well.
+    skipped
+        In words, how many sweeps were left out of those that came lately; empty where none was.
     """
 
     name: Text
@@ -66,6 +68,7 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
     points: Count
     poles: list[PoleNow]
     word: Text = ""
+    skipped: Text = ""
 
 
 class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):

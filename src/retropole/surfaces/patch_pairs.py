@@ -215,6 +215,17 @@ class PatchPairs:
                 moved += (by[:, DEVICE + kind] * of_rings.T).T
         return moved
 
+    def pull_of_errors(self, rows: Array) -> Array:
+        """(B,) sum of the residuals' derivatives by all errors, each times its own of (P,)."""
+        pull = np.zeros(self.layout.size)
+        for lidar, (by, share) in enumerate(self.by_lidar):
+            own = rows[:, None] * by
+            pull[self.layout.device(lidar)] = own[:, :DEVICE].sum(axis=0)
+            of_rings = share.T @ own[:, DEVICE:]
+            for kind in range(RING):
+                pull[self.layout.rings(lidar, kind)] = of_rings[:, kind]
+        return pull
+
     def put_by_error(self, factor: Array, table: Array) -> None:
         """Put the derivative by all errors, rows times a factor (P,), into a table (P, B)."""
         for lidar, (by, share) in enumerate(self.by_lidar):

@@ -41,7 +41,6 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from .averaging import averaged
 from .registration import (
-    CORES,
     MIN_CLOUD_POINTS,
     SAMPLE,
     Surface,
@@ -308,7 +307,7 @@ def compare_views(
     there, back = se3.apply(T, source.points), se3.apply(se3.inverse(T), target.points)
     bound = within if limit is None else limit
     distances = [
-        tree.query(points, distance_upper_bound=bound, workers=CORES)[0]
+        tree.query(points, distance_upper_bound=bound)[0]
         for tree, points in ((target.tree, there), (source.tree, back))
     ]
     seen = _seen_by(target.image, there), _seen_by(source.image, back)

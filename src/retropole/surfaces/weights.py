@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,32 +35,42 @@ class Weighed:
     ways, left
         (P, 6) and (6,), as `held_directions` gives them: what the surfaces do not hold is left to
         the poles, ``(1 − W diag(left) Wᵀ)`` times the rows.
-    along
-        (6, 6 + B + 1) what of the rows lies along the ways.
-    square
-        (6 + B + 1, 6 + B + 1) of what is held of the rows, of derivatives and residuals.
     """
 
     pairs: PatchPairs
     weights: Array
     ways: Array
     left: Array
-    along: Array
-    square: Array
 
     def by(self, directions: Array) -> Array:
         """(P, ...) change of the residuals by directions (6 + B, ...) of pose and errors."""
         by_pose = self.pairs.jacobian @ directions[:POSE]
         rows = by_pose + self.pairs.by_errors(directions[POSE:])
-        return self._held((np.sqrt(self.weights) * rows.T).T, self.along[:, :-1] @ directions)
+        return self._held((np.sqrt(self.weights) * rows.T).T)
 
     @property
     def residuals(self) -> Array:
         """(P,) of unit weight."""
-        return self._held(np.sqrt(self.weights) * self.pairs.residuals, self.along[:, -1])
+        return self._held(np.sqrt(self.weights) * self.pairs.residuals)
 
-    def _held(self, rows: Array, along: Array) -> Array:
-        return np.asarray(rows - self.ways @ (self.left * along.T).T)
+    def pull(self, residuals: Array) -> Array:
+        """(6 + B,) derivative of half the sum of squares by pose and errors, of unit weight."""
+        rows = np.sqrt(self.weights) * self._held(residuals)
+        return np.concatenate([rows @ self.pairs.jacobian, self.pairs.pull_of_errors(rows)])
+
+    @cached_property
+    def square(self) -> Array:
+        """(6 + B, 6 + B) of the derivatives of all residuals."""
+        root = np.sqrt(self.weights)
+        table = np.empty((len(root), POSE + self.pairs.layout.size))
+        table[:, :POSE] = root[:, None] * self.pairs.jacobian
+        self.pairs.put_by_error(root, table[:, POSE:])
+        along = self.ways.T @ table
+        # The square of one array: BLAS then computes one half of it.
+        return np.asarray(table.T @ table - (along.T * (self.left * (2.0 - self.left))) @ along)
+
+    def _held(self, rows: Array) -> Array:
+        return np.asarray(rows - self.ways @ (self.left * (self.ways.T @ rows).T).T)
 
 
 def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
@@ -80,16 +91,7 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    root = np.sqrt(weights)
-    ways, left = held_directions(pairs, weights)
-    table = np.empty((len(r), POSE + pairs.layout.size + 1))
-    table[:, :POSE] = root[:, None] * pairs.jacobian
-    pairs.put_by_error(root, table[:, POSE:-1])
-    table[:, -1] = root * r
-    along = ways.T @ table
-    # The square of one array: BLAS then computes one half of it.
-    square = table.T @ table - (along.T * (left * (2.0 - left))) @ along
-    return Weighed(pairs, weights, ways, left, along, square)
+    return Weighed(pairs, weights, *held_directions(pairs, weights))
 
 
 def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:

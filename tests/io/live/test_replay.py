@@ -18,6 +18,7 @@ from retropole.io.live.replay import ReplaySource
 from tests.bags import START, points_of, write_bag
 from tests.io.clouds import assert_same, random_cloud
 from tests.io.files import required
+from tests.io.packets.sending import bag_of
 from tests.paths import SHARED
 
 VLP16 = SHARED / "formats" / "velodyne" / "sample_velodyne_vlp16_gps.pcap"
@@ -175,3 +176,17 @@ def test_one_sweep_comes_again_and_again(tmp_path: Path) -> None:
     assert numbers == sorted(set(numbers))
     assert not source.has_ended
     source.close()
+
+
+def test_packets_in_a_bag_are_played(tmp_path: Path) -> None:
+    path = bag_of("hesai_xt32", tmp_path)
+    recorded = list(read_frames(path))
+    with closing(ReplaySource(path, rate=100.0)) as source:
+        played = list[Frame]()
+        while not source.has_ended:
+            frame = source.newest(1.0)
+            played += [frame] if frame else []
+    assert played[-1].number == len(recorded) - 1
+    for frame in played:
+        assert frame.cloud.model == "XT32"
+        np.testing.assert_array_equal(frame.cloud.xyz, recorded[frame.number].cloud.xyz)

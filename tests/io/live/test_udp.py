@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +18,12 @@ from retropole.io import Frame, read_frames
 from retropole.io.bags import opened
 from retropole.io.fields import Wanted
 from retropole.io.live import Source, source_of
-from retropole.io.live.udp import OusterSource, PacketSource, VelodyneSource
+from retropole.io.live.udp import OusterSource, PacketSource, TableSource, Told, VelodyneSource
 from retropole.io.packets import drivers
 from retropole.io.packets.capture import packets, walk
 from tests.io.files import required
 from tests.io.packets.sending import angles_of, bag_of, turning
+from tests.io.packets.written import MANUALS, difop
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -221,18 +224,34 @@ def test_of_two_senders_the_first_is_taken(
     velodyne: tuple[VelodyneSource, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, port = velodyne
-    # On a busy machine the first one sends less often than a sensor would, and with pauses.
+    # On a busy machine the first one sends less often than a sensor would, and with pauses; and the
+    # decoder cuts a sweep that takes too long.
     monkeypatch.setattr("retropole.io.live.udp.FEWEST", 0)
     monkeypatch.setattr("retropole.io.live.udp.PAUSE", 60.0)
+    clock = SimpleNamespace(time=lambda: 1.7e9, monotonic=time.monotonic)
+    monkeypatch.setattr("retropole.io.live.udp.time", clock)
+    looked_at, take = list[bytes](), source._take
+
+    def count(packet: bytes, *others: Any) -> None:
+        take(packet, *others)
+        looked_at.append(packet)
+
+    monkeypatch.setattr(source, "_take", count)
     path = shared(VLP16)
     first, other = payloads(path), payloads(shared(HDL32))
     read = list(read_frames(path))
+    sent, frames = list[bytes](), list[Frame]()
+
+    def have_all_come() -> bool:
+        return len(looked_at) == len(sent)
+
     with sender(port) as send, sender(port) as disturb:
-        frames = list[Frame]()
         for k in range(0, len(first), 10):
-            send(first[k : k + 10])
-            disturb(other[k : k + 10])
-            frame = source.newest(0.02)
+            for own, part in ((send, first[k : k + 10]), (disturb, other[k : k + 10])):
+                own(part)
+                sent += part
+                until(have_all_come)
+            frame = source.newest(0)
             frames += [frame] if frame else []
     assert [frame.number for frame in frames] == [0, 1, 2]
     for frame in frames:
@@ -418,3 +437,73 @@ def test_packets_are_placed_by_the_angles_of_the_unit(tmp_path: Path) -> None:
             frame = source.newest(0.01) or frame
         frame = frame or source.newest(LONG)
     assert required(frame).cloud.notes[0] == "angles of Hesai XT16: unit.csv"
+
+
+def ruby(rng: np.random.Generator, turns: float) -> tuple[list[bytes], list[float]]:
+    """Packets of a Ruby, and at which elevations its channels look."""
+    manual, up = MANUALS["Ruby"], np.round(np.linspace(-25, 15, 128), 2).tolist()
+    packets = []
+    for row in range(0, round(360 * turns), 3):
+        distances = [rng.integers(100, 1000, 128) * 0.02 for _ in range(3)]
+        rows = [(float(row + k), own.tolist(), [k] * 128) for k, own in enumerate(distances)]
+        packets.append(manual.packet(rows, row * 50))
+    return packets, up
+
+
+@pytest.mark.parametrize("where", ["named", "usual", "same"])
+def test_angles_that_come_to_another_port_are_used(
+    monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    port, told = free_port(), free_port()
+    # The usual one may be in use here.
+    on = Told.on
+    monkeypatch.setattr(Told, "on", lambda at, host: on(told if at == 7788 else at, host))
+    packets, up = ruby(np.random.default_rng(2), 2.5)
+    text = f"robosense:{HOME}:{port},{told}" if where == "named" else f"robosense:{HOME}:{port}"
+    with closing(source_of(text)) as source, sender(port) as send:
+        assert source.name == text
+        send(packets)
+        with pytest.raises(ReadError, match=r"Ruby says in DIFOP packets .* and none came"):
+            source.newest(LONG)
+        with sender(port if where == "same" else told) as tell:
+            tell([b"of another", difop(up, [0.0] * 128)])
+        assert isinstance(source, TableSource)
+        until(source._heard)
+        send(packets)
+        frame = required(source.newest(LONG))
+    assert "angles of RoboSense Ruby: the DIFOP packets" in frame.cloud.notes
+    level = np.hypot(*frame.cloud.xyz[:, :2].T)
+    seen = np.degrees(np.arctan2(frame.cloud.xyz[:, 2], level))
+    wanted = np.array(up)[required(frame.cloud.ring)]
+    np.testing.assert_allclose(seen, wanted, atol=1.0)
+
+
+def test_two_lidars_tell_their_angles_to_one_port() -> None:
+    ports, told = (free_port(), free_port()), free_port()
+    texts = [f"robosense:{HOME}:{port},{told}" for port in ports]
+    with closing(source_of(texts[0])) as first, closing(source_of(texts[1])) as second:
+        assert isinstance(first, TableSource)
+        assert isinstance(second, TableSource)
+        with sender(told) as tell:
+            tell([difop([0.1 * k for k in range(128)], [0.0] * 128)])
+        for each in (first, second):
+            each._sender = HOME, 1
+            until(each._heard)
+        first.close()
+        assert second._heard()
+    # Then the port is free.
+    Told(told, HOME).leave()
+
+
+def test_a_port_of_angles_that_cannot_be_heard() -> None:
+    with pytest.raises(UsageError, match="port 7: a Hesai tells its angles to no port"):
+        source_of(f"hesai:{HOME}:{free_port()},7")
+    with pytest.raises(UsageError, match="a Velodyne sends to one port"):
+        source_of(f"velodyne:{HOME}:{free_port()},7")
+    port, told = free_port(), free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOME, told))
+        with pytest.raises(UsageError, match=f"port {told}: another program listens"):
+            source_of(f"robosense:{HOME}:{port},{told}")
+    # It let go of its own port.
+    source_of(f"robosense:{HOME}:{port},{told}").close()

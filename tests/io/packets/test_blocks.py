@@ -13,6 +13,7 @@ from retropole.io.packets.models import Blocks, recognized, rings_of
 from retropole.io.pcd import read_pcd
 from tests.io.files import required
 from tests.io.packets.sending import REAL, bag_of, hesai, model_named
+from tests.io.packets.written import together
 
 SWEEPS = {
     "hesai_64": ("Pandar64", 1.0),
@@ -63,7 +64,7 @@ def test_what_is_written_by_the_table_is_read(name: str) -> None:
     where = blocks.positions(model, packets)
     whole = np.arange(40 * layout.count).reshape(shape[:2])[:, [0, -1]] * 450 + 17
     np.testing.assert_allclose(where, whole / 36_000, atol=1e-9)
-    found = blocks.decode(model, packets, None, where)
+    found = together(blocks.decode(model, packets, None, where))
     order = np.argsort(found.packet, kind="stable")
     packet, block, channel = np.nonzero(raw)
     np.testing.assert_array_equal(found.packet[order], packet)
@@ -95,7 +96,7 @@ def test_of_two_returns_that_are_one_the_second_is_kept() -> None:
     packet = bytearray(hesai(model, raw, np.zeros((1, 8), np.int64))[0])
     packet[layout.returns] = 0x39
     packets = np.array([list(packet)], np.uint8)
-    found = blocks.decode(model, packets, None, blocks.positions(model, packets))
+    found = together(blocks.decode(model, packets, None, blocks.positions(model, packets)))
     assert sorted(found.intensity.tolist()) == [0, 1, 2, 2, 3]
 
 

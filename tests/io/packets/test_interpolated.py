@@ -14,7 +14,7 @@ from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 from retropole.io.packets.interpolated import angles_told, decode, positions
 from retropole.io.packets.models import MODELS, Angles, Interpolated, Model, recognized
-from tests.io.packets.written import MANUALS, SECONDS, as_array, difop
+from tests.io.packets.written import MANUALS, SECONDS, as_array, difop, together
 
 REAL = Path("../shared/data/packets/robosense_helios32")
 
@@ -81,7 +81,7 @@ def test_written_packets_are_read(name: str, *, twice: bool) -> None:
     sent = as_array(packets)
     where = positions(model, sent)
     assert (np.diff(where[:, 0]) >= 0).all()
-    read = decode(model, sent, angles, where)
+    read = together(decode(model, sent, angles, where))
     wanted = np.array(points, float)
     assert len(read.xyz) == len(wanted)
     np.testing.assert_allclose(read.xyz, wanted[:, :3], atol=1e-5)
@@ -101,7 +101,7 @@ def test_of_two_near_returns_the_second_remains() -> None:
     sent = as_array([manual.packet(rows, 0)])
     model = recognized(sent.tobytes())
     assert model is not None
-    read = decode(model, sent, angles, positions(model, sent))
+    read = together(decode(model, sent, angles, positions(model, sent)))
     assert len(read.xyz) == 6 * (16 + 32)
     assert np.bincount(read.intensity.astype(int), minlength=12).tolist() == [16, 32] * 6
 
@@ -159,14 +159,14 @@ def test_without_angles() -> None:
     packets, _, _ = _made("Bpearl", np.random.default_rng(1))
     sent, model = as_array(packets), _named("Bpearl")
     with pytest.raises(ReadError, match=r"RoboSense Bpearl says in DIFOP packets .* --angles FILE"):
-        decode(model, sent, None, positions(model, sent))
+        together(decode(model, sent, None, positions(model, sent)))
 
 
 def test_angles_of_another_model() -> None:
     packets, _, _ = _made("Ruby", np.random.default_rng(1))
     sent, other = as_array(packets), Angles(np.zeros(32), np.zeros(32), "angles.csv")
     with pytest.raises(ReadError, match=r"angles.csv has 32 channels, a RoboSense Ruby 128"):
-        decode(_named("Ruby"), sent, other, positions(_named("Ruby"), sent))
+        together(decode(_named("Ruby"), sent, other, positions(_named("Ruby"), sent)))
 
 
 def test_any_bytes_are_read() -> None:
@@ -177,7 +177,7 @@ def test_any_bytes_are_read() -> None:
         packets = rng.integers(0, 256, (7, model.sizes[0]), np.uint8)
         channels = len(model.layout.firing_us) * model.layout.together
         angles = Angles(np.zeros(channels), np.zeros(channels))
-        read = decode(model, packets, angles, positions(model, packets))
+        read = together(decode(model, packets, angles, positions(model, packets)))
         assert np.isfinite(read.xyz).all()
         assert len(read.xyz) <= 7 * model.layout.count * model.layout.channels
         angles_told(model, packets[0].tobytes())
@@ -206,7 +206,7 @@ def test_a_real_helios() -> None:
     assert model is not None
     angles = angles_told(model, told[0])
     sent = as_array(packets)
-    read = decode(model, sent, angles, positions(model, sent))
+    read = together(decode(model, sent, angles, positions(model, sent)))
     cloud = read_cloud(next(REAL.glob("*.pcd")))
     fields = np.load(next(REAL.glob("*_fields.npz")))
     own = read.turn == read.turn[0] + 1

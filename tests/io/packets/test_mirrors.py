@@ -11,6 +11,7 @@ from retropole.io.packets import mirrors
 from retropole.io.packets.angles import read_angles
 from retropole.io.packets.models import recognized
 from tests.io.packets.sending import hesai, model_named
+from tests.io.packets.written import together
 
 MODEL = model_named("AT128")
 UNIT = 25_600
@@ -40,7 +41,7 @@ def test_a_beam_turns_twice_as_far_as_its_mirror(tmp_path: Path, adjusted: int) 
     assert all(recognized(payload) is MODEL for payload in payloads)
     packets = np.array([list(payload) for payload in payloads], np.uint8)
     where = mirrors.positions(MODEL, packets)
-    found = mirrors.decode(MODEL, packets, angles, where)
+    found = together(mirrors.decode(MODEL, packets, angles, where))
     np.testing.assert_array_equal(found.turn, np.repeat([0, 1, 2, 3], 256))
     field = np.repeat(starts + starts[:1], 2).reshape(4, 2)
     c = np.arange(128)

@@ -10,7 +10,7 @@ import pytest
 
 from retropole.io.packets.models import MODELS, Model, Points, recognized
 from retropole.io.packets.points import decode, positions
-from tests.io.packets.written import SECONDS, as_array
+from tests.io.packets.written import SECONDS, as_array, together
 
 RNG = np.random.default_rng(8)
 
@@ -24,7 +24,7 @@ def _read(packets: list[bytes]) -> tuple[Model, np.ndarray, np.ndarray]:
     """Recognize and decode: the model, (M, 5) of x, y, z, intensity and time, and turns (M,)."""
     model, sent = recognized(packets[0]), as_array(packets)
     assert model is not None
-    found = decode(model, sent, None, positions(model, sent))
+    found = together(decode(model, sent, None, positions(model, sent)))
     assert found.ring is None
     every = np.column_stack([found.xyz, found.intensity, found.time - SECONDS])
     return model, every, found.turn - found.turn[0]
@@ -150,6 +150,6 @@ def test_any_bytes_are_read() -> None:
     for model in MODELS:
         if isinstance(model.layout, Points):
             packets = RNG.integers(0, 256, (7, model.sizes[0]), np.uint8)
-            read = decode(model, packets, None, positions(model, packets))
+            read = together(decode(model, packets, None, positions(model, packets)))
             assert np.isfinite(read.xyz).all()
             assert len(read.xyz) <= 7 * model.layout.count * model.layout.points

@@ -1,10 +1,13 @@
 """Sweeps are the same whether read in one go, in ranges, or as packets come."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from retropole.base.datatypes import IntArray
 from retropole.io import open_recording, read_cloud
 from retropole.io.packets import blocks
 from retropole.io.packets.models import Blocks
@@ -20,6 +23,7 @@ from retropole.io.packets.sweeps import (
 from retropole.io.recordings import time_of_recording
 from tests.io.files import required
 from tests.io.packets.sending import bag_of, hesai, model_named
+from tests.io.packets.written import as_array, together
 
 MODEL = model_named("Pandar40P")
 
@@ -37,17 +41,17 @@ def turning(packets: int, step: int = 45) -> list[bytes]:
 @pytest.mark.parametrize("step", [45, -45])
 def test_sweeps_are_turns_of_each_channel(step: int) -> None:
     sent = turning(400, step)
-    positions = positions_of(MODEL, sent)
-    packets = np.array([list(payload) for payload in sent], np.uint8)
-    whole = blocks.decode(MODEL, packets, None, positions)
+    packets = as_array(sent)
+    positions = positions_of(MODEL, [packets])
+    whole = together(blocks.decode(MODEL, packets, None, positions))
     index = index_of(MODEL, positions, None)
     asked = list[int]()
 
-    def read(rows: np.ndarray) -> object:
+    def read(rows: IntArray) -> Iterator[NDArray[np.uint8]]:
         asked.extend(rows.tolist())
-        return (sent[row] for row in rows.tolist())
+        return (packets[rows[k : k + 30]] for k in range(0, len(rows), 30))
 
-    sweeps = dict(sweeps_of(MODEL, None, index, range(len(index.rows)), read))  # type: ignore[arg-type]
+    sweeps = dict(sweeps_of(MODEL, None, index, range(len(index.rows)), read))
     assert asked == list(range(400))
     counts = [len(own.columns()["x"]) for own in sweeps.values()]
     assert sum(counts) == len(whole.turn)
@@ -57,13 +61,10 @@ def test_sweeps_are_turns_of_each_channel(step: int) -> None:
     assert list(index.turns) == (sorted(index.turns) if step > 0 else sorted(index.turns)[::-1])
 
 
-def test_positions_do_not_depend_on_how_many_are_read_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    sent = turning(300)
-    at_once = positions_of(MODEL, sent)
-    monkeypatch.setattr("retropole.io.packets.sweeps.AT_ONCE", 7)
-    np.testing.assert_allclose(positions_of(MODEL, sent), at_once)
+def test_positions_do_not_depend_on_how_many_are_read_at_once() -> None:
+    sent = as_array(turning(300))
+    parts = (sent[k : k + 7] for k in range(0, 300, 7))
+    np.testing.assert_allclose(positions_of(MODEL, parts), positions_of(MODEL, [sent]))
 
 
 def test_frames_that_are_left_out_are_not_read(tmp_path: Path) -> None:
@@ -81,9 +82,10 @@ def test_sweeps_that_come_are_those_of_a_recording(step: int) -> None:
     sent = turning(900, step)
     take = live(MODEL, None)
     came = [own for own in map(take, sent) if own is not None]
-    index = index_of(MODEL, positions_of(MODEL, sent), None)
+    packets = as_array(sent)
+    index = index_of(MODEL, positions_of(MODEL, [packets]), None)
     recorded: dict[int, Sweep] = dict(
-        sweeps_of(MODEL, None, index, range(len(index.rows)), lambda rows: (sent[k] for k in rows))
+        sweeps_of(MODEL, None, index, range(len(index.rows)), lambda rows: iter([packets[rows]]))
     )
     # The first one began before.
     assert len(came) >= len(recorded) - 3

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from retropole.io.packets.models import Returns
 
 Rows = list[tuple[float, list[float], list[int]]]
 """Azimuth of a row, degrees; distance of each firing, m; its intensity."""
@@ -184,6 +187,14 @@ def difop(elevation: list[float], azimuth: list[float], unit: float = 0.01) -> b
     )
     start = bytes.fromhex("a5ff005a11115555")
     return (start.ljust(468, b"\0") + angles).ljust(1248, b"\0")
+
+
+def together(parts: Iterable[Returns]) -> Returns:
+    """Put together what was decoded part by part."""
+    first, *others = parts
+    columns: Any = zip(first, *others, strict=True)
+    found: Any = [None if own[0] is None else np.concatenate(own) for own in columns]
+    return Returns(*found)
 
 
 def as_array(packets: list[bytes]) -> NDArray[np.uint8]:

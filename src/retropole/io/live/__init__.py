@@ -17,7 +17,8 @@ SOURCE_KINDS = {
     "ros2:/TOPIC": "a topic of ROS 2, by DDS; no ROS is needed",
     "velodyne:PORT": "packets of a Velodyne; velodyne:ADDRESS:PORT listens on one address",
     "hesai:PORT": "packets of a Hesai",
-    "robosense:PORT": "packets of a RoboSense",
+    "robosense:PORT": "packets of a RoboSense, and at 7788 its angles (DIFOP)",
+    "robosense:PORT,DIFOP": "the same, its angles at another port",
     "leishen:PORT": "packets of a Leishen",
     "livox:PORT": "packets of a Livox",
     "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
@@ -120,12 +121,16 @@ def source_of(
     if kind in MAKERS:
         from .udp import ALL_INTERFACES, TableSource, VelodyneSource
 
-        host, _, port = where.rpartition(":")
+        host, _, ports = where.rpartition(":")
+        port, has_more, more = ports.partition(",")
         listens = _port(text, port), host or ALL_INTERFACES, senders
-        if kind == "velodyne":
-            return VelodyneSource(*listens)
-        own = None if wanted.angles is None else Path(wanted.angles)
-        return TableSource(kind, *listens, angles=own)
+        if kind != "velodyne":
+            own = None if wanted.angles is None else Path(wanted.angles)
+            told = _port(text, more) if has_more else None
+            return TableSource(kind, *listens, told, angles=own)
+        if has_more:
+            raise UsageError(f"{text!r}: a Velodyne sends to one port")
+        return VelodyneSource(*listens)
     if kind == "ouster":
         from .udp import OusterSource
 
@@ -200,7 +205,7 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
     # The folder where we are has no name.
     parts = [(path.with_suffix("") if path.name else path).parts for path in paths]
     for own in zip(*parts, strict=False):
-        if len(set(own)) == len(texts) and not any(each.isdigit() for each in own):
+        if len(set(own)) == len(texts) and not any(each.replace(",", "").isdigit() for each in own):
             return own
     return tuple(otherwise)
 

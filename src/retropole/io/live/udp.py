@@ -10,20 +10,21 @@ import errno
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
 from threading import Condition, Event, Lock, Thread
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
 from ..fields import frame_from_columns
-from ..packets.angles import read_angles
-from ..packets.models import MODELS, Model, recognized
+from ..packets.angles import angles_told, read_angles
+from ..packets.interpolated import DIFOP_START
+from ..packets.models import MODELS, Angles, Model, recognized
 from ..packets.ouster import ouster_sweeps
 from ..packets.sweeps import Sweep, live
 from ..packets.velodyne import VELODYNE_SIZE, VELODYNE_START, velodyne_sweep
@@ -217,17 +218,8 @@ class PacketSource:
         self._thread.join(5 * LOOK)
 
     def _receive(self) -> None:
-        with self._socket:
-            while not self._closed.is_set():
-                try:
-                    packet, sender = self._socket.recvfrom(2**16)
-                except TimeoutError:
-                    continue
-                except OSError:
-                    # The network went away; it may come back.
-                    self._closed.wait(LOOK)
-                    continue
-                self._take(packet, sender, time.time())
+        for packet, sender in _coming(self._socket, self._closed):
+            self._take(packet, sender, time.time())
 
     def _take(self, packet: bytes, sender: tuple[str, int], received: float) -> None:
         misfit = self._kind.misfit(packet)
@@ -324,6 +316,58 @@ class VelodyneSource(PacketSource):
         super().__init__(port, host, kind, senders)
 
 
+class Told:
+    """What LiDARs tell of themselves on a port: the newest such packet of each, by its address.
+
+    Several listen to it where their LiDARs send to one port; the last to leave closes it.
+
+    Raises
+    ------
+    UsageError
+        As `VelodyneSource`.
+    """
+
+    _open: ClassVar[dict[tuple[str, int], Told]] = {}
+    _lock: ClassVar[Lock] = Lock()
+
+    def __init__(self, port: int, host: str) -> None:
+        self._key, self._socket, self._users = (host, port), _opened(port, host), 0
+        self._closed = Event()
+        self.packets: dict[str, bytes] = {}
+        self._thread = Thread(target=self._receive, name=f"told:{port}", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def on(cls, port: int, host: str) -> Told:
+        """Listen to a port, with those that do already."""
+        with cls._lock:
+            own = cls._open.get((host, port))
+            if own is None:
+                own = cls._open[host, port] = cls(port, host)
+            own._users += 1
+            return own
+
+    def leave(self) -> None:
+        """Listen no longer."""
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                del self._open[self._key]
+                self._closed.set()
+                self._thread.join(5 * LOOK)
+
+    def _receive(self) -> None:
+        for packet, (address, _) in _coming(self._socket, self._closed):
+            if packet.startswith(DIFOP_START):
+                keep(self.packets, address, packet)
+
+
+def keep(told: dict[str, bytes], address: str, packet: bytes) -> None:
+    """Keep what came last from an address; of more than a hundred no LiDAR would be found."""
+    if address in told or len(told) < 100:
+        told[address] = packet
+
+
 class TableSource(PacketSource):
     """A LiDAR that sends its packets to a port, of a maker whose models are in tables.
 
@@ -333,6 +377,9 @@ class TableSource(PacketSource):
         As the tables have it, in any case.
     port, host, senders
         As `VelodyneSource` takes them.
+    told
+        Port to which it tells its angles; None for that of its maker, where it has one and no other
+        program listens there. They may also come to the first port.
     angles
         File of the unit's own angles.
 
@@ -348,9 +395,25 @@ class TableSource(PacketSource):
         port: int,
         host: str = ALL_INTERFACES,
         senders: Collection[str] = (),
+        told: int | None = None,
         angles: Path | None = None,
     ) -> None:
         models = [model for model in MODELS if model.maker.lower() == maker.lower()]
+        title = models[0].maker
+        usual = next((model.port_told for model in models if model.port_told), 0)
+        self._tells = any(getattr(model.layout, "difop", None) for model in models)
+        if told is not None and not self._tells:
+            raise UsageError(f"port {told}: a {title} tells its angles to no port")
+        self._told: Told | None = None
+        self._own_told: dict[str, bytes] = {}
+        unheard = ""
+        try:
+            if (told or usual) not in (0, port):
+                self._told = Told.on(told or usual, host)
+        except UsageError as error:
+            if told is not None:
+                raise
+            unheard = f"its angles are not heard: {error}"
 
         def misfit(packet: bytes) -> str:
             return "" if recognized(packet) in models else str(len(packet))
@@ -358,19 +421,54 @@ class TableSource(PacketSource):
         def decoder() -> Decoder:
             known: Model | None = None
             take: Callable[[bytes], Sweep | None] = lambda packet: None  # noqa: E731
+            used: Angles | None = None
+            last = b""
 
             def sweep(packet: bytes, received: float) -> Sweep | None:
-                nonlocal known, take
-                model = recognized(packet)
-                if model is not None and model is not known:
-                    own = None if angles is None else read_angles(angles, model)
-                    known, take = model, live(model, own)
-                return take(packet)
+                nonlocal known, take, used, last
+                model, heard = recognized(packet), b"" if angles else self._heard()
+                if model is not None and (model is not known or heard is not last):
+                    last = heard
+                    own = read_angles(angles, model) if angles else angles_told(model, heard)
+                    if model is not known or (own is not None and not own.looks_as(used)):
+                        known, take, used = model, live(model, own), own
+                whole = take(packet)
+                if whole is None or not unheard or used is not None:
+                    return whole
+                return whole._replace(notes=(*whole.notes, unheard))
 
             return sweep
 
-        title = models[0].maker
-        super().__init__(port, host, _Kind(title, "packets of returns", misfit, decoder), senders)
+        try:
+            kind = _Kind(title, "packets of returns", misfit, decoder)
+            super().__init__(port, host, kind, senders)
+        except UsageError:
+            self._leave()
+            raise
+        if told is not None:
+            self.name += f",{told}"
+
+    def close(self) -> None:
+        """Let go of both ports, as `Source` says."""
+        super().close()
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._told is not None:
+            self._told.leave()
+            self._told = None
+
+    def _heard(self) -> bytes:
+        """What the LiDAR whose packets are taken told last; empty before it did."""
+        address = self._sender[0] if self._sender else ""
+        others = self._told.packets if self._told else {}
+        return self._own_told.get(address) or others.get(address, b"")
+
+    def _take(self, packet: bytes, sender: tuple[str, int], received: float) -> None:
+        if self._tells and packet.startswith(DIFOP_START):
+            keep(self._own_told, sender[0], packet)
+        else:
+            super()._take(packet, sender, received)
 
 
 class OusterSource(PacketSource):
@@ -468,6 +566,19 @@ def _address(text: str) -> str:
 
 def _named(sender: tuple[str, int]) -> str:
     return f"{sender[0]}:{sender[1]}"
+
+
+def _coming(own: socket.socket, closed: Event) -> Iterator[tuple[bytes, tuple[str, int]]]:
+    """Receive packets, and who sent each, until that is to end; then close the port."""
+    with own:
+        while not closed.is_set():
+            try:
+                yield own.recvfrom(2**16)
+            except TimeoutError:
+                continue
+            except OSError:
+                # The network went away; it may come back.
+                closed.wait(LOOK)
 
 
 def _opened(port: int, host: str) -> socket.socket:

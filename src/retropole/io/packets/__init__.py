@@ -6,6 +6,7 @@ be incomplete.
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.datatypes import Array, IntArray
 from ...base.errors import ReadError, UsageError, naming, reported
@@ -23,11 +25,11 @@ from ..fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from ..recordings import PACKETS_OF, Frame, Recording, Topic, is_unix
 from . import drivers
 from .angles import angles_told, read_angles
-from .capture import PCAPNG_START, Capture, Datagram, datagrams, parts_of, sizes_in_words, walk
+from .capture import PCAPNG_START, Alike, Capture, Datagram, alike, sizes_in_words, stacks_of, walk
 from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
 from .ouster import OUSTER, metadata_beside, model_named, sweeps_of_capture
-from .sweeps import Sweep, index_of, positions_of, sweeps_of
+from .sweeps import AT_ONCE, Sweep, index_of, positions_of, stacked, sweeps_of
 from .velodyne import is_velodyne, model_of, velodyne_sweeps
 
 PACKETS = (".pcap", ".pcapng")
@@ -61,14 +63,14 @@ class Sender:
     name: str
     model: Model | None
     size: int
-    rows: list[int] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
+    rows: array[int] = field(default_factory=lambda: array("q"))
+    times: array[float] = field(default_factory=lambda: array("d"))
     angles: Angles | None = None
     told: int = 0
 
 
-Reading = Callable[[IntArray], Iterator[Datagram]]
-"""From ascending numbers of packets that one LiDAR sent to these packets."""
+Reading = Callable[[IntArray], Iterator[NDArray[np.uint8]]]
+"""From ascending numbers of packets that one LiDAR sent to these packets, some together."""
 
 
 def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Recording:
@@ -114,10 +116,8 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     note = capture.note(unreadable)
     size = senders[name].size
 
-    def read(rows: IntArray) -> Iterator[Datagram]:
-        payloads = parts_of(path, starts[rows], np.full(len(rows), size))
-        times = capture.times[rows].tolist()
-        return (Datagram(own, name, at) for own, at in zip(payloads, times, strict=True))
+    def read(rows: IntArray) -> Iterator[NDArray[np.uint8]]:
+        return stacks_of(path, starts[rows], size)
 
     recording = _recording(path, senders[name], read, wanted, (note,), is_whole_file=is_plain)
     return replace(recording, topic=name) if len(senders) > 1 else recording
@@ -125,15 +125,21 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
 
 def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray]:
     """Survey a capture; besides, where the payload of each packet begins in the file."""
-    starts: list[int] = []
+    starts = np.zeros(len(capture.records), np.int64)
 
-    def coming() -> Iterator[Datagram]:
-        for each, start in datagrams(path, capture):
-            starts.append(start)
+    def coming() -> Iterator[Alike]:
+        for each in alike(path, capture, _marks):
+            starts[list(each.rows)] = each.starts
             yield each
 
     senders, _ = survey(coming())
-    return senders, np.array(starts, np.int64)
+    return senders, starts
+
+
+def _marks(payload: bytes) -> list[slice] | None:
+    """Name the parts of a payload by which its model is recognized; None where none is."""
+    model = recognized(payload)
+    return None if model is None else [where for where, _, _ in model.signature]
 
 
 def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
@@ -149,13 +155,16 @@ def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
         with opened(path) as bag:
             yield from drivers.datagrams(bag.messages(topic.name, topic.kind), topic.kind)
 
-    def read(rows: IntArray) -> Iterator[Datagram]:
-        coming, at = every(), 0
-        for row in rows.tolist():
-            yield from islice(coming, row - at, row - at + 1)
-            at = row + 1
+    def read(rows: IntArray) -> Iterator[NDArray[np.uint8]]:
+        chosen = set(rows.tolist())
+        coming = (each.payload for row, each in enumerate(every()) if row in chosen)
+        left = len(rows)
+        while left and (part := list(islice(coming, min(left, AT_ONCE)))):
+            left -= len(part)
+            yield stacked(part)
 
-    senders, sizes = survey(every())
+    alone = (Alike(each, (row,), (each.time,)) for row, each in enumerate(every()))
+    senders, sizes = survey(alone)
     if not senders:
         raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
     # A bag does not say who sent what: the LiDAR is the one with most packets.
@@ -174,13 +183,13 @@ def topics_of_capture(path: Path) -> tuple[Topic, ...]:
     return topics if len(topics) > 1 else ()
 
 
-def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]:
+def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
     """Find which LiDARs sent packets, and count the sizes of all other packets."""
     senders: dict[str, Sender] = {}
     sizes: Counter[int] = Counter()
     told: dict[str, bytes] = {}
     telling = Counter[str]()
-    for row, (payload, name, time) in enumerate(coming):
+    for (payload, name, _), rows, times, _ in coming:
         own = senders.get(name)
         model = recognized(payload)
         if model is None and not is_velodyne(payload):
@@ -192,8 +201,8 @@ def survey(coming: Iterator[Datagram]) -> tuple[dict[str, Sender], Counter[int]]
         if own is None:
             own = senders[name] = _sender(model, payload)
         if len(payload) == own.size and (model is None) == (own.model is None):
-            own.rows.append(row)
-            own.times.append(time)
+            own.rows.frombytes(np.asarray(rows, np.int64).tobytes())
+            own.times.frombytes(np.asarray(times, np.float64).tobytes())
     for name, own in senders.items():
         found = (
             angles_told(own.model, payload)
@@ -237,13 +246,19 @@ def _recording(
     is_whole_file: bool = False,
 ) -> Recording:
     """Open what one LiDAR sent."""
-    rows = np.array(sender.rows, np.int64)
+    rows, times = np.array(sender.rows, np.int64), np.array(sender.times, np.float64)
+    order = np.argsort(rows, kind="stable")
+    rows, times = rows[order], times[order]
     if sender.model is None:
         wanted.refuse_angles(f"{path}: angles of a {sender.title} are known, others are of no use")
-        coming = None if is_whole_file else partial(read, rows)
+
+        def coming() -> Iterator[Datagram]:
+            payloads = (each.tobytes() for stack in read(rows) for each in stack)
+            return (Datagram(each, "", at) for each, at in zip(payloads, times, strict=False))
+
         return _decoded(
             path,
-            lambda: velodyne_sweeps(path, coming),
+            lambda: velodyne_sweeps(path, None if is_whole_file else coming),
             sender.name,
             wanted,
             sizes=f"{sender.size} bytes",
@@ -253,14 +268,12 @@ def _recording(
     angles = wanted.angles
     own = sender.angles if angles is None else read_angles(Path(angles), model)
 
-    def payloads(chosen: IntArray | None = None) -> Iterator[bytes]:
-        return (each.payload for each in read(rows if chosen is None else rows[chosen]))
-
-    index = index_of(model, positions_of(model, payloads()), own)
+    index = index_of(model, positions_of(model, read(rows)), own)
 
     def frames(numbers: range) -> Iterator[Frame]:
-        for number, sweep in sweeps_of(model, own, index, numbers, payloads):
-            came = sender.times[int(index.rows[number][0])]
+        some = sweeps_of(model, own, index, numbers, lambda chosen: read(rows[chosen]))
+        for number, sweep in some:
+            came = float(times[int(index.rows[number][0])])
             sweep = sweep._replace(stamp=came if is_unix(came) else None)
             yield _frame(path, number, sweep, sender.name, notes, wanted)
 

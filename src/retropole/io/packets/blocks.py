@@ -6,14 +6,26 @@ a firing at 0° exactly ends the sweep before.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...base.datatypes import Array, BoolArray, IntArray
 from .clocks import days_since_1970
-from .models import NEAR_TWIN, Angles, Blocks, Model, Returns, is_other
+from .models import (
+    NEAR_TWIN,
+    Angles,
+    Blocks,
+    Model,
+    Returns,
+    is_other,
+    parts_in_cache,
+    taking,
+    wrapped,
+)
 
 CIRCLE = 36_000
 """Units of an azimuth in a whole turn."""
@@ -22,25 +34,27 @@ ECHOES = {mode: 2 for mode in (0x39, 0x3A, 0x3B, 0x3C, 0x3E)} | {0x3D: 3}
 """Returns of a firing by the mode that a packet names; one in any other."""
 
 
-class Kept(NamedTuple):
-    """The returns of packets that are kept.
+class Fired(NamedTuple):
+    """What some packets hold, of which every slot has its place, N x B x C.
 
     Attributes
     ----------
-    counts
-        How many each block has, one block after the other.
-    channel, packet
-        Of each return.
-    distance, intensity, time
-        What was measured, m, and when, s.
+    part
+        Which packets.
+    take
+        From values of the slots (K of them) those of the returns that are kept (K, M).
+    distance
+        (N, B, C) m.
+    intensity, time, packet
+        (M,) of the returns.
     """
 
-    counts: IntArray
-    channel: IntArray
-    packet: IntArray
+    part: slice
+    take: Callable[..., NDArray[Any]]
     distance: Array
-    intensity: Array
+    intensity: NDArray[np.uint8]
     time: Array
+    packet: IntArray
 
 
 def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
@@ -57,8 +71,8 @@ def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
 
 def decode(
     model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
-) -> Returns:
-    """Decode packets of a few sweeps.
+) -> Iterator[Returns]:
+    """Decode packets of a few sweeps, part by part.
 
     Parameters
     ----------
@@ -71,20 +85,29 @@ def decode(
     """
     angles = angles or model.angles
     azimuth = azimuths(_layout(model), packets)
-    kept = returns_of(model, packets)
-    # To repeat what a block has, and to take by indices, is several times faster than to index.
-    sine, cosine = (np.repeat(f(np.radians(azimuth / 100)), kept.counts) for f in (np.sin, np.cos))
-    ahead, aside, up = (np.take(each, kept.channel) for each in angles.ways)
-    xyz = np.empty((len(kept.channel), 3))
-    xyz[:, 0] = kept.distance * (sine * ahead + cosine * aside)
-    xyz[:, 1] = kept.distance * (cosine * ahead - sine * aside)
-    xyz[:, 2] = kept.distance * up
+    turned = np.radians(azimuth / 100)[..., None]
+    sines, cosines = np.sin(turned), np.cos(turned)
+    ahead, aside, up = angles.ways
     start = np.round(positions[:, :1] * CIRCLE)
-    whole = (start + steps(azimuth - azimuth[:, :1], CIRCLE)) / CIRCLE
-    own = np.repeat(whole, kept.counts) + np.take(angles.azimuth / (2 * np.pi), kept.channel)
-    turn = (np.ceil(own) - 1).astype(np.int64)
-    ring = np.take(angles.ring, kept.channel)
-    return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
+    whole = ((start + wrapped(azimuth - azimuth[:, :1], CIRCLE)) / CIRCLE)[..., None]
+    beside = angles.azimuth / (2 * np.pi)
+    for own in fired(model, packets):
+        sine, cosine, distance = sines[own.part], cosines[own.part], own.distance
+        xyz = own.take(
+            distance * (sine * ahead + cosine * aside),
+            distance * (cosine * ahead - sine * aside),
+            distance * up,
+        )
+        # But for the blocks around 0°, all channels of one are in the same turn.
+        turn, last = (
+            np.ceil(whole[own.part] + each).astype(np.int64) - 1
+            for each in (beside.min(), beside.max())
+        )
+        if (turn != last).any():
+            turn = np.ceil(whole[own.part] + beside).astype(np.int64) - 1
+        yield Returns(
+            xyz.T, own.intensity, own.take(angles.ring)[0], own.time, own.take(turn)[0], own.packet
+        )
 
 
 def _layout(model: Model) -> Blocks:
@@ -97,53 +120,43 @@ def azimuths(layout: Blocks, packets: NDArray[np.uint8]) -> IntArray:
     return of_blocks(layout, packets, layout.azimuth, "<u2").astype(np.int64)
 
 
-def steps(differences: IntArray, circle: int) -> IntArray:
-    """Bring differences of azimuths to within half a circle."""
-    return (differences + circle // 2) % circle - circle // 2
-
-
 def unwrapped(azimuth: IntArray, circle: int) -> IntArray:
     """Count azimuths (N,) on over whole turns; from one to the next it is less than half a one."""
-    counted = np.cumsum(steps(np.diff(azimuth, prepend=azimuth[:1]), circle))
+    counted = np.cumsum(wrapped(np.diff(azimuth, prepend=azimuth[:1]), circle))
     return counted + azimuth[:1] if len(azimuth) else azimuth
 
 
-def returns_of(model: Model, packets: NDArray[np.uint8]) -> Kept:
+def fired(model: Model, packets: NDArray[np.uint8]) -> Iterator[Fired]:
     """Take the returns of packets within the range of the model, of equal ones the last."""
     layout = _layout(model)
-    shape = (len(packets), layout.count, layout.channels)
-    distance = np.ascontiguousarray(_of_channels(layout, packets, 0, "<u2"))
     near, far = (np.array(model.range_m) / model.distance_m).round(6)
     # Zero is no return.
-    kept = (distance >= max(np.ceil(near), 1)) & (distance <= np.floor(far))
+    least, most = max(math.ceil(near), 1), min(math.floor(far), 2**16 - 1)
     modes = _of_packets(packets, layout.returns, "u1") if layout.returns else np.zeros(1, np.uint8)
     echoes = ECHOES.get(int(np.bincount(modes).argmax()), 1) if len(packets) else 1
     echoes = echoes if layout.count % echoes == 0 else 1
-    if echoes > 1:
-        groups = distance.reshape(len(packets), -1, echoes, layout.channels)
-        own = kept.reshape(groups.shape)
-        for k in range(echoes - 1):
-            for other in range(k + 1, echoes):
-                same = _are_same(groups[:, :, k], groups[:, :, other], model.distance_m)
-                own[:, :, k] &= ~same
-    places = np.flatnonzero(kept)
-    counts = np.count_nonzero(kept.reshape(-1, layout.channels), axis=1)
-    channel = places - np.repeat(np.arange(len(counts)) * layout.channels, counts)
-    packet = np.repeat(np.arange(len(packets)), counts.reshape(shape[:2]).sum(axis=1))
-    began = _times(layout, packets)[:, None] + _blocks_s(layout, echoes)
-    fired = np.take(model.firing_s, channel)
-    if len(model.firing_s) > 1:
-        states = _states(layout, packets, echoes)
-        fired = model.firing_s[np.repeat(states, counts), channel]
-    intensity = np.take(_of_channels(layout, packets, 2, "u1"), places)
-    return Kept(
-        counts,
-        channel,
-        packet,
-        np.multiply(np.take(distance, places), model.distance_m, dtype=np.float64),
-        intensity.astype(np.float64),
-        np.repeat(began, counts) + fired,
-    )
+    began = (_times(layout, packets)[:, None] + _blocks_s(layout, echoes))[..., None]
+    states = _states(layout, packets, echoes)
+    firing = model.firing_s
+    for part in parts_in_cache(len(packets), layout.slots):
+        sent = np.ascontiguousarray(_of_channels(layout, packets[part], 0, "<u2"))
+        kept = (sent >= least) & (sent <= most)
+        if echoes > 1:
+            groups = sent.reshape(len(sent), -1, echoes, layout.channels)
+            own = kept.reshape(groups.shape)
+            for k in range(echoes - 1):
+                for other in range(k + 1, echoes):
+                    same = _are_same(groups[:, :, k], groups[:, :, other], model.distance_m)
+                    own[:, :, k] &= ~same
+        take = taking(kept)
+        yield Fired(
+            part,
+            take,
+            np.multiply(sent, model.distance_m, dtype=np.float64),
+            take(_of_channels(layout, packets[part], 2, "u1"))[0],
+            take(began[part] + (firing[states[part]] if len(firing) > 1 else firing[0]))[0],
+            take(np.arange(part.start, part.stop)[:, None, None])[0],
+        )
 
 
 def _are_same(one: NDArray[np.uint16], two: NDArray[np.uint16], unit: float) -> BoolArray:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.datatypes import Array, IntArray
 from ...base.errors import ReadError
@@ -108,7 +109,7 @@ def walk(path: Path) -> Capture:
         Where the file is no capture, holds no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
-    records, gaps = list[Record](), list[Record]()
+    records, gaps = list[Record | NDArray[np.void]](), list[Record]()
     tries = [100_000]
     with path.open("rb") as file:
         head = file.read(CAPTURE_HEADER)
@@ -119,9 +120,14 @@ def walk(path: Path) -> Capture:
             found = _plain(file, size, _byte_order(head), tries)
             header = CAPTURE_HEADER
         for record, following, at in found:
-            end = at if record is None else record.start + record.size
-            if record is not None and record.size:
+            if isinstance(record, Record):
+                end = record.start + record.size
+                records += [record] if record.size else []
+            elif record is not None:
+                end = following
                 records.append(record)
+            else:
+                end = at
             if following > end:
                 gaps.append(Record(end, following - end))
             # More is not worth the time: it is no capture.
@@ -130,18 +136,51 @@ def walk(path: Path) -> Capture:
                 raise ReadError(f"{damaged}, expected a capture")
     if not records and (gaps or not header):
         raise ReadError(f"holds no whole packet in the {size - header} bytes after its header")
+    found_records = _table(records)
     return Capture(
-        np.array([own[:2] for own in records], np.int64).reshape(-1, 2),
+        np.column_stack([found_records["start"], found_records["size"]]),
         np.array([own[:2] for own in gaps], np.int64).reshape(-1, 2),
         size,
-        np.array([own.time for own in records], np.float64),
-        np.array([own.link for own in records], np.int64),
+        found_records["time"],
+        found_records["link"],
     )
 
 
-Step = tuple[Record | None, int, int]
-"""A record, or None where there is none; the byte where the next begins, and where it was looked
-for."""
+RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i8")])
+"""What `Record` has, of many."""
+
+Step = tuple[Record | NDArray[np.void] | None, int, int]
+"""A record, many of them, or None where there is none; the byte where the next begins, and where it
+was looked for."""
+
+OF_ONE_SIZE = 8
+"""So many records of one size in a row may be followed by more, which are found at once."""
+
+
+def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
+    """Put records into one table, in their order."""
+    parts, ones = list[NDArray[np.void]](), list[Record]()
+    for own in records:
+        if isinstance(own, Record):
+            ones.append(own)
+        else:
+            parts += [np.array(ones, RECORDS), own]
+            ones = []
+    return np.concatenate([*parts, np.array(ones, RECORDS)])
+
+
+def _alike_records(block: bytes, here: int, length: int, at: int, order: Order) -> NDArray[np.void]:
+    """Find the records of one size that follow each other, but the last, from a place on."""
+    step = PACKET_HEADER + length
+    count = (len(block) - here) // step
+    heads = np.ndarray((count, 4), f"{order.mark}u4", block, here, (step, 4))
+    differ = np.flatnonzero((heads[:, 2] != length) | (heads[:, 1] >= 10**9))
+    heads = heads[: max((differ[0] if len(differ) else count) - 1, 0)]
+    found = np.empty(len(heads), RECORDS)
+    found["start"] = at + here + PACKET_HEADER + step * np.arange(len(heads))
+    found["time"] = heads[:, 0] + heads[:, 1] * order.tick
+    found["size"], found["link"] = length, order.link
+    return found
 
 
 def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterator[Step]:
@@ -152,7 +191,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
         # As long as each leads to another, they are read from a block at once.
         file.seek(at)
         block = file.read(LARGE_BLOCK)
-        last, here = len(block) - PACKET_HEADER, 0
+        last, here, same = len(block) - PACKET_HEADER, 0, 0
         while True:
             second, part, length, _ = header.unpack_from(block, here) if here <= last else (0,) * 4
             following = here + PACKET_HEADER + length
@@ -163,6 +202,15 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
             if not 0 < length_after <= MAX_PACKET or part_after >= 10**9 or after > size:
                 break
             start = at + here + PACKET_HEADER
+            same = same + 1 if length_after == length else 0
+            if same > OF_ONE_SIZE:
+                many = _alike_records(block, here, length, at, order)
+                following = here + len(many) * (PACKET_HEADER + length)
+                if len(many):
+                    yield many, at + following, at + here
+                    here, same = following, 0
+                    continue
+                following = here + PACKET_HEADER + length
             record = Record(start, length, second + part * order.tick, order.link)
             yield record, start + length, at + here
             here = following
@@ -345,58 +393,126 @@ def _follow(file: BinaryIO, at: int, size: int, order: str) -> bool:
     return True
 
 
-def packets(path: Path, capture: Capture) -> Iterator[bytes]:
-    """Read the packets of a capture one after the other."""
-    starts, sizes = capture.records.T
-    return parts_of(path, starts, sizes)
+class Alike(NamedTuple):
+    """Packets of one sender that differ in what they measured alone.
+
+    Attributes
+    ----------
+    first
+        One of them.
+    rows, times
+        Which of all they are, ascending, and when each came, s.
+    starts
+        Where in the file the payload of each begins.
+    """
+
+    first: Datagram
+    rows: Sequence[int] | IntArray
+    times: Sequence[float] | Array
+    starts: Sequence[int] | IntArray = ()
 
 
-def parts_of(path: Path, starts: IntArray, sizes: IntArray) -> Iterator[bytes]:
-    """Read parts of a file (N,) by where they begin, ascending, and their sizes."""
-    with path.open("rb") as file:
-        for k in range(0, len(starts), READ_AT_ONCE):
-            own = slice(k, k + READ_AT_ONCE)
-            first, end = int(starts[k]), int(np.max(starts[own] + sizes[own]))
-            places = zip(starts[own].tolist(), sizes[own].tolist(), strict=True)
-            if end - first <= LARGE_BLOCK:
-                file.seek(first)
-                block = file.read(end - first)
-                yield from (block[at - first : at - first + size] for at, size in places)
-                continue
-            for at, size in places:
-                file.seek(at)
-                yield file.read(size)
-
-
-def datagrams(path: Path, capture: Capture) -> Iterator[tuple[Datagram, int]]:
-    """Read what UDP carries in the packets of a capture, and where it begins in the file.
+def alike(
+    path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
+) -> Iterator[Alike]:
+    """Read what UDP carries in the packets of a capture; those that are alike together.
 
     A packet that carries none, or is damaged, gives an empty payload.
+
+    Parameters
+    ----------
+    path, capture
+        The file, and what `walk` found in it.
+    marks
+        From a payload to the parts of it in which payloads like it are the same; None where each is
+        to be looked at by itself.
     """
-    names: dict[bytes, str] = {}
-    starts, links, times = (
-        each.tolist() for each in (capture.records[:, 0], capture.links, capture.times)
-    )
-    for packet, start, link, time in zip(packets(path, capture), starts, links, times, strict=True):
-        at = _ip(packet, link)
-        size = len(packet) - at
-        if at < 0 or size < 28 or packet[at] >> 4 != 4 or packet[at + 9] != UDP:
-            yield Datagram(b"", "", time), start
-            continue
-        udp = at + (packet[at] & 15) * 4
-        whole = packet[at + 2] << 8 | packet[at + 3]
-        if not udp - at + 8 <= whole <= size:
-            yield Datagram(b"", "", time), start
-            continue
-        key = packet[at + 12 : at + 16] + packet[udp : udp + 2]
-        if key not in names:
-            address = ".".join(str(byte) for byte in key[:4])
-            names[key] = f"{address}:{int.from_bytes(key[4:], 'big')}"
-        yield Datagram(packet[udp + 8 : at + whole], names[key], time), start + udp + 8
+    starts, sizes = capture.records.T
+    with path.open("rb") as file:
+        for begin in range(0, len(starts), READ_AT_ONCE):
+            left = np.arange(begin, min(begin + READ_AT_ONCE, len(starts)))
+            offset = int(starts[begin])
+            end = int(starts[left[-1]] + sizes[left[-1]])
+            file.seek(offset)
+            # A gap may be as large as the file.
+            block = file.read(end - offset) if end - offset <= LARGEST_READ else b""
+            while len(left):
+                row, size, time = int(left[0]), int(sizes[left[0]]), float(capture.times[left[0]])
+                at = int(starts[row]) - offset
+                packet = block[at : at + size]
+                if not block:
+                    file.seek(int(starts[row]))
+                    packet = file.read(size)
+                first, payload, fixed = _udp(packet, int(capture.links[row]), time)
+                here = int(starts[row]) + payload
+                own = marks(first.payload) if first.payload and block else None
+                if own is None:
+                    yield Alike(first, (row,), (time,), (here,))
+                    left = left[1:]
+                    continue
+                parts = [
+                    np.arange(size)[part.start + payload : part.stop + payload] for part in own
+                ]
+                compared = np.concatenate([fixed, *parts])
+                is_like = (sizes[left] == size) & (capture.links[left] == capture.links[row])
+                places = (starts[left[is_like]] - offset)[:, None] + compared
+                found = np.frombuffer(block, np.uint8)[places]
+                is_like[is_like] = (found == found[0]).all(axis=1)
+                rows, left = left[is_like], left[~is_like]
+                yield Alike(first, rows, capture.times[rows], starts[rows] + payload)
 
 
-READ_AT_ONCE = 64
-"""Parts of a file that are read at once where they lie together."""
+def _udp(packet: bytes, link: int, time: float) -> tuple[Datagram, int, IntArray]:
+    """Take what UDP carries in a packet, where it begins, and which bytes before it are the same in
+    each packet of its size and sender.
+    """
+    nothing = Datagram(b"", "", time), 0, np.zeros(0, np.int64)
+    at = _ip(packet, link)
+    size = len(packet) - at
+    if at < 0 or size < 28 or packet[at] >> 4 != 4 or packet[at + 9] != UDP:
+        return nothing
+    udp = at + (packet[at] & 15) * 4
+    whole = packet[at + 2] << 8 | packet[at + 3]
+    if not udp - at + 8 <= whole <= size:
+        return nothing
+    address = ".".join(str(byte) for byte in packet[at + 12 : at + 16])
+    port = int.from_bytes(packet[udp : udp + 2], "big")
+    # But for the number of the packet and both checksums.
+    fixed = np.delete(np.arange(udp + 8), [at + 4, at + 5, at + 10, at + 11, udp + 6, udp + 7])
+    return Datagram(packet[udp + 8 : at + whole], f"{address}:{port}", time), udp + 8, fixed
+
+
+def packets(path: Path, capture: Capture) -> Iterator[bytes]:
+    """Read the packets of a capture one after the other."""
+    with path.open("rb") as file:
+        for start, size in capture.records.tolist():
+            file.seek(start)
+            yield file.read(size)
+
+
+def stacks_of(path: Path, starts: IntArray, size: int) -> Iterator[NDArray[np.uint8]]:
+    """Read parts of a file of one size by where they begin, ascending: some together (N, size)."""
+    with path.open("rb") as file:
+        for k in range(0, len(starts), READ_AT_ONCE):
+            own = starts[k : k + READ_AT_ONCE]
+            first, length = int(own[0]), int(own[-1] - own[0]) + size
+            if length <= LARGEST_READ:
+                file.seek(first)
+                block = np.frombuffer(file.read(length), np.uint8)
+                yield np.lib.stride_tricks.sliding_window_view(block, size)[own - first]
+                continue
+            parts = []
+            for start in own.tolist():
+                file.seek(start)
+                parts.append(file.read(size))
+            yield np.frombuffer(b"".join(parts), np.uint8).reshape(-1, size)
+
+
+READ_AT_ONCE = 256
+"""Packets that are read at once where they lie together."""
+
+LARGEST_READ = 2**21
+"""Bytes that are read for them at most, else each by itself."""
 
 UDP = 17
 """Number of UDP in an IP packet."""

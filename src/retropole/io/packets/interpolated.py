@@ -7,7 +7,9 @@ become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens bes
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,16 @@ from numpy.typing import NDArray
 from ...base.datatypes import Array, BoolArray
 from ...base.errors import ReadError
 from .clocks import seconds
-from .models import Angles, Interpolated, Model, Returns, is_other, rings_of
+from .models import (
+    Angles,
+    Interpolated,
+    Model,
+    Returns,
+    is_other,
+    parts_in_cache,
+    taking,
+    wrapped,
+)
 
 SMALL = 1e-6
 """Units by which the ends of a range, which are kept, may miss whole ones."""
@@ -29,9 +40,6 @@ STEP_BACK = 0.1
 
 DIFOP_START = bytes.fromhex("a5ff005a")
 """First bytes of the packets in which a RoboSense or a Leishen tells what it is."""
-
-AT_ONCE = 32
-"""Packets whose returns are placed at a time: what that takes stays in a processor's cache."""
 
 MOST_APART = 3.0
 """Degrees by which an elevation may differ from that of the table, as Leishen's driver has it."""
@@ -76,8 +84,8 @@ def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
 
 def decode(
     model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
-) -> Returns:
-    """Decode packets to returns, ordered by rows and channels.
+) -> Iterator[Returns]:
+    """Decode packets to returns, ordered by rows and channels, part by part.
 
     Raises
     ------
@@ -97,18 +105,19 @@ def decode(
     sent = seconds(layout.clock, packets, layout.stamp)
     rows, firing, period = _firings(layout, _rows(layout, packets), channels, sent)
     least, most = np.array(model.range_m) / model.distance_m
-    kept = (rows.distance >= np.ceil(least - SMALL)) & (rows.distance <= np.floor(most + SMALL))
+    least, most = math.ceil(least - SMALL), math.floor(most + SMALL)
+    kept = (rows.distance >= least) & (rows.distance <= min(most, 2**16 - 1))
     kept &= rows.valid[:, :, None]
     is_dual = _is_dual(rows.azimuth)
     if is_dual:
         kept &= _kept_of_two(rows, model.distance_m)
     # From a row to the one after it in its packet, which of a dual return is the next but one.
-    change = _change(rows.azimuth[:, :-1], rows.azimuth[:, 1:])
+    change = wrapped(np.diff(rows.azimuth), 360)
     usual = change[(change > 0) & (change <= WIDEST_STEP)]
     nominal = float(np.median(usual)) if len(usual) else 0.0
     ahead = 2 if is_dual else 1
     step = np.full(rows.azimuth.shape, nominal)
-    step[:, :-ahead] = _change(rows.azimuth[:, :-ahead], rows.azimuth[:, ahead:])
+    step[:, :-ahead] = wrapped(rows.azimuth[:, ahead:] - rows.azimuth[:, :-ahead], 360)
     step[(step <= 0) | (step > WIDEST_STEP)] = nominal
     turned = np.cumsum(np.pad(change, ((0, 0), (1, 0))), axis=1)
     late = np.rint(turned / nominal) * period if nominal else np.zeros(turned.shape)
@@ -117,20 +126,19 @@ def decode(
     # A sweep is cut between rows, as the makers' drivers do.
     turn = np.rint(positions[:, :1] - rows.azimuth[:, :1] / 360)
     turn = turn + np.rint((rows.azimuth[:, :1] + turned - rows.azimuth) / 360)
-
-    channel = np.arange(kept.shape[2]) % channels
-
-    def every(values: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(np.broadcast_to(values, kept.shape)[kept])
-
-    return Returns(
-        xyz=_placed(model, rows, step, firing / period, own, kept),
-        intensity=rows.intensity[kept].astype(np.float64),
-        ring=every(rings_of(own.elevation)[channel]),
-        time=every((sent[:, None] + late)[:, :, None]) + every(firing),
-        turn=every(turn.astype(np.int64)[:, :, None]),
-        packet=every(np.arange(len(packets))[:, None, None]),
-    )
+    turn, began = turn.astype(np.int64)[:, :, None], (sent[:, None] + late)[:, :, None]
+    ring = own.ring[np.arange(kept.shape[2]) % channels]
+    place = _placing(model, rows, step, firing / period, own)
+    for part in parts_in_cache(len(packets), layout.slots):
+        take = taking(kept[part])
+        yield Returns(
+            xyz=take(*place(part)).T,
+            intensity=take(rows.intensity[part])[0],
+            ring=take(ring)[0],
+            time=take(began[part] + firing)[0],
+            turn=take(turn[part])[0],
+            packet=take(np.arange(part.start, part.stop)[:, None, None])[0],
+        )
 
 
 def angles_told(model: Model, payload: bytes) -> Angles | None:
@@ -173,10 +181,10 @@ def _layout(model: Model) -> Interpolated:
     return model.layout
 
 
-def _placed(
-    model: Model, rows: _Rows, step: Array, share: Array, angles: Angles, kept: BoolArray
-) -> Array:
-    """Coordinates (M, 3) of those of the returns of rows that are kept (N, R, S).
+def _placing(
+    model: Model, rows: _Rows, step: Array, share: Array, angles: Angles
+) -> Callable[[slice], tuple[Array, Array, Array]]:
+    """Give the function from some packets to the coordinates x, y and z of all slots (N, R, S).
 
     Rows turn by steps (N, R), degrees, until the next; a share of it (S,) is behind as each fires.
     """
@@ -189,22 +197,23 @@ def _placed(
     beam = np.cos(angles.elevation)[channel] * np.exp(1j * (on + beside))
     of_lens = on + np.deg2rad(layout.lens[1]) + layout.has_lens_of_channels * beside
     lens, up = layout.lens[0] * np.exp(1j * of_lens), np.sin(angles.elevation)[channel]
-    turned = np.exp(1j * np.deg2rad(rows.azimuth))[:, :, None]
-    xyz, end = np.empty((np.count_nonzero(kept), 3)), 0
-    for first in range(0, len(kept), AT_ONCE):
-        part = slice(first, first + AT_ONCE)
-        distance = rows.distance[part] * model.distance_m
-        # In the plane, ahead is real and clockwise is imaginary.
-        plane = beam[of_step[part]]
-        plane *= distance
-        plane += lens[of_step[part]]
-        plane *= turned[part]
-        plane = plane[kept[part]]
-        start, end = end, end + len(plane)
-        ways = (plane.real, -plane.imag) if layout.is_x_ahead else (plane.imag, plane.real)
-        xyz[start:end, 0], xyz[start:end, 1] = ways
-        xyz[start:end, 2] = (distance * up)[kept[part]] + layout.lens[2]
-    return xyz
+    # In the plane, ahead is real and clockwise is imaginary.
+    beams, lenses = ((own.real.copy(), own.imag.copy()) for own in (beam, lens))
+    turned = np.deg2rad(rows.azimuth)[:, :, None]
+    cosines, sines = np.cos(turned), np.sin(turned)
+
+    def place(part: slice) -> tuple[Array, Array, Array]:
+        own, cosine, sine = of_step[part], cosines[part], sines[part]
+        distance = np.multiply(rows.distance[part], model.distance_m, dtype=np.float64)
+        there, aside = (
+            np.take(beam, own, axis=0) * distance + np.take(lens, own, axis=0)
+            for beam, lens in zip(beams, lenses, strict=True)
+        )
+        ahead, right = cosine * there - sine * aside, sine * there + cosine * aside
+        height = distance * up + layout.lens[2]
+        return (ahead, -right, height) if layout.is_x_ahead else (right, ahead, height)
+
+    return place
 
 
 def _blocks(layout: Interpolated, packets: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -288,8 +297,3 @@ def _kept_of_two(rows: _Rows, unit: float) -> BoolArray:
         *(np.multiply(flat[k], unit, dtype=np.float64) for k in (first, first + 1))
     )
     return kept.reshape(rows.distance.shape)
-
-
-def _change(start: Array, end: Array) -> Array:
-    """From one azimuth to another, degrees from -180 to below 180."""
-    return (end - start + 180) % 360 - 180

@@ -6,6 +6,7 @@ mirror is in a correction file of the unit.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...base.datatypes import Array, IntArray
 from ...base.errors import ReadError
-from .blocks import CIRCLE, azimuths, of_blocks, returns_of, steps, unwrapped
-from .models import Angles, Mirrors, Model, Returns
+from .blocks import CIRCLE, azimuths, fired, of_blocks, unwrapped
+from .models import Angles, Mirrors, Model, Returns, wrapped
 
 FINE = 256 * CIRCLE
 """Units of an azimuth with its finer part in a whole turn."""
@@ -32,37 +33,52 @@ def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
 
 def decode(
     model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
-) -> Returns:
+) -> Iterator[Returns]:
     """Decode packets of a few sweeps, as `blocks.decode` does."""
     angles = angles or model.angles
     azimuth = _azimuths(_layout(model), packets)
-    kept = returns_of(model, packets)
     starts = np.radians(_layout(model).starts_deg) if angles.starts is None else angles.starts
-    mirror = np.repeat(azimuth, kept.counts) * (2 * np.pi / FINE)
+    mirror = azimuth * (2 * np.pi / FINE)
     order = np.argsort(starts)
     # Before the first start, the last field goes on.
     field = order[np.searchsorted(starts[order], mirror, side="right") - 1]
-    turned = 2 * ((mirror - starts[field]) % (2 * np.pi)) + angles.azimuth[kept.channel]
-    elevation = angles.elevation[kept.channel]
-    if angles.adjusted is not None:
-        # Steps of 2° around the mirrors; the last goes on to the first.
-        at = mirror / np.radians(2)
-        low = at.astype(np.int64) % 180
-        part = at - np.floor(at)
-        added = [
-            (1 - part) * own[kept.channel, low] + part * own[kept.channel, (low + 1) % 180]
-            for own in angles.adjusted
-        ]
-        turned, elevation = turned + added[0], elevation + added[1]
-    level = kept.distance * np.cos(elevation)
-    xyz = np.column_stack(
-        [level * np.sin(turned), level * np.cos(turned), kept.distance * np.sin(elevation)]
-    )
+    beams = 2 * ((mirror - starts[field]) % (2 * np.pi))
+    # Steps of 2° around the mirrors; the last goes on to the first.
+    at = mirror / np.radians(2)
+    low, share = at.astype(np.int64) % 180, (at - np.floor(at))[..., None]
     start = np.round(positions[:, :1] * (FINE // MIRRORS)).astype(np.int64)
-    whole = start + steps(azimuth - azimuth[:, :1], FINE)
-    turn = np.repeat(whole // (FINE // MIRRORS), kept.counts)
-    ring = np.take(angles.ring, kept.channel)
-    return Returns(xyz, kept.intensity, ring, kept.time, turn, kept.packet)
+    whole = start + wrapped(azimuth - azimuth[:, :1], FINE)
+    turn = (whole // (FINE // MIRRORS))[..., None]
+    adjusted = [
+        (each.T.copy(), np.roll(each.T, -1, axis=0) - each.T)
+        for each in (() if angles.adjusted is None else angles.adjusted)
+    ]
+    for own in fired(model, packets):
+        if angles.adjusted is None:
+            ahead, aside, up = angles.ways
+            sine, cosine = (f(beams[own.part])[..., None] for f in (np.sin, np.cos))
+            x, y = sine * ahead + cosine * aside, cosine * ahead - sine * aside
+        else:
+            here, part = low[own.part], share[own.part]
+            # Between two steps, of which each has a row of (180, C).
+            added, more = (
+                np.take(each, here, axis=0) + part * np.take(step, here, axis=0)
+                for each, step in adjusted
+            )
+            sine, cosine = _sine_and_cosine(beams[own.part][..., None] + angles.azimuth + added)
+            up, level = _sine_and_cosine(angles.elevation + more)
+            x, y = level * sine, level * cosine
+        distance = own.distance
+        xyz = own.take(distance * x, distance * y, distance * up)
+        ring, turns = own.take(angles.ring)[0], own.take(turn[own.part])[0]
+        yield Returns(xyz.T, own.intensity, ring, own.time, turns, own.packet)
+
+
+def _sine_and_cosine(angle: Array) -> tuple[Array, Array]:
+    """Give both by the tangent of the half, which NumPy works out several times faster."""
+    tangent = np.tan(angle / 2)
+    more = 2 / (1 + tangent * tangent)
+    return tangent * more, more - 1
 
 
 def _layout(model: Model) -> Mirrors:

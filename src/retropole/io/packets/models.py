@@ -8,17 +8,20 @@ a module with ``positions`` and ``decode``.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.datatypes import Array, BoolArray, IntArray
 from ...base.quantities import counted
+
+T = TypeVar("T", np.int64, np.float64)
 
 MAKERS = ("hesai", "robosense", "leishen", "livox")
 """Files of tables, one for each maker."""
@@ -44,11 +47,51 @@ class Returns(NamedTuple):
     """
 
     xyz: Array
-    intensity: Array
-    ring: IntArray | None
+    intensity: NDArray[np.uint8]
+    ring: NDArray[np.int16] | None
     time: Array
     turn: IntArray
     packet: IntArray
+
+
+IN_CACHE = 2**13
+"""Returns that are decoded at a time: what that takes stays in a processor's cache, and no array
+has the 128 kB from which on glibc asks the system for new pages each time, which is slow."""
+
+
+def parts_in_cache(packets: int, slots: int) -> Iterator[slice]:
+    """Divide packets that hold so many returns each into those that are decoded at a time."""
+    step = max(IN_CACHE // slots, 1)
+    return (slice(k, min(k + step, packets)) for k in range(0, packets, step))
+
+
+def taking(kept: BoolArray) -> Callable[..., NDArray[Any]]:
+    """Give what takes those that are kept of each of some values (K, M), one row for each.
+
+    Values are of the shape of `kept`, or broadcast to it.
+    """
+    places = None if kept.all() else np.flatnonzero(kept)
+    count = kept.size if places is None else len(places)
+
+    def take(*values: NDArray[Any]) -> NDArray[Any]:
+        found = np.empty((len(values), count), values[0].dtype)
+        for own, each in zip(found, values, strict=True):
+            if places is None:
+                own.reshape(kept.shape)[...] = each
+            else:
+                # To take by indices is several times faster than by what is true; the mode leaves
+                # out a buffer.
+                every = np.broadcast_to(each, kept.shape).reshape(-1)
+                np.take(every, places, out=own, mode="clip")
+        return found
+
+    return take
+
+
+def wrapped(differences: NDArray[T], circle: int) -> NDArray[T]:
+    """Bring differences of azimuths to within half a circle, its lower end included."""
+    found: NDArray[T] = (differences + circle // 2) % circle - circle // 2
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +116,16 @@ class Angles:
     adjusted: Array | None = None
 
     @cached_property
-    def ring(self) -> IntArray:
+    def ring(self) -> NDArray[np.int16]:
         """Rank of each channel (C,) by its elevation, from below."""
-        return rings_of(self.elevation)
+        return rings_of(self.elevation).astype(np.int16)
+
+    def looks_as(self, other: Angles | None) -> bool:
+        """Whether its channels look where those of another do."""
+        return other is not None and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("elevation", "azimuth")
+        )
 
     @cached_property
     def ways(self) -> tuple[Array, Array, Array]:
@@ -128,6 +178,11 @@ class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True
     is_counted_back: bool = True
     states: Literal["", "loops", "bits"] = ""
     state: int = 0
+
+    @property
+    def slots(self) -> int:
+        """Returns that a packet holds at most."""
+        return self.count * self.channels
 
 
 class Mirrors(Blocks, frozen=True, tag="mirrors", kw_only=True):
@@ -197,6 +252,11 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits: int = 0xFFFF
     difop: Difop | None = None
 
+    @property
+    def slots(self) -> int:
+        """Returns that a packet holds at most."""
+        return self.count * self.channels
+
 
 class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where a LiDAR tells its angles: elevations from byte `at`, and azimuths after them.
@@ -252,6 +312,11 @@ class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True
     gap_us: float = 0.0
     is_dual: bool = False
 
+    @property
+    def slots(self) -> int:
+        """Returns that a packet holds at most."""
+        return self.count * self.points
+
 
 AnyLayout = Blocks | Mirrors | Interpolated | Points
 
@@ -261,8 +326,9 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes
     ----------
-    name, maker, port
-        Of the model; the port, UDP, is the one that it sends to unless it was told otherwise.
+    name, maker, port, port_told
+        Of the model; the ports, UDP, are those that it sends returns, and what it tells of itself,
+        to unless it was told otherwise; 0 where it does not tell its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
@@ -289,6 +355,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     range_m: tuple[float, float]
     layout: AnyLayout
     source: str
+    port_told: int = 0
     elevation_deg: tuple[float, ...] = ()
     azimuth_deg: tuple[float, ...] = ()
     tried: str = ""

@@ -7,12 +7,15 @@ second. Livox' tags say how likely a point is noise; no manual says to drop any,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.datatypes import Array
+from ...base.datatypes import Array, BoolArray
 from .clocks import seconds
-from .models import Angles, Model, Points, Returns, is_other
+from .models import Angles, Model, Points, Returns, is_other, parts_in_cache, taking
 
 LATE = 10
 """By how many packets a counter may step back and yet count the same frame: some came late."""
@@ -33,31 +36,49 @@ def positions(model: Model, packets: NDArray[np.uint8]) -> Array:
 
 def decode(
     model: Model, packets: NDArray[np.uint8], angles: Angles | None, positions: Array
-) -> Returns:
+) -> Iterator[Returns]:
     """Decode packets to returns, in the order of blocks and points; `angles` are not needed."""
     layout = _layout(model)
+    sent, late = seconds(layout.clock, packets, layout.stamp), _late(layout, packets)
+    began = (sent[:, None] + late)[:, :, None]
+    share = 0 if layout.counter else late / layout.sweep_s
+    turn = np.floor(positions[:, :1] + share).astype(np.int64)[:, :, None]
     blocks = _blocks(layout, packets)
-    points = blocks["points"]
-    xyz, distance = _placed(layout, model.distance_m, points)
-    kept = (distance >= model.range_m[0] - 1e-9) & (distance <= model.range_m[1] + 1e-9)
-    if layout.is_dual:
-        kept[:, :, 0] &= is_other(distance[:, :, 0], distance[:, :, 1])
-    elif "number" in (blocks.dtype.names or ()):
-        number, rows = blocks["number"].ravel(), distance.reshape(-1, layout.points)
+    second = _seconds_of_two(layout, model.distance_m, blocks)
+    for part in parts_in_cache(len(packets), layout.slots):
+        points = blocks["points"][part]
+        (x, y, z), distance = _placed(layout, model.distance_m, points)
+        kept = (distance >= model.range_m[0] - 1e-9) & (distance <= model.range_m[1] + 1e-9)
+        if second is not None:
+            kept &= second[part]
+        take = taking(kept)
+        yield Returns(
+            xyz=take(x, y, z).T,
+            intensity=take(points["intensity"])[0],
+            ring=None,
+            time=take(began[part])[0],
+            turn=take(turn[part])[0],
+            packet=take(np.arange(part.start, part.stop)[:, None, None])[0],
+        )
+
+
+def _seconds_of_two(layout: Points, unit: float, blocks: NDArray[np.void]) -> BoolArray | None:
+    """Find the returns (N, B, P) that remain where firings may have two; None where they do not."""
+    has_numbers = "number" in (blocks.dtype.names or ())
+    first = np.zeros(0, np.int64)
+    if has_numbers:
+        number = blocks["number"].ravel()
         first = np.flatnonzero((number[:-1] == 1) & (number[1:] == 2))
-        flat = kept.reshape(rows.shape)
-        flat[first] &= is_other(rows[first], rows[first + 1])
-    packet, block, point = np.nonzero(kept)
-    late = _late(layout, packets)[packet, block]
-    turn = np.floor(positions[packet, 0] + (0 if layout.counter else late / layout.sweep_s))
-    return Returns(
-        xyz=xyz[packet, block, point],
-        intensity=points["intensity"][packet, block, point].astype(np.float64),
-        ring=None,
-        time=seconds(layout.clock, packets, layout.stamp)[packet] + late,
-        turn=turn.astype(np.int64),
-        packet=packet,
-    )
+    if not (layout.is_dual or len(first)):
+        return None
+    _, distance = _placed(layout, unit, blocks["points"])
+    kept = np.ones(distance.shape, bool)
+    if layout.is_dual:
+        kept[:, :, 0] = is_other(distance[:, :, 0], distance[:, :, 1])
+    else:
+        rows = distance.reshape(-1, layout.points)
+        kept.reshape(rows.shape)[first] = is_other(rows[first], rows[first + 1])
+    return kept
 
 
 def _layout(model: Model) -> Points:
@@ -87,18 +108,31 @@ def _late(layout: Points, packets: NDArray[np.uint8]) -> Array:
     return (low + 256 * high)[:, None] * 1e-7 * place / layout.count
 
 
-def _placed(layout: Points, unit: float, points: NDArray[np.void]) -> tuple[Array, Array]:
-    """Coordinates (N, B, P, 3) and distance (N, B, P) of points, metres."""
+def _placed(layout: Points, unit: float, points: NDArray[np.void]) -> tuple[list[Array], Array]:
+    """Coordinates x, y and z, and distance of points, each (N, B, P), metres."""
     if layout.form == "coordinates":
-        xyz = np.stack([points[axis] * unit for axis in "xyz"], axis=-1)
-        return xyz, np.sqrt((xyz**2).sum(axis=-1))
-    distance = points["distance"] * unit
+        xyz = [np.multiply(points[axis], unit, dtype=np.float64) for axis in "xyz"]
+        return xyz, np.sqrt(sum(each**2 for each in xyz))
+    distance = np.multiply(points["distance"], unit, dtype=np.float64)
     if layout.form == "vector":
         ways = [points[axis] / 2**15 for axis in "xyz"]
     else:
-        up, turned = ((points[n].astype(np.int64) - layout.zero) * 1e-2 for n in ("pitch", "yaw"))
         # From the horizontal plane, or down from the zenith.
-        up = np.deg2rad(up if layout.form == "elevation" else 90 - up)
-        out, turned = np.cos(up), np.deg2rad(turned)
-        ways = [out * np.cos(turned), out * np.sin(turned), np.sin(up)]
-    return np.stack([way * distance for way in ways], axis=-1), distance
+        pitch = np.subtract(points["pitch"], layout.zero, dtype=np.int64)
+        up = pitch if layout.form == "elevation" else 9000 - pitch
+        turned = np.subtract(points["yaw"], layout.zero, dtype=np.int64)
+        sine, cosine = _circle()
+        out = np.take(cosine, up, mode="wrap")
+        ways = [
+            out * np.take(cosine, turned, mode="wrap"),
+            out * np.take(sine, turned, mode="wrap"),
+            np.take(sine, up, mode="wrap"),
+        ]
+    return [way * distance for way in ways], distance
+
+
+@cache
+def _circle() -> tuple[Array, Array]:
+    """Give sine and cosine of each 0.01° of a circle (36000,)."""
+    angle = np.radians(np.arange(36_000) / 100)
+    return np.sin(angle), np.cos(angle)

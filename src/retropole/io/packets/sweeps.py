@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from types import ModuleType
 from typing import NamedTuple
 
@@ -54,10 +53,7 @@ FAMILIES: dict[type[Layout], ModuleType] = {
 """By the layout of a model, the module that decodes its packets."""
 
 AT_ONCE = 1024
-"""Packets whose positions are read at a time: 1.5 MB."""
-
-IN_CACHE = 2**15
-"""Returns of blocks that are decoded at a time: measured, of an OT128 in 0.8 of the time."""
+"""Packets of a bag that are in memory at a time: 1.5 MB."""
 
 PILED = 64
 """Packets that come now are looked at so many at a time: every 5 to 30 ms."""
@@ -71,22 +67,21 @@ def stacked(payloads: Sequence[bytes]) -> NDArray[np.uint8]:
     return np.frombuffer(b"".join(payloads), np.uint8).reshape(len(payloads), -1)
 
 
-def positions_of(model: Model, payloads: Iterable[bytes]) -> Array:
-    """Give the positions (N, 2) of packets, of which few are in memory at a time."""
+def positions_of(model: Model, stacks: Iterable[NDArray[np.uint8]]) -> Array:
+    """Give the positions (N, 2) of packets, which come some together."""
     parts: list[Array] = []
-    last: list[bytes] = []
-    coming = iter(payloads)
-    while part := list(islice(coming, AT_ONCE)):
-        found = _on(model, [*last, *part], parts[-1] if parts else None)
+    last = np.zeros((0, 0), np.uint8)
+    for stack in stacks:
+        found = _on(model, np.concatenate([last, stack]) if len(last) else stack, parts[-1:])
         parts.append(found[len(last) :])
-        last = part[-1:]
+        last = stack[-1:]
     return np.concatenate(parts) if parts else np.zeros((0, 2))
 
 
-def _on(model: Model, payloads: Sequence[bytes], before: Array | None) -> Array:
+def _on(model: Model, packets: NDArray[np.uint8], before: Sequence[Array]) -> Array:
     """Give positions that go on from others, the last of which is that of the first packet."""
-    found: Array = FAMILIES[type(model.layout)].positions(model, stacked(payloads))
-    return found if before is None else found + np.round(before[-1, 0] - found[0, 0])
+    found: Array = FAMILIES[type(model.layout)].positions(model, packets)
+    return found + np.round(before[-1][-1, 0] - found[0, 0]) if before else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +153,7 @@ def sweeps_of(
     angles: Angles | None,
     index: Index,
     numbers: range,
-    read: Callable[[IntArray], Iterator[bytes]],
+    read: Callable[[IntArray], Iterator[NDArray[np.uint8]]],
 ) -> Iterator[tuple[int, Sweep]]:
     """Decode sweeps, each from its own packets.
 
@@ -169,30 +164,34 @@ def sweeps_of(
     numbers
         Ascending, which of the sweeps.
     read
-        From ascending rows to these packets, one after the other.
+        From ascending rows to these packets, some together.
     """
     needed = np.unique(np.concatenate([index.rows[k] for k in numbers]))
-    coming = zip(needed.tolist(), read(needed), strict=False)
-    held: dict[int, bytes] = {}
-    row = -1
+    coming = read(needed)
+    # What was read and may be needed still, and how many of those needed came before it.
+    held: list[NDArray[np.uint8]] = []
+    before = 0
     for number in numbers:
-        rows = index.rows[number]
-        held = {own: payload for own, payload in held.items() if own >= rows[0]}
-        while row < rows[-1]:
-            row, payload = next(coming, (len(index.positions), b""))
-            held[row] = payload
-        there = np.array([row for row in rows.tolist() if row in held], np.int64)
-        if len(there):
-            payloads = [held[row] for row in there.tolist()]
+        places = np.searchsorted(needed, index.rows[number])
+        while held and before + len(held[0]) <= places[0]:
+            before += len(held.pop(0))
+        end = before + sum(map(len, held))
+        while end <= places[-1] and (stack := next(coming, None)) is not None:
+            held.append(stack)
+            end += len(stack)
+        places = places[(places >= before) & (places < end)]
+        if len(places):
+            rows = needed[places]
+            packets = (held[0] if len(held) == 1 else np.concatenate(held))[places - before]
             ends = int(index.turns.min()), int(index.turns.max())
             turn = int(index.turns[number])
-            yield number, sweep(model, angles, payloads, index.positions[there], turn, ends)
+            yield number, sweep(model, angles, packets, index.positions[rows], turn, ends)
 
 
 def sweep(
     model: Model,
     angles: Angles | None,
-    payloads: Sequence[bytes],
+    packets: NDArray[np.uint8],
     positions: Array,
     turn: int,
     ends: tuple[int, int],
@@ -201,30 +200,37 @@ def sweep(
 
     Parameters
     ----------
-    model, angles, payloads, positions
-        Of the packets that hold parts of it.
+    model, angles, packets, positions
+        Of the packets (N, size) that hold parts of it.
     turn, ends
         Its number; the first and the last of all, to which what lies before and after belongs.
     """
     family = FAMILIES[type(model.layout)]
 
-    # Blocks do not need each other, and what fits into the cache is decoded faster.
-    at_once = len(payloads)
-    if isinstance(model.layout, Blocks):
-        at_once = max(IN_CACHE // (model.layout.count * model.layout.channels), 1)
-
-    def part(start: int) -> dict[str, NDArray[np.generic]]:
-        rows = slice(start, start + at_once)
-        found: Returns = family.decode(model, stacked(payloads[rows]), angles, positions[rows])
-        own = np.flatnonzero(np.clip(found.turn, *ends) == turn)
-        named: dict[str, NDArray[np.generic]]
-        named = {axis: np.take(found.xyz[:, k], own) for k, axis in enumerate("xyz")}
-        named |= {"intensity": np.take(found.intensity, own), "time": np.take(found.time, own)}
-        return named if found.ring is None else {**named, "ring": np.take(found.ring, own)}
-
     def columns() -> Columns:
-        parts = [part(start) for start in range(0, len(payloads), at_once)]
-        return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
+        types = {axis: "f8" for axis in "xyz"} | {"time": "f8", "ring": "i2", "intensity": "u1"}
+        # One piece of memory for all columns is got, and given back, much faster than one for each.
+        most = len(packets) * model.layout.slots
+        room = np.empty(most * sum(np.dtype(kind).itemsize for kind in types.values()), np.uint8)
+        named: dict[str, NDArray[np.generic]] = {}
+        at = count = 0
+        for name, kind in types.items():
+            size = most * np.dtype(kind).itemsize
+            named[name], at = room[at : at + size].view(kind), at + size
+        found: Returns
+        for found in family.decode(model, packets, angles, positions):
+            is_own = np.clip(found.turn, *ends) == turn
+            own = None if is_own.all() else np.flatnonzero(is_own)
+            start, count = count, count + (len(is_own) if own is None else len(own))
+            values = dict(zip("xyz", found.xyz.T, strict=True), **found._asdict())
+            if found.ring is None:
+                named.pop("ring", None)
+            for name, column in named.items():
+                if own is None:
+                    column[start:count] = values[name]
+                else:
+                    np.take(values[name], own, out=column[start:count], mode="clip")
+        return {name: column[:count] for name, column in named.items()}
 
     used = (angles or model.angles) if model.elevation_deg or angles else None
     notes = (f"angles of {model.title}: {used.found}",) if used else ()
@@ -251,9 +257,9 @@ def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]
         coming.append(payload)
         if len(coming) < PILED:
             return None
-        before = positions if len(positions) else None
-        carried = held[-1:] if before is not None else []
-        found = _on(model, [*carried, *coming], before)[len(carried) :]
+        before = [positions] if len(positions) else []
+        carried = held[-1:] if before else []
+        found = _on(model, stacked([*carried, *coming]), before)[len(carried) :]
         held, positions, coming = held + coming, np.concatenate([positions, found]), []
         direction = 1 if positions[-1, 0] >= positions[0, 0] else -1
         if following is None:
@@ -265,8 +271,8 @@ def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]
         done = None
         if (whole - following) * direction >= 0:
             rows = _rows_of(positions, whole, margin)
-            payloads = [held[row] for row in rows.tolist()]
-            done = sweep(model, angles, payloads, positions[rows], whole, (whole - 9, whole + 9))
+            packets = stacked([held[row] for row in rows.tolist()])
+            done = sweep(model, angles, packets, positions[rows], whole, (whole - 9, whole + 9))
             following = whole + direction
         start = 0
         if done is not None:

@@ -87,6 +87,7 @@
       numbers(`${lidar.sweeps_per_s.toFixed(1)} sweeps a second`, age, counted(lidar.points, "point")),
     ];
     if (lidar.word) parts.push(make("p", "fault", lidar.word));
+    if (lidar.skipped) parts.push(make("p", "soft", lidar.skipped));
     if (lidar.poles.length) parts.push(make("ul", "poles", ...lidar.poles.map(poleOf)));
     else parts.push(make("p", "soft", "No pole is seen."));
     return make("section", "", ...parts);
