@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from ..base.datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import RADIUS, RING, WIDTH, Layout, band_of, by_error
 from .likelihood import FEW_NODES, arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
@@ -52,8 +54,12 @@ in units of 1 σ and of the information, at which the distribution is its own av
 then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
 rounds."""
 
-_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(FEW_NODES)
-_WEIGHT = _WEIGHT / _WEIGHT.sum()
+
+@cache
+def _hermite(nodes: int) -> tuple[Array, Array]:
+    """Nodes of an average over a normal distribution, in units of its 1 σ, and their weights."""
+    at, weight = np.polynomial.hermite_e.hermegauss(nodes)
+    return at, weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +72,14 @@ class View:
         (K, 4) and (K, 4, 4) of point and direction, in the order of `State.moved`.
     noise
         (2,) of its returns, in depth and sideways, metres.
+    nodes
+        Of averages over it.
     """
 
     shift: Array
     covariance: Array
     noise: Array
+    nodes: int = FEW_NODES
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +102,12 @@ class Average:
     inlier: Array
     noise: Array
 
+    def part(self, some: BoolArray) -> Average:
+        """Give that of some of the beams (N,)."""
+        own = self.inlier, self.noise
+        inlier, noise = (each[some] for each in own) if len(self.inlier) else own
+        return Average(self.log[some], self.score[some], self.information[some], inlier, noise)
+
 
 def exact_view(poles: int, noise: Array) -> View:
     """View that leaves nothing open: averages over it are what is at the state."""
@@ -114,6 +129,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
         About the state.
     """
     J = _by_axis(seen.jacobian, beams.pole)
+    at, weight = _hermite(view.nodes)
     moved = np.einsum("nci,ni->nc", J, view.shift[beams.pole])
     spread = np.einsum("nci,nij,nej->nce", J, view.covariance[beams.pole], J)
     # The depth goes with the lateral offset. What is left of it adds to the noise alone: in depth
@@ -124,37 +140,38 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     rest = np.maximum(spread[:, 0, 0] - depthways**2, 0.0) / sigma**2
     # All nodes at once: the arrays are small, and calls cost more than what they compute.
     arc = arc_likelihood(
-        (seen.depth + moved[:, 0] + _AT[:, None] * depthways).reshape(-1),
-        (seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways).reshape(-1),
-        np.tile(sigma, FEW_NODES),
-        np.full(FEW_NODES * len(sigma), view.noise[1]),
+        (seen.depth + moved[:, 0] + at[:, None] * depthways).reshape(-1),
+        (seen.lateral_offset + moved[:, 1] + at[:, None] * sideways).reshape(-1),
+        np.tile(sigma, view.nodes),
+        np.full(view.nodes * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, FEW_NODES),
-        np.tile(beams.beside, FEW_NODES),
+        np.tile(beams.half_width, view.nodes),
+        np.tile(beams.beside, view.nodes),
     )
-    information, inlier = _averaged(arc.information, _WEIGHT), _averaged(arc.inlier, _WEIGHT)
-    noise = _averaged(arc.inlier[:, None] * arc.noise, _WEIGHT)
+    information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
+    noise = _averaged(arc.inlier[:, None] * arc.noise, weight)
     noise /= np.maximum(inlier, 1e-300)[:, None]
     noise[:, 0] += rest
-    score = _averaged(arc.score, _WEIGHT) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
-    return Average(_averaged(arc.log, _WEIGHT), score, information, inlier, noise)
+    score = _averaged(arc.score, weight) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
+    return Average(_averaged(arc.log, weight), score, information, inlier, noise)
 
 
 def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
     """Average as in `average_returns` for beams that passed beside poles."""
     own, count = beams.passed_pole, len(beams.passed_pole)
+    at, weight = _hermite(view.nodes)
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
     free = passed_beam_likelihood(
-        (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
-        np.full(FEW_NODES * count, view.noise[1]),
+        (seen.lateral_offset + moved + at[:, None] * sideways).reshape(-1),
+        np.full(view.nodes * count, view.noise[1]),
         radius,
-        np.tile(beams.passed_half_width, FEW_NODES),
+        np.tile(beams.passed_half_width, view.nodes),
     )
-    information = _averaged(free.information, _WEIGHT)
-    score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]
-    log = _averaged(free.log, _WEIGHT)
+    information = _averaged(free.information, weight)
+    score = _averaged(free.score, weight) + information[:, :, 0] * moved[:, None]
+    log = _averaged(free.log, weight)
     return Average(log, score, information, np.zeros(0), np.zeros((0, 2)))
 
 
@@ -165,7 +182,12 @@ def _averaged(values: Array, weight: Array) -> Array:
 
 
 def find_view(
-    state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
+    state: State,
+    lidar: int,
+    beams: Beams,
+    noise: Array,
+    rounds: int = MAX_ROUNDS,
+    nodes: int = FEW_NODES,
 ) -> View:
     """Find what a LiDAR's own beams leave open of each axis, pose and errors as in the state.
 
@@ -179,14 +201,14 @@ def find_view(
         Its own.
     noise
         (2,) there, in depth and sideways, metres.
-    rounds
-        Of which no more are taken.
+    rounds, nodes
+        Of which no more are taken, and of the averages.
     """
     poles = len(state.points)
     seen, beside = own_geometry(state, lidar, beams)
     J = _by_axis(seen.jacobian, beams.pole)
     J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
-    view = exact_view(poles, np.asarray(noise, dtype=np.float64))
+    view = replace(exact_view(poles, np.asarray(noise, dtype=np.float64)), nodes=nodes)
     precision: Array | None = None
     for _ in range(rounds):
         on = average_returns(seen, beams, state.radius, view)
@@ -218,7 +240,7 @@ def find_view(
         shift = view.shift + step
         far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
         shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
-        view = View(shift, covariance, _noise(view.noise, on))
+        view = View(shift, covariance, _noise(view.noise, on), nodes)
         precision = blended
         if settled:
             break
@@ -243,28 +265,42 @@ WIDTH_STEP = 0.01
 """Of the logarithm of the width of a beam, over which its derivatives are taken as differences."""
 
 
+def average_lidar(state: State, lidar: int, one: Beams, view: View) -> tuple[Average, Average]:
+    """Average the likelihood of one LiDAR's returns, and of its beams that passed, with widths."""
+    seen, beside = own_geometry(state, lidar, one)
+    return (
+        with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view)),
+        with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view)),
+    )
+
+
 def expand_lidar(
-    state: State, lidar: int, one: Beams, view: View, layout: Layout
+    state: State, lidar: int, one: Beams, averages: tuple[Average, Average], layout: Layout
 ) -> tuple[Array, Array, Array]:
     """Expand the likelihood of one LiDAR's beams: information, gradient, inliers on each pole.
 
-    Over pose, errors and axes; the target (0) has no part in the pose. In some
-    directions there may be less information than none; see `semidefinite`.
+    Over pose, errors and axes, from the averages of `average_lidar`; the target (0) has no part in
+    the pose. In some directions there may be less information than none; see `semidefinite`.
     """
-    seen, beside = own_geometry(state, lidar, one)
-    on = with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view))
-    passed = with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view))
-    J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
-    size = J.shape[2]
-    flat = J.reshape(-1, size)
-    information = flat.T @ (on.information @ J).reshape(-1, size)
+    on, passed = averages
+    # All at once: the arrays are small, and calls cost as much as what they compute.
+    J = _jacobian(
+        state,
+        lidar,
+        np.concatenate([each.jacobian for each in own_geometry(state, lidar, one)]),
+        np.concatenate([one.directions, one.passed_directions]),
+        np.concatenate([one.ranges, np.zeros(len(one.passed_pole))]),
+        one,
+        np.concatenate([one.pole, one.passed_pole]),
+        layout,
+    )
+    size, count = J.shape[2], len(one.pole)
+    flat = J[:count].reshape(-1, size)
+    information = flat.T @ (on.information @ J[:count]).reshape(-1, size)
     gradient = on.score.reshape(-1) @ flat
     if len(one.passed_pole):
-        far = np.zeros(len(one.passed_pole))
-        own = one.passed_pole
-        J = _jacobian(state, lidar, beside, one.passed_directions, far, one, own, layout)[:, 1:]
-        flat = J.reshape(-1, size)
-        information = information + flat.T @ (passed.information @ J).reshape(-1, size)
+        flat = J[count:, 1:].reshape(-1, size)
+        information = information + flat.T @ (passed.information @ J[count:, 1:]).reshape(-1, size)
         gradient = gradient + passed.score.reshape(-1) @ flat
     inliers = np.bincount(one.pole, on.inlier, len(state.points)).astype(np.float64)
     return np.asarray(information), np.asarray(gradient), inliers
@@ -309,7 +345,7 @@ def semidefinite(information: Array, eigenvalues: Callable[[Array], Array]) -> A
 def _jacobian(
     state: State,
     lidar: int,
-    seen: BeamGeometry,
+    geometry: Array,
     directions: Array,
     ranges: Array,
     beams: Beams,
@@ -319,8 +355,8 @@ def _jacobian(
     """Derivative (N, 4, P) of depth, offset, radius and log-width by pose, errors and axes."""
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
-    q, n = ((state.points - t) @ R)[own], (state.directions @ R)[own]
-    by = closest_approach(beams.origin, directions, q, n)
+    q, n = (state.points - t) @ R, state.directions @ R
+    by = closest_approach(beams.origin, directions, q[own], n[own])
     ahead = by.ranges - ranges + state.offsets[lidar]
     by_axis = np.stack(
         [
@@ -330,10 +366,10 @@ def _jacobian(
         axis=1,
     )
     # Turning the beam about its origin is turning the axis the other way.
-    arm = (q - beams.origin)[:, None, :]
-    by_rotation = -np.cross(arm, by_axis[:, :, :3]) - np.cross(n[:, None, :], by_axis[:, :, 3:])
-    raising = np.cross(directions, beams.axis)
-    raising /= np.maximum(np.linalg.norm(raising, axis=1), 1e-9)[:, None]
+    by_rotation = by_axis[:, :, :3] @ se3.hat(q - beams.origin)[own]
+    by_rotation += by_axis[:, :, 3:] @ se3.hat(n)[own]
+    raising = directions @ se3.hat(beams.axis)
+    raising /= np.maximum(se3.lengths(raising), 1e-9)[:, None]
     by_range = np.stack([-by.sine, 0.0 * by.sine], axis=1)
     device, ring = by_error(
         by_range,
@@ -346,12 +382,12 @@ def _jacobian(
         tape=True,
     )
     axes = POSE + layout.size
-    J = np.zeros((len(own), 4, axes + seen.jacobian.shape[2] - SHARED))
-    J[:, :2, :POSE] = seen.jacobian[:, :, :POSE]
+    J = np.zeros((len(own), 4, axes + geometry.shape[2] - SHARED))
+    J[:, :2, :POSE] = geometry[:, :, :POSE]
     J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
     J[:, 2, POSE + RADIUS] = 1.0
     J[:, 3, POSE + layout.device(lidar).start + WIDTH] = 1.0
-    J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
+    J[:, :2, axes:] = geometry[:, :, SHARED:]
     bands = band_of(directions, beams.axis)
     # Beams that passed may lie in bands that no return is in.
     rows = np.flatnonzero(np.isin(bands, layout.bands[lidar]))
