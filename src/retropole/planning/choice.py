@@ -165,7 +165,7 @@ class Design:
         """
         place, root = self.roots[k]
         own = inverse[: self.unknowns.poses, place] @ root
-        inner = np.eye(root.shape[1]) + sign * (root.T @ inverse[np.ix_(place, place)] @ root)
+        inner = np.eye(root.shape[1]) + sign * (root.T @ (inverse[place][:, place] @ root))
         less = np.einsum("ij,ji->i", own, np.linalg.solve(inner, own.T))
         return np.asarray(-sign * (less[POSE:].reshape(-1, POSE) @ self.weight))
 

@@ -65,9 +65,9 @@ def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, 
     xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
     away = float(np.linalg.norm(own.centre))
     reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
-    near = beams.directions @ (own.centre / away) > np.sqrt(1 - (reach / away) ** 2)
-    near &= np.isfinite(beams.ranges)
-    near[met.beam] = False
+    cone = np.sqrt(1 - (reach / away) ** 2)
+    near = np.flatnonzero(beams.directions @ (own.centre / away) > cone)
+    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], met.beam)
     around = beams.ranges[near, None] * beams.directions[near]
     cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
     rings = len(np.unique(beams.rings[met.beam]))
