@@ -41,10 +41,11 @@ LEAST = 0.01
 """What a pole says of a direction counts from this part of what is known of it beforehand."""
 
 
-TOGETHER, ROUNDS, NODES = 400, 3, 3
+TOGETHER, ROUNDS, NODES = 400, 5, 3
 """Where many poles are compared: returns that are expanded at once, whose noise is found together,
-rounds of each view of the axes, and nodes of its averages. The errors of 200 random pairs of a
-street are then within 6 % of those of each pole by itself in 30 rounds, in half the time."""
+rounds of each view of the axes, and nodes of its averages. Half of
+the errors of 200 random pairs are then within 0.4 % of those of each pole by itself in 30 rounds of
+six nodes, and all within 3.3 %; by the poles alone 0.9 % and 12 % (a street and a kerb)."""
 
 
 def divergences_of(stations: Sequence[Station]) -> list[float]:
