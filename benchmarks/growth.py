@@ -1,9 +1,12 @@
 """How the CPU time of each method grows with the number of points, frames and poles.
 
-Every run has a process of its own and ends at a timeout, after which larger sizes are left out.
-Writes ``growth.csv`` and ``growth.png``.
+Of this method also with the number of LiDARs of a site. Every run has a process of its own and ends
+at a timeout, after which larger sizes are left out. Writes ``growth.csv`` and ``growth.png``, and
+prints a Markdown table, with the power of the size by which the time grows from one row to the
+next.
 
     python benchmarks/growth.py --methods poles+scene kiss --points 10000 100000
+    python benchmarks/growth.py --methods poles+scene --points --frames --poles
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ import numpy as np
 from retropole.base.datatypes import PointCloud
 from retropole.checking.methods import OURS
 from retropole.io.recordings import MAX_POINTS, downsample
-from retropole.simulation import SimulationError, simulate_pair
+from retropole.pipeline import calibrate_site
+from retropole.simulation import SimulationError, simulate_pair, simulate_site
 from rivals import METHODS, installed, peak_megabytes, quiet, timed
 
 REPEAT_NOISE = 0.005
@@ -32,6 +36,9 @@ REPEAT_NOISE = 0.005
 MANY_POLES, MIN_ANGLE_DEG = 3, (15.0, 5.0)
 """Least angle between any two poles, up to so many and with more: for many poles there is no
 arrangement in which all are 15° apart."""
+
+SITE, PLACEMENTS, SEED, SITE_METHOD = "posts", 4, 7, "poles+scene"
+"""Scene, placements of poles and seed of the sites, and the method that calibrates them."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,21 @@ def resized(cloud: PointCloud, count: int, rng: np.random.Generator) -> PointClo
     return replace(drawn, frame=None)
 
 
+def grow_site(size: int) -> Growth:
+    """Calibrate a site of so many LiDARs on posts."""
+    rng = np.random.default_rng(SEED)
+    site = simulate_site(SITE, rng, lidars=size, placements=PLACEMENTS).as_site()
+    points = sum(len(each) for lidar in site.lidars for each in lidar.clouds if each is not None)
+    begun = time.process_time()
+    found = calibrate_site(site)
+    seconds = time.process_time() - begun
+    refused = found.reasons[0].code if found.status == "refused" else ""
+    return Growth("LiDARs", SITE_METHOD, size, seconds, refused, peak_megabytes(), points)
+
+
 def grow(scene: str, what: str, method: str, size: int) -> Growth:
+    if what == "LiDARs":
+        return grow_site(size)
     rng = np.random.default_rng(0)
     many = what == "poles" and size > MANY_POLES
     pair = simulate_pair(
@@ -95,6 +116,19 @@ def alone(scene: str, what: str, method: str, size: int, timeout: float) -> Grow
             return Growth(what, method, size, timeout, "timeout", nan, 0)
         except SimulationError:
             return Growth(what, method, size, nan, "no_such_scene", nan, 0)
+
+
+def table(runs: Sequence[Growth]) -> str:
+    lines = ["| of | size | method | CPU s | grows by the power | MB | |", "| --- " * 7 + "|"]
+    for before, run in zip([None, *runs], runs, strict=False):
+        power = ""
+        if before is not None and (before.what, before.method) == (run.what, run.method):
+            power = f"{np.log(run.seconds / before.seconds) / np.log(run.size / before.size):.2f}"
+        lines.append(
+            f"| {run.what} | {run.size} | {run.method} | {run.seconds:.2f} | {power} "
+            f"| {run.megabytes:.0f} | {run.refused} |"
+        )
+    return "\n".join(lines)
 
 
 def draw(runs: Sequence[Growth], methods: Sequence[str], out: Path, scene: str) -> None:
@@ -141,25 +175,29 @@ def main() -> None:
     parser.add_argument("--points", type=int, nargs="*", default=[10**k for k in (4, 5, 6, 7)])
     parser.add_argument("--frames", type=int, nargs="*", default=[1, 2, 5, 10, 20])
     parser.add_argument("--poles", type=int, nargs="*", default=[2, 3, 4, 6, 8])
+    parser.add_argument("--lidars", type=int, nargs="*", default=[2, 4, 6, 8, 12])
     parser.add_argument("--timeout", type=float, default=600.0, help="of one run, s")
     arguments = parser.parse_args()
     methods = installed(arguments.methods)
     runs: list[Growth] = []
-    for what in ("points", "frames", "poles"):
+    for what in ("points", "frames", "poles", "LiDARs"):
         for method in methods:
-            for size in getattr(arguments, what):
+            if what == "LiDARs" and method != SITE_METHOD:
+                continue
+            for size in getattr(arguments, what.lower()):
                 run = alone(arguments.scene, what, method, size, arguments.timeout)
                 runs.append(run)
                 print(f"{what} {size} {method}: {run.seconds:.2f} s {run.refused}", file=sys.stderr)
                 if run.refused == "timeout":
                     break
-    table, picture = arguments.out.with_suffix(".csv"), arguments.out.with_suffix(".png")
-    with table.open("w", newline="") as file:
+    listed, picture = arguments.out.with_suffix(".csv"), arguments.out.with_suffix(".png")
+    with listed.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Growth)])
         writer.writeheader()
         writer.writerows(asdict(run) for run in runs)
     draw(runs, methods, picture, arguments.scene)
-    print(f"written: {table}, {picture}")
+    print(table(runs))
+    print(f"\nwritten: {listed}, {picture}")
 
 
 if __name__ == "__main__":

@@ -175,7 +175,7 @@ def _surfaces(term: SceneTerm, end: End, variables: Sequence[Variable]) -> gtsam
     held = _held(arm, J, pairs.normal, term.weighed.weights, pairs.tilt)
     size = variables[-1].place.stop
     by_error = np.zeros((len(J), size))
-    by_error[:, term.place[2 * POSE :]] = pairs.by_error
+    by_error[:, term.place[2 * POSE :]] = pairs.by_errors(np.eye(pairs.layout.size))
     others = [one for one in variables if by_error[:, one.place].any()]
     blocks = [J, *(by_error[:, one.place] for one in others)]
     table = np.hstack([*blocks, pairs.residuals[:, None]])

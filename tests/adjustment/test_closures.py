@@ -74,10 +74,9 @@ def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None
     for _ in range(40):
         off = 0.01 * rng.normal(size=count)
         scene = tuple(
-            replace(term, weighed=replace(term.weighed, table=table))
+            replace(term, weighed=replace(term.weighed, pairs=pairs))
             for term, own in zip(end.scene, places, strict=True)
-            for root in [np.sqrt(term.weighed.weights)]
-            for table in [np.column_stack([term.weighed.table[:, :-1], off[own] * root])]
+            for pairs in [replace(term.pairs, residuals=off[own])]
         )
         now = replace(end, scene=scene)
         found += [loop.chi2 for loop in close_loops(at, now)]

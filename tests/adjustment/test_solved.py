@@ -154,7 +154,8 @@ def jackknife(rows: Array, weights: Array, residuals: Array, label: IntArray) ->
 def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     """Where scenes alone decide, and no error of a LiDAR has a part in them."""
     adjusted = steps.adjusted
-    end, poses = adjusted.end, adjusted.network.unknowns.poses
+    end = replace(adjusted.end, scene=tuple(map(holding_all, adjusted.end.scene)))
+    poses = adjusted.network.unknowns.poses
     information = np.zeros_like(end.inverse)
     for term in end.scene:
         own = np.flatnonzero(term.place < poses)
@@ -185,12 +186,15 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     np.testing.assert_allclose(found[6:].T / scale, expected, rtol=1e-3, atol=1e-9)
 
 
+def holding_all(term: SceneTerm) -> SceneTerm:
+    """A term of which nothing is left to the poles."""
+    whole = term.weighed
+    return replace(term, weighed=replace(whole, left=np.zeros_like(whole.left)))
+
+
 def replace_residuals(term: SceneTerm, residuals: Array) -> SceneTerm:
-    """With what the surfaces do not hold already left out, so that nothing is left to the poles."""
-    unit, whole = residuals * root_weights(term), term.weighed
-    rows = whole.by(np.eye(whole.table.shape[1] - 1))
-    table = np.column_stack([rows, unit])
-    return replace(term, weighed=replace(whole, table=table, left=np.zeros_like(whole.left)))
+    pairs = replace(term.pairs, residuals=residuals)
+    return replace(term, weighed=replace(term.weighed, pairs=pairs))
 
 
 def of_poses(term: SceneTerm) -> Array:

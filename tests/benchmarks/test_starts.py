@@ -43,7 +43,7 @@ SMALLEST = {
     "benchmarks/fleet_network.py": ["--nodes 100 --seeds 2000:2001"],
     "benchmarks/fleet_replay.py": ["--sites 2 --checks 60 --workers 1"],
     "benchmarks/fleet_weekly.py": ["--cases 0 --weeks 1"],
-    "benchmarks/growth.py": ["--methods poles+scene --points 5000 --frames --poles"],
+    "benchmarks/growth.py": ["--methods poles+scene --points 5000 --frames --poles --lidars 2"],
     "benchmarks/hard_scenes.py": ["--scenes 1"],
     "benchmarks/hypotheses.py": ["--seeds 1 --scenes corridor"],
     "benchmarks/insert.py": [

@@ -72,7 +72,7 @@ def test_what_is_taken_out_was_there() -> None:
     rng = np.random.default_rng(2)
     motion = np.concatenate([np.radians(0.1) * rng.normal(size=3), 0.005 * rng.normal(size=3)])
     moved = recorded(np.tile(motion, (8, 1)), rng, 0.0)
-    still = without(moved.xyz, moved.origin, np.tile(motion, (len(moved), 1)))
+    still = without(moved.xyz, moved.origin, motion[None], np.zeros(len(moved), dtype=np.int64))
     # The walls are where they are without motion.
     assert np.abs(np.max(np.abs(still) / HALF, axis=1) - 1.0).max() < 2e-5
 

@@ -89,7 +89,7 @@ def _coinciding(
         if patches is None:
             continue
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
-        apart = patches.residuals + patches.by_error @ errors
+        apart = patches.residuals + patches.by_errors(errors)
         weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
         differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_APART
         count += float(np.sum(weights[differ]))
@@ -201,8 +201,10 @@ def _without(
     few: bool,
 ) -> tuple[Adjusted, float] | None:
     """Adjust what is left, and count how many more patches coincide; None where it is refused."""
+    # The poles alone have not far to go from where all fit each other.
+    near = replace(datum, poses=dict(enumerate(adjusted.end.T)))
     try:
-        rest = adjust(recorded, datum, few=few)
+        rest = adjust(recorded, near, few=few)
     except Refusal:
         return None
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)

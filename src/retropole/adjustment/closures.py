@@ -19,6 +19,7 @@ from scipy.special import chdtrc
 from ..alignment.adjustment import MAX_TRANSLATION_SIGMA
 from ..alignment.certainty import excess
 from ..alignment.network import Observation
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -150,7 +151,7 @@ def _edge(
     rows = np.flatnonzero(errors)
     information[rows, rows] += precision
     slope[rows] -= precision * end.errors[place[errors] - unknowns.poses]
-    inverse = np.linalg.inv(information)
+    inverse = inverse_of(information)
     of_pose = np.flatnonzero(np.isin(place, unknowns.pose(lidars[1])))
     if np.sqrt(np.diag(inverse)[of_pose].max()) > MAX_TRANSLATION_SIGMA:
         return None

@@ -28,6 +28,7 @@ from ..surfaces.sway import (
     Asked,
     angle_of,
     ask,
+    axes_along,
     drawn,
     hypotheses,
     infer,
@@ -149,7 +150,7 @@ def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
     times, observed = [], []
     for scan, motion, begin in zip(scans, motions, _begins(scans), strict=True):
         cloud, when = scan.cloud, timed(scan.cloud)
-        xyz = without(cloud.xyz[when.index], cloud.origin, -motion[when.part])
+        xyz = without(cloud.xyz[when.index], cloud.origin, -motion, when.part)
         observed.append(observe(xyz, cloud.origin, when, motion))
         times.append(when.times + begin)
     cuts = np.cumsum([len(each) for each in times])[:-1]
@@ -164,7 +165,8 @@ def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
         common.append([_by_common(each, A[k], noise) for each in asked])
     told = [[sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)]
     both = [Asked(*each, *every) for each, every in zip(tried, told, strict=True)]
-    found = infer(both, SIZES, ways_of(motions[0]))
+    ways = ways_of(motions[0])
+    found = infer(both, axes_along(both, ways), SIZES, ways)
     shared = [own @ A[k].T for k, own in enumerate(np.split(found.motion, cuts))]
     return Together(
         COUNTED * (found.total - apart),
@@ -206,7 +208,10 @@ def _moved(scan: Scan, from_rest: Array, apart: float) -> Scan:
         changed = directions - np.cross(from_rest[:3], directions)
         return np.asarray(changed / se3.lengths(changed)[:, None])
 
-    at_rest = moved(scan, lambda xyz: without(xyz, origin, -from_rest[None]), turned)
+    def rested(xyz: Array) -> Array:
+        return without(xyz, origin, -from_rest[None], np.zeros(len(xyz), dtype=np.int64))
+
+    at_rest = moved(scan, rested, turned)
     motion = scan.motion - from_rest
     sway = msgspec.structs.replace(
         scan.sway,

@@ -131,7 +131,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     datum
         Poses to start from, shared poles and what is known of them.
     few
-        Whether to adjust by a part of the surfaces alone, which is faster.
+        Whether to adjust by a part of the surfaces alone, which is faster, and to test nothing.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
     check_hanging(site, datum.hanging, end.T, covariance)
-    return tested(site, datum, aligned, end, parts)
+    return tested(site, datum, aligned, end, parts, few=few)
 
 
 def tested(
@@ -171,6 +171,8 @@ def tested(
     aligned: Aligned,
     end: End,
     parts: tuple[Part, ...],
+    *,
+    few: bool,
 ) -> Adjusted:
     """Test every observation at the answer.
 
@@ -182,12 +184,14 @@ def tested(
         What was seen of the poles, with all bands of elevation that the scenes have.
     end, parts
         Where all ended, and every source of error.
+    few
+        Whether nothing is tested after all.
     """
     groups = factor_of(aligned.network).unknowns.groups()
     at = solve_all(aligned.network, end, groups, parts)
     beside_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
     beside = {(i, k): chi2 for i, k, chi2 in beside_pole}
-    tests = tuple(all_tests(at, site, datum.poles, beside))
+    tests = () if few else tuple(all_tests(at, site, datum.poles, beside))
     converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
     return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)
@@ -362,7 +366,7 @@ def adjusted_of_two(
         joint = replace(joint, network=joint.network.with_bands(bands))
     words = of_lidar(site.lidars[0].name)
     datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, words)
-    return tested(site, datum, joint, end, parts)
+    return tested(site, datum, joint, end, parts, few=False)
 
 
 def _poles(

@@ -14,7 +14,7 @@ gain them is found in full.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -112,6 +112,39 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
         for part in combinations(range(count), size):
             if 2 * size < count or 0 in part:
                 yield part
+
+
+def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+    """Find the LiDARs for which a pole likeliest stands elsewhere, at one place, than for others.
+
+    Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
+
+    Parameters
+    ----------
+    at, moved
+        The answer, and the bias of a pole that stands elsewhere for each of V LiDARs.
+    parts
+        Of which one is taken: each some of the V.
+    """
+    of_part = np.zeros((len(parts), len(moved.slope) // 4))
+    for row, part in zip(of_part, parts, strict=True):
+        row[list(part)] = 1.0
+    together = np.kron(of_part, np.eye(4)).reshape(len(parts), 4, -1)
+
+    def of_parts(square: Array) -> Array:
+        return np.asarray(together @ square @ together.transpose(0, 2, 1))
+
+    taken_up = at.inverse @ moved.cross
+    scene, wide = moved.cross.T @ at.scene, moved.wide - taken_up.T @ at.by_wide
+    left = moved.own - moved.cross.T @ taken_up
+    by_scene = taken_up.T @ at.scene_information @ taken_up
+    scatter = excess(of_parts(scene @ scene.T), of_parts(by_scene))
+    size, way = np.linalg.eigh(of_parts(left + wide @ wide.T) + scatter)
+    least = LEAST_CHECKED * np.einsum("pii->pi", of_parts(moved.own)).max(axis=1)
+    slope = together @ (moved.slope - taken_up.T @ at.remainder)
+    along = np.einsum("pij,pi->pj", way, slope)
+    chi2 = np.sum(along**2 / np.where(size > least[:, None], size, np.inf), axis=1)
+    return parts[int(np.argmax(chi2))]
 
 
 def placement_moved(at: Solved, one: Observation) -> Bias:
@@ -216,7 +249,6 @@ class Outcome:
     """How a bias of its own was tested; see `answer.Test`."""
 
     chi2: float
-    w: float
     redundancy: float
     minimal_detectable: float | None
     external: float | None
@@ -274,7 +306,6 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     chi2 = float(np.sum(along[told] ** 2 / size[told]))
     # An error ∇ moves the slope by S ∇.
     seen = (way[:, told].T @ left) / np.sqrt(size[told])[:, None]
-    w = normalised(chi2, error.freedom)
     size, way = np.linalg.eigh(error.own)
     whole = size > LEAST_CHECKED * size[-1]
     inverse = (way[:, whole] / size[whole]) @ way[:, whole].T
@@ -286,11 +317,11 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     # Moved together, all LiDARs' poles are the pole itself: only differences count.
     found = np.flatnonzero(size > least_checked)
     if not len(found):
-        return Outcome(chi2, w, redundancy, None, None)
+        return Outcome(chi2, redundancy, None, None)
     least, direction = float(size[found[0]]), way[:, found[0]]
     detectable = float(np.sqrt(NONCENTRALITY / least))
     moved = -taken_up[:, error.metres] @ (detectable * direction)
-    return Outcome(chi2, w, redundancy, unit * detectable, _at_range(moved, at))
+    return Outcome(chi2, redundancy, unit * detectable, _at_range(moved, at))
 
 
 def _at_range(step: Array, at: Solved) -> float:
@@ -315,42 +346,39 @@ def all_tests(
         By LiDAR and pole the χ² of returns that lie beside it (`snooping.find_outlying`).
     """
     asked = list(_asked(at, site, poles, astray))
-    found = outcomes(at, [(error, each.unit) for each in asked for _, error in each.ways])
-    for each in asked:
-        results = [(next(found), name, error) for name, error in each.ways]
-        best, name, error = max(results, key=lambda result: result[0].chi2)
-        if len(results) > 1:
-            best = replace(best, w=normalised(best.chi2, error.freedom, len(results)))
-        if each.beside is not None and each.beside > best.chi2:
-            best = replace(best, chi2=each.beside, w=normalised(each.beside, error.freedom))
+    found = outcomes(at, [(each.error, each.unit) for each in asked])
+    for each, one in zip(asked, found, strict=True):
+        chi2, freedom = max(one.chi2, each.beside or 0.0), each.error.freedom
         yield Test(
             each.kind,
-            name,
+            each.name,
             each.lidar,
             each.placement,
             each.pole,
-            best.chi2,
-            error.freedom,
-            best.w,
-            best.redundancy,
-            best.minimal_detectable,
-            best.external,
+            chi2,
+            freedom,
+            normalised(chi2, freedom, each.among),
+            one.redundancy,
+            one.minimal_detectable,
+            one.external,
         )
 
 
 class _Asked(NamedTuple):
-    """A test: the biases that an observation may have, of which the likeliest is taken.
+    """A test: the bias that an observation may have, the likeliest `among` so many.
 
-    `unit` is metres for each of their lengths; `beside` the χ² of returns that lie beside a pole.
+    `unit` is metres for each of its lengths; `beside` the χ² of returns that lie beside a pole.
     """
 
     kind: Kind
     lidar: int | None
     placement: int | None
     pole: int | None
-    ways: Sequence[tuple[str, Bias]]
+    name: str
+    error: Bias
     unit: float = 1.0
     beside: float | None = None
+    among: int = 1
 
 
 def _asked(
@@ -366,18 +394,18 @@ def _asked(
         if one.poles is None:
             assert one.by_value is not None
             assert one.kind != "returns"
-            ways = [(one.name, value_wrong(at, one))]
-            yield _Asked(one.kind, one.lidar, None, None, ways, unit=one.by_value[2])
+            wrong, unit = value_wrong(at, one), one.by_value[2]
+            yield _Asked(one.kind, one.lidar, None, None, one.name, wrong, unit)
             continue
         assert one.lidar is not None
         assert one.placement is not None
         name = f"{names[one.lidar]} in placement {site.placements[one.placement]}"
-        ways = [(name, placement_moved(at, one))]
-        yield _Asked("placement", one.lidar, one.placement, None, ways)
+        moved = placement_moved(at, one)
+        yield _Asked("placement", one.lidar, one.placement, None, name, moved)
     for lidar, name in enumerate(names):
         apart = lidar_apart(at, lidar)
         if apart is not None:
-            yield _Asked("lidar", lidar, None, None, [(name, apart)])
+            yield _Asked("lidar", lidar, None, None, name, apart)
 
 
 def _of_pole(
@@ -392,19 +420,18 @@ def _of_pole(
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:
-        yield _Asked("pole", None, placement, pole, [(name, moved)])
+        yield _Asked("pole", None, placement, pole, name, moved)
     for one in views:
         assert one.lidar is not None
         beside = astray.get((one.lidar, pole))
         # That one LiDAR alone sees, its survey checks.
         if len(views) != 2 or beside is not None:
             of_one = f"{name} as {names[one.lidar]} sees it"
-            ways = [(of_one, pole_seen_elsewhere(at, [one], pole))]
-            yield _Asked("pole", one.lidar, placement, pole, ways, beside=beside)
-    parted = []
-    for part in splits(len(views)):
-        some = [views[i] for i in part]
+            elsewhere = pole_seen_elsewhere(at, [one], pole)
+            yield _Asked("pole", one.lidar, placement, pole, of_one, elsewhere, beside=beside)
+    parts = list(splits(len(views)))
+    if moved is not None and parts:
+        some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        parted.append((f"{name} as {seen_by} see it", pole_seen_elsewhere(at, some, pole)))
-    if parted:
-        yield _Asked("pole", None, placement, pole, parted)
+        parted, words = pole_seen_elsewhere(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Asked("pole", None, placement, pole, words, parted, among=len(parts))

@@ -29,6 +29,7 @@ from ..alignment.certainty import (
     sways,
 )
 from ..alignment.network import Network, Observation, about, factor_of
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -115,16 +116,16 @@ def places_of(
     information = np.zeros((count, size, size))
     gradients, flat = np.zeros((count, size)), np.zeros((count, size))
     for term, gain, own in zip(terms, gains, labels, strict=True):
-        by_step = term.by_step(gain.T @ marginal)
         order = np.argsort(own, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(own[order]) > 0])
         at = own[order][starts]
-        pulls = by_step * residuals_of(term, end)[:, None]
-        gradients[at] += np.add.reduceat(pulls[order], starts)
-        by_metre = by_step * np.sqrt(term.weighed.weights)[:, None]
-        flat[at] += np.add.reduceat(by_metre[order], starts)
-        for p, rows in zip(at, np.split(order, starts[1:]), strict=True):
-            information[p] += by_step[rows].T @ by_step[rows]
+        by_step = term.by_step(gain.T @ marginal)[order]
+        pulls = by_step * residuals_of(term, end)[order, None]
+        gradients[at] += np.add.reduceat(pulls, starts)
+        by_metre = by_step * np.sqrt(term.weighed.weights)[order, None]
+        flat[at] += np.add.reduceat(by_metre, starts)
+        for p, rows in zip(at, np.split(by_step, starts[1:]), strict=True):
+            information[p] += rows.T @ rows
     return Places(covariance, marginal, information, gradients, flat)
 
 
@@ -316,7 +317,7 @@ def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part])
     information += by_scene
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - poses, dtype=bool)])
     inverse = np.zeros_like(information)
-    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     sigma = considered(groups, end.sigma)
     which = np.flatnonzero(sigma)
     wide = np.zeros((unknowns.size, len(which)))
@@ -370,7 +371,7 @@ def _changed(
 ) -> WithoutPlacement:
     scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
     scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
+    inverse = inverse_of(scaled) / np.outer(scale, scale)
     own = free < poses
     if np.sqrt(np.diag(inverse)[own].max()) > MAX_TRANSLATION_SIGMA:
         return WithoutPlacement(placement, None, None, None)

@@ -26,6 +26,7 @@ from ..base.datatypes import Array, BoolArray
 from ..base.systematic import Groups
 from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from .network import PoleFactor
+from .solver import inverse_of
 from .unknowns import POSE
 
 POLES_ONLY = "tape", "radius"
@@ -180,7 +181,7 @@ def solve_factor(factor: PoleFactor, precision: Array) -> FactorEstimate:
     index = np.arange(poses, len(information))
     information[index, index] += precision
     inverse = np.zeros_like(information)
-    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ factor.vector
     return FactorEstimate(best[:poses], best[poses:], inverse)
 
@@ -231,10 +232,11 @@ def parts_of_poles(name: str, factor: PoleFactor, inverse: Array) -> list[Part]:
     """
     wide = np.sqrt(few_freedom(factor.redundancy))
     by_poses = inverse[: factor.unknowns.poses]
-    scatter = root_of(factor.information - factor.depth @ factor.depth.T)
+    depth = by_poses @ factor.depth
+    scatter = by_poses @ factor.information @ by_poses.T - depth @ depth.T
     return [
-        part_of(name, np.asarray(wide * by_poses @ scatter), is_random=True),
-        part_of(DEPTH, np.asarray(by_poses @ factor.depth)),
+        part_of(name, wide * root_of(scatter), is_random=True),
+        part_of(DEPTH, np.asarray(depth)),
     ]
 
 
@@ -346,9 +348,9 @@ def budget_of(
 
 
 def excess(covariance: Array, other: Array) -> Array:
-    """Give by how much a covariance is more than another, in the directions where it is."""
+    """Give by how much a covariance (..., N, N) is more than another, in the directions it is."""
     more, way = np.linalg.eigh(covariance - other)
-    return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
+    return np.asarray((way * np.maximum(more, 0.0)[..., None, :]) @ np.swapaxes(way, -1, -2))
 
 
 def few_freedom(freedom: float) -> float:

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -54,12 +53,20 @@ in units of 1 σ and of the information, at which the distribution is its own av
 then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
 rounds."""
 
+LITTLE_OPEN = {1: 0.02, 3: 0.5, 4: 0.8}
+"""Nodes that will do where no axis is left open by more than so many times the noise sideways: over
+so little the likelihood is all but a parabola, and n nodes are exact to the power 2 n − 1. An exact
+view leaves nothing open."""
 
-@cache
-def _hermite(nodes: int) -> tuple[Array, Array]:
-    """Nodes of an average over a normal distribution, in units of its 1 σ, and their weights."""
-    at, weight = np.polynomial.hermite_e.hermegauss(nodes)
-    return at, weight / weight.sum()
+_HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*LITTLE_OPEN, FEW_NODES)}
+
+
+def _nodes_over(sideways: Array, noise: float) -> tuple[Array, Array]:
+    """Nodes (M, 1), and their weights (M,), over what is left open sideways (N,), 1 σ, metres."""
+    most = float(sideways.max(initial=0.0))
+    few = (n for n, share in LITTLE_OPEN.items() if most <= share * noise)
+    at, weight = _HERMITE[next(few, FEW_NODES)]
+    return at[:, None], weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +79,11 @@ class View:
         (K, 4) and (K, 4, 4) of point and direction, in the order of `State.moved`.
     noise
         (2,) of its returns, in depth and sideways, metres.
-    nodes
-        Of averages over it.
     """
 
     shift: Array
     covariance: Array
     noise: Array
-    nodes: int = FEW_NODES
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,6 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
         About the state.
     """
     J = _by_axis(seen.jacobian, beams.pole)
-    at, weight = _hermite(view.nodes)
     moved = np.einsum("nci,ni->nc", J, view.shift[beams.pole])
     spread = np.einsum("nci,nij,nej->nce", J, view.covariance[beams.pole], J)
     # The depth goes with the lateral offset. What is left of it adds to the noise alone: in depth
@@ -138,15 +141,16 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     depthways = spread[:, 0, 1] / np.maximum(sideways, 1e-12)
     sigma = np.hypot(view.noise[0] * seen.sine, view.noise[1] * np.sqrt(1.0 - seen.sine**2))
     rest = np.maximum(spread[:, 0, 0] - depthways**2, 0.0) / sigma**2
+    at, weight = _nodes_over(sideways, float(view.noise[1]))
     # All nodes at once: the arrays are small, and calls cost more than what they compute.
     arc = arc_likelihood(
-        (seen.depth + moved[:, 0] + at[:, None] * depthways).reshape(-1),
-        (seen.lateral_offset + moved[:, 1] + at[:, None] * sideways).reshape(-1),
-        np.tile(sigma, view.nodes),
-        np.full(view.nodes * len(sigma), view.noise[1]),
+        (seen.depth + moved[:, 0] + at * depthways).reshape(-1),
+        (seen.lateral_offset + moved[:, 1] + at * sideways).reshape(-1),
+        np.tile(sigma, len(at)),
+        np.full(len(at) * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, view.nodes),
-        np.tile(beams.beside, view.nodes),
+        np.tile(beams.half_width, len(at)),
+        np.tile(beams.beside, len(at)),
     )
     information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
     noise = _averaged(arc.inlier[:, None] * arc.noise, weight)
@@ -159,15 +163,15 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
 def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
     """Average as in `average_returns` for beams that passed beside poles."""
     own, count = beams.passed_pole, len(beams.passed_pole)
-    at, weight = _hermite(view.nodes)
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
+    at, weight = _nodes_over(sideways, float(view.noise[1]))
     free = passed_beam_likelihood(
-        (seen.lateral_offset + moved + at[:, None] * sideways).reshape(-1),
-        np.full(view.nodes * count, view.noise[1]),
+        (seen.lateral_offset + moved + at * sideways).reshape(-1),
+        np.full(len(at) * count, view.noise[1]),
         radius,
-        np.tile(beams.passed_half_width, view.nodes),
+        np.tile(beams.passed_half_width, len(at)),
     )
     information = _averaged(free.information, weight)
     score = _averaged(free.score, weight) + information[:, :, 0] * moved[:, None]
@@ -182,12 +186,7 @@ def _averaged(values: Array, weight: Array) -> Array:
 
 
 def find_view(
-    state: State,
-    lidar: int,
-    beams: Beams,
-    noise: Array,
-    rounds: int = MAX_ROUNDS,
-    nodes: int = FEW_NODES,
+    state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
 ) -> View:
     """Find what a LiDAR's own beams leave open of each axis, pose and errors as in the state.
 
@@ -201,14 +200,14 @@ def find_view(
         Its own.
     noise
         (2,) there, in depth and sideways, metres.
-    rounds, nodes
-        Of which no more are taken, and of the averages.
+    rounds
+        Of which no more are taken.
     """
     poles = len(state.points)
     seen, beside = own_geometry(state, lidar, beams)
     J = _by_axis(seen.jacobian, beams.pole)
     J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
-    view = replace(exact_view(poles, np.asarray(noise, dtype=np.float64)), nodes=nodes)
+    view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
     for _ in range(rounds):
         on = average_returns(seen, beams, state.radius, view)
@@ -240,7 +239,7 @@ def find_view(
         shift = view.shift + step
         far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
         shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
-        view = View(shift, covariance, _noise(view.noise, on), nodes)
+        view = View(shift, covariance, _noise(view.noise, on))
         precision = blended
         if settled:
             break

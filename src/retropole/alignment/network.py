@@ -31,7 +31,6 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PoseEstimate
 from ..base.systematic import TAPE, Layout, band_of
 from .expansion import MAX_ROUNDS, Average, average_lidar, expand_lidar, find_view, semidefinite
-from .likelihood import FEW_NODES
 from .maximum import Sight
 from .posterior import JointState, Posterior
 from .survey import Surveyed, survey_terms
@@ -132,8 +131,8 @@ def steps_to(start: Array, T: Array) -> tuple[Array, Array]:
 
     The second (6 L, 6 L) is their derivative by steps from the others.
     """
-    steps = [se3.local(a, b) for a, b in zip(start, T, strict=True)]
-    return np.concatenate(steps), block_diag(*map(se3.local_jacobian, steps))
+    steps = se3.local(start, T)
+    return steps.reshape(-1), block_diag(*se3.local_jacobian(steps))
 
 
 def poses_of_pair(T_target_source: Array) -> Array:
@@ -298,7 +297,6 @@ def observe(
     bands: tuple[IntArray, ...],
     free: BoolArray,
     rounds: int = MAX_ROUNDS,
-    nodes: int = FEW_NODES,
 ) -> Network:
     """Expand every observation about the maximum of the posterior.
 
@@ -316,8 +314,8 @@ def observe(
         From `bands_of`.
     free
         (6 L,) which parameters of the poses are estimated.
-    rounds, nodes
-        Of each LiDAR's own view of the axes, as `find_view` takes them.
+    rounds
+        At most so many for each LiDAR's own view of the axes (`find_view`).
     """
     state = end.state
     unknowns = Unknowns(bands, len(placement), len(state.control))
@@ -329,7 +327,7 @@ def observe(
     for sight in sights:
         noise = np.exp(end.log_noise[sight.lidar])
         at = state.of(sight.lidar, sight.own)
-        view = find_view(at, 1, sight.beams, noise, rounds, nodes)
+        view = find_view(at, 1, sight.beams, noise, rounds)
         averages = average_lidar(at, 1, sight.beams, view)
         own = placement[sight.own]
         for p in np.unique(own):

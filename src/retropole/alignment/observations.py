@@ -114,12 +114,7 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     """
     origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
-    # Several poles are in one cloud, which is large.
-    rays = {id(cloud): cloud.xyz - cloud.origin for _, cloud in seen}
-    lengths = {key: se3.lengths(each) for key, each in rays.items()}
-    found = [
-        _near(pole, cloud, divergence, rays[id(cloud)], lengths[id(cloud)]) for pole, cloud in seen
-    ]
+    found = [_near(pole, cloud, divergence) for pole, cloud in seen]
     ray = np.concatenate([near.returns for near in found]) - origin
     ranges = np.linalg.norm(ray, axis=1)
     passed_pole = np.repeat(np.arange(len(seen)), [len(near.passed) for near in found])
@@ -168,26 +163,29 @@ class _Near(NamedTuple):
     passed: Array
 
 
-def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array) -> _Near:
-    """Find the beams that met a pole, and those that passed close beside and returned from behind.
-
-    The cloud's rays (P, 3) and ranges (P,) are given, metres.
-    """
+def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
+    """Find the beams that met a pole, and those that passed close by and returned from behind."""
     away = float(np.linalg.norm(pole.point - cloud.origin))
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     # What is farther from the middle of the pole across the ray, or nearer along it, plays no part.
     reach = np.abs(own).max() + room + 2 * BESIDE
-    toward = ray @ ((pole.point - cloud.origin) / away)
+    ahead = (pole.point - cloud.origin) / away
     cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
-    nearby = np.flatnonzero((ranges > away - reach) & (toward > cosine * ranges))
+    toward = cloud.xyz @ ahead - cloud.origin @ ahead
+    # The cloud is large, and little of it lies there.
+    some = np.flatnonzero(toward > cosine * max(away - reach, 0.0))
+    ray, toward = cloud.xyz.take(some, axis=0) - cloud.origin, toward[some]
+    ranges = se3.lengths(ray)
+    nearby = (ranges > away - reach) & (toward > cosine * ranges)
     # A ray passes the axis at no less than its part across the plane of the axis and the origin.
-    across = np.abs(ray[nearby] @ np.cross(pole.direction, pole.point - cloud.origin))
-    nearby = nearby[across < (room + BESIDE) * ranges[nearby]]
-    directions = ray[nearby] / ranges[nearby, None]
+    across = np.abs(ray @ np.cross(pole.direction, pole.point - cloud.origin))
+    nearby &= across < (room + BESIDE) * ranges
+    ray, ranges = ray[nearby], ranges[nearby]
+    directions = ray / ranges[:, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
-    behind = ranges[nearby] > by.ranges + OUTLIER_RADIUS
+    behind = ranges > by.ranges + OUTLIER_RADIUS
     within = (along > own.min()) & (along < own.max())
     passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
     stretches = max(int(np.ptp(own) / BESIDE), 1)

@@ -5,9 +5,11 @@ Every cloud, pole and ray is in the frame of its own LiDAR unless a name says ot
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -110,6 +112,25 @@ class PointCloud:
             origin=se3.apply(T_new_old, self.origin[None])[0],
             axis=T_new_old[:3, :3] @ self.axis,
         )
+
+
+Made = TypeVar("Made")
+
+
+def kept(make: Callable[[PointCloud], Made]) -> Callable[[PointCloud], Made]:
+    """Make something of a cloud once, for as long as the cloud is in use: every step asks for it.
+
+    It must not hold on to the cloud.
+    """
+    made: WeakKeyDictionary[PointCloud, Made] = WeakKeyDictionary()
+
+    @wraps(make)
+    def given(cloud: PointCloud) -> Made:
+        if cloud not in made:
+            made[cloud] = make(cloud)
+        return made[cloud]
+
+    return given
 
 
 @dataclass(frozen=True, eq=False)

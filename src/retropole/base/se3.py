@@ -89,27 +89,28 @@ def rigid(matrix: Array) -> Array:
 
 def exp_so3(phi: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians (Rodrigues)."""
-    x, y, z = np.moveaxis(np.asarray(phi, dtype=float), -1, 0)
+    phi = np.asarray(phi, dtype=float)
+    x, y, z = phi[..., 0], phi[..., 1], phi[..., 2]
     half = np.sqrt(x * x + y * y + z * z + TINY) / 2
     a = np.sin(2 * half) / (2 * half)
     b = (np.sin(half) / half) ** 2 / 2
-    rows = (
-        (1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y),
-        (b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x),
-        (b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)),
-    )
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
+    out = np.empty((*phi.shape, 3))
+    out[..., 0, 0], out[..., 0, 1] = 1 - b * (y * y + z * z), b * x * y - a * z
+    out[..., 0, 2], out[..., 1, 0] = b * x * z + a * y, b * x * y + a * z
+    out[..., 1, 1], out[..., 1, 2] = 1 - b * (x * x + z * z), b * y * z - a * x
+    out[..., 2, 0], out[..., 2, 1] = b * x * z - a * y, b * y * z + a * x
+    out[..., 2, 2] = 1 - b * (x * x + y * y)
+    return out
 
 
 def log_so3(R: Array) -> Array:
     """Rotation vectors (..., 3) of rotation matrices (..., 3, 3), in radians, at most π long."""
     R = np.asarray(R, dtype=float)
-    of = np.moveaxis(R, (-2, -1), (0, 1))
-    axis = np.array([of[2, 1] - of[1, 2], of[0, 2] - of[2, 0], of[1, 0] - of[0, 1]])
-    sine = np.sqrt(np.sum(axis * axis, axis=0) + TINY)
+    axis = R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]]
+    sine = np.sqrt((axis * axis).sum(axis=-1) + TINY)
     # Both are twice what they are called.
-    cosine = of[0, 0] + of[1, 1] + of[2, 2] - 1.0
-    phi = np.moveaxis(axis * (np.arctan2(sine, cosine) / sine), 0, -1)
+    cosine = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0
+    phi = axis * (np.arctan2(sine, cosine) / sine)[..., None]
     turned = cosine < HALF_TURN
     if turned.any():
         q = quaternion_xyzw(R[turned])

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.datatypes import Array, PointCloud
+from ..base.datatypes import Array, PointCloud, every_nth
 from ..base.errors import Refusal
 from ..base.se3 import FARTHEST, lengths
-from ..io.beams import with_beam_origin, with_trusted_rings
+from ..io.beams import RING_SAMPLE, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
 from .acceptance_shape import MIN_POLE_POINTS
 
@@ -58,13 +58,13 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     within = 2 * radius / THINNEST_POLE
     cloud = with_trusted_rings(cloud)
     found = with_beam_origin(cloud)
-    if _count_near(found, within) < min(MIN_POLE_POINTS, len(cloud)) and cloud.ring is not None:
+    if not _is_near(found, within) and cloud.ring is not None:
         # Seen from far away all points of a ring have one elevation, from wherever they were seen.
         middle = replace(cloud, origin=np.median(cloud.xyz, axis=0))
         told = with_beam_origin(middle)
         found = found if told is middle else told
-    near = _count_near(found, within)
-    if near < min(MIN_POLE_POINTS, len(cloud)):
+    if not _is_near(found, within):
+        near = _count_near(found, within)
         away = float(np.median(_ranges(cloud)))
         odd = oddity_of(cloud)
         if odd is not None and odd.is_map:
@@ -94,10 +94,10 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
 
 
 def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
-    reach = np.zeros(len(cloud))
-    for axis in range(3):
-        np.maximum(reach, np.abs(cloud.xyz[:, axis]), out=reach)
-    np.maximum(reach, np.abs(cloud.origin).max(), out=reach)
+    largest = max(cloud.xyz.max(initial=0.0), -cloud.xyz.min(initial=0.0), *np.abs(cloud.origin))
+    if largest <= most:
+        return
+    reach = np.maximum(np.abs(cloud.xyz).max(axis=1), np.abs(cloud.origin).max())
     far = int(np.count_nonzero(reach > most))
     if 2 * far < len(cloud):
         advice = "so few are damaged or no returns; leave them out"
@@ -108,6 +108,13 @@ def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
             f"{reach.max():.3g}: {advice}",
             {"far": far, "points": len(cloud), "largest_m": float(reach.max())},
         )
+
+
+def _is_near(cloud: PointCloud, within: float) -> bool:
+    """Whether enough points are within a range, metres: of a large cloud a part mostly tells."""
+    some = PointCloud(every_nth(cloud.xyz, RING_SAMPLE), origin=cloud.origin)
+    needed = min(MIN_POLE_POINTS, len(cloud))
+    return any(_count_near(each, within) >= needed for each in (some, cloud))
 
 
 def _count_near(cloud: PointCloud, within: float) -> int:

@@ -401,7 +401,7 @@ def fit_line(
         if np.count_nonzero(inside) < MIN_LINE_POINTS or np.array_equal(before, inside):
             break
         # Neighbours that touch the pole are many near it but few along it: the median holds.
-        sigma = MAD_TO_SIGMA * float(np.median(distance[inside]))
+        sigma = MAD_TO_SIGMA * _median(distance[inside])
         tube = radius + min(room, FIT_ROOM + FIT_SIGMAS * sigma)
         point, direction = principal_line(xyz[inside])
     distance, along = distance_and_place(xyz, point, direction)
@@ -433,10 +433,24 @@ def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
     if len(index) < 2 or np.ptp(along[index]) <= LINK:
         return inside
     order = index[np.argsort(along[index], kind="stable")]
-    cuts = np.flatnonzero(np.diff(along[order]) > LINK) + 1
+    places = along[order]
+    ends = _ends_of_pieces(places, LINK)
+    largest = int(np.argmax(np.diff(ends)))
     kept = np.zeros_like(inside)
-    kept[max(np.split(order, cuts), key=len)] = True
+    kept[order[ends[largest] : ends[largest + 1]]] = True
     return kept
+
+
+def _ends_of_pieces(places: Array, gap: float) -> IntArray:
+    """(P + 1,) where the pieces of sorted places begin that longer gaps part, and the last ends."""
+    cuts = np.flatnonzero(places[1:] - places[:-1] > gap) + 1
+    return np.concatenate([[0], cuts, [len(places)]])
+
+
+def _median(values: Array) -> float:
+    """Median of some values (N,), few, in a tenth of the time of np.median."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half] + ordered[-half - 1]) / 2.0
 
 
 def _rings_hit(cloud: PointCloud, index: IntArray, along: Array) -> int:
@@ -444,6 +458,7 @@ def _rings_hit(cloud: PointCloud, index: IntArray, along: Array) -> int:
     if cloud.ring is not None:
         return len(np.unique(cloud.ring[index]))
     places = np.sort(along)
-    pieces = np.split(places, np.flatnonzero(np.diff(places) > RING_GAP) + 1)
+    ends = _ends_of_pieces(places, RING_GAP)
     # Rings nearer than that leave no gaps, but fill a length that no single ring has.
-    return sum(max(1, int(np.ptp(piece) / RING_GAP)) for piece in pieces)
+    rings = (places[ends[1:] - 1] - places[ends[:-1]]) / RING_GAP
+    return int(np.maximum(rings.astype(np.int64), 1).sum())

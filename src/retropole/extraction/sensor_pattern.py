@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.datatypes import Array, BoolArray, PointCloud
+from ..base.datatypes import Array, BoolArray, PointCloud, kept
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
@@ -180,6 +180,7 @@ def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
     return replace(sizes, bend=SPINNING_BEND) if sensor is None and _spins(cloud) else sizes
 
 
+@kept
 def _spins(cloud: PointCloud) -> bool:
     """Whether the rings of a cloud are the cones of a LiDAR that turns about one axis."""
     if cloud.ring is None or ring_spread(cloud) > MAX_CONE_SPREAD:

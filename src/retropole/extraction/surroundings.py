@@ -324,7 +324,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     beyond = max(BEYOND_BAND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
     reach = float(np.hypot(half, AIR))
-    near = cloud.xyz[np.abs(cloud.xyz[:, 0] - line.point[0]) < reach]
+    near = cloud.xyz.take(np.flatnonzero(np.abs(cloud.xyz[:, 0] - line.point[0]) < reach), axis=0)
     near = near[lengths(near - line.point) < reach]
     distance, along = distance_and_place(near, line.point, line.direction)
     body = (distance > line.tube) & (distance <= BODY_REACH)

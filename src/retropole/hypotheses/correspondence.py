@@ -133,30 +133,42 @@ def pair_starts(
     list of (T_target_source, order)
         ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
     """
-    frame = line_pair(
-        target[0].point, target[0].direction, target[1].point, target[1].direction
-    ).frame
-    return [(frame @ way, order) for way, order in pair_ways(source)]
+    frames = [_frame_of(pair) for pair in (target, source)]
+    return [(frames[0] @ way, order) for way, order in pair_ways(frames[1])]
 
 
-def pair_ways(pair: tuple[Pole, Pole]) -> list[tuple[Array, tuple[int, int]]]:
-    """Express points in the frame of a pair of poles, in the eight ways of naming and directing it.
+def _frame_of(pair: tuple[Pole, Pole]) -> Array:
+    first, second = pair
+    return line_pair(first.point, first.direction, second.point, second.direction).frame
+
+
+WAYS = tuple(
+    (se3.from_rt(np.array(axes, dtype=np.float64).T, np.zeros(3)), order)
+    for order, *axes in (
+        ((0, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ((0, 1), (0, -1, 0), (-1, 0, 0), (0, 0, -1)),
+        ((0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1)),
+        ((0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, 1)),
+        ((1, 0), (1, 0, 0), (0, -1, 0), (0, 0, -1)),
+        ((1, 0), (0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+        ((1, 0), (0, -1, 0), (1, 0, 0), (0, 0, 1)),
+        ((1, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    )
+)
+"""The frame of two lines under the eight ways of naming and directing them, by its axes in the one
+that they have as they are: the bisectors change their roles where one line turns round, the common
+perpendicular its way where that or the order does."""
+
+
+def pair_ways(frame: Array) -> list[tuple[Array, tuple[int, int]]]:
+    """Express points in the frame (4, 4) of two poles, in the eight ways to name and direct them.
 
     Returns
     -------
     list of (T_frame_lidar, order)
         (4, 4), and which pole (0 or 1) is the first and which the second.
     """
-    ways = []
-    for order in ((0, 1), (1, 0)):
-        first, second = pair[order[0]], pair[order[1]]
-        for s1 in (1.0, -1.0):
-            for s2 in (1.0, -1.0):
-                frame = line_pair(
-                    first.point, s1 * first.direction, second.point, s2 * second.direction
-                ).frame
-                ways.append((se3.inverse(frame), order))
-    return ways
+    return [(se3.inverse(frame @ way), order) for way, order in WAYS]
 
 
 def direction_sigma(pole: Pole) -> float:
@@ -476,7 +488,7 @@ def _matched(
     list of (Match, Match)
         Of two poles, and of all that fall into place; of more than two and two only exact ones.
     """
-    ways = {column: pair_ways(_both(source, pairs_source.index[column])) for _, column in alike}
+    ways = {column: pair_ways(pairs_source.frame[column]) for _, column in alike}
     pairs, starts = [], []
     for row, column in alike:
         (i, j), both = pairs_target.index[row], pairs_source.index[column]
@@ -496,10 +508,6 @@ def _matched(
     ):
         wholes[k] = whole
     return list(zip(twos, wholes, strict=True))
-
-
-def _both(poles: Sequence[Pole], pair: tuple[int, int]) -> tuple[Pole, Pole]:
-    return poles[pair[0]], poles[pair[1]]
 
 
 def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) -> None:

@@ -22,6 +22,7 @@ from ..base.datatypes import Array, Hypothesis
 from ..base.description import Site
 from ..base.errors import Refusal
 from .pairs import Pair, is_same_pose
+from .placements import AGREE_ANGLE
 from .scans import SiteScans
 
 WITHOUT_SCENE = 0.25
@@ -40,7 +41,7 @@ ELSEWHERE = 2.0
 LiDARs that see it poorly its pose may come out twice, one on each side of the right one."""
 
 MOST_STEPS = 60_000
-"""Steps of the search at most: a ring of 12 LiDARs, two hypotheses for each pair, takes 4,000."""
+"""Steps of the search at most: cranes and posts with 12 LiDARs took 26,000 and 50,000."""
 
 MOST_RIVALS = 8
 """So many equally good choices are enough to tell where they differ."""
@@ -133,7 +134,9 @@ class _Search:
     `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
     second in the frame of the first; both for either order. The same poses come up by thousands of
     ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
-    and the choice that the search starts from keep alive.
+    and the choice that the search starts from keep alive. `known` has one of each LiDAR's poses
+    that are the same, `numbers` which of them each is, and `reached` what the LiDARs counted when
+    their poses were last the same: whoever comes there with no more finds nothing new.
     """
 
     pairs: dict[tuple[int, int], Pair]
@@ -143,6 +146,9 @@ class _Search:
     beside: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
     same: dict[tuple[int, int], bool] = field(default_factory=dict)
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
+    known: dict[int, Array] = field(default_factory=dict)
+    numbers: dict[int, int] = field(default_factory=dict)
+    reached: dict[frozenset[tuple[int, int]], float] = field(default_factory=dict)
     steps: int = 0
     best: float = -np.inf
     found: list[Choice] = field(default_factory=list)
@@ -153,6 +159,8 @@ class _Search:
         if self.steps > MOST_STEPS:
             return
         if so_far.count + self._most(left + unlinked) <= self.best - EQUAL:
+            return
+        if not unlinked and not self._is_new(so_far):
             return
         if not left:
             if not unlinked:
@@ -167,6 +175,26 @@ class _Search:
         if others and (not options or self._most_of(others, lidar) > 0):
             # Those that already have a pose may all be wrong about this one.
             self.run(so_far, others, [*unlinked, lidar])
+
+    def _is_new(self, choice: Choice) -> bool:
+        """Whether these poses were not reached yet, or with a smaller count."""
+        same = frozenset((i, self._number(i, T)) for i, T in choice.poses.items())
+        if self.reached.get(same, -np.inf) >= choice.count:
+            return False
+        self.reached[same] = choice.count
+        return True
+
+    def _number(self, lidar: int, T: Array) -> int:
+        """Number a pose of a LiDAR: the same poses, the same numbers."""
+        if id(T) not in self.numbers:
+            known = self.known.get(lidar, np.zeros((0, 4, 4)))
+            turned = np.einsum("kij,ij->k", known[:, :3, :3], T[:3, :3])
+            near = np.flatnonzero(turned >= 1.0 + 2.0 * np.cos(AGREE_ANGLE))
+            same = (int(k) for k in near if is_same_pose(T, known[k], self.poles[lidar]))
+            self.numbers[id(T)] = number = next(same, len(known))
+            if number == len(known):
+                self.known[lidar] = np.concatenate([known, T[None]])
+        return self.numbers[id(T)]
 
     def _keep(self, choice: Choice) -> None:
         self.best = max(self.best, choice.count)

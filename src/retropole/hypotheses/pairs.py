@@ -6,7 +6,7 @@ same pose from several placements is one hypothesis. The scene is asked once for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -29,6 +29,11 @@ scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds
 
 LEAST_TOLD = 0.1
 """Overlap of the best hypothesis below which the scenes show different places."""
+
+
+SPARSE, SPARSE_ERROR = 8, 0.03
+"""First every so many of the points are compared, and all of them where the first may be off by so
+much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by 0.025 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,21 +174,14 @@ def _scored(
 ) -> Pair:
     assert target is not None
     assert source is not None
-    scored = []
-    for match, poles in found:
-        seen = compare_views(target, source, match.T_target_source, within=OVERLAP_DISTANCE)
-        scored.append(
-            Hypothesis(
-                match,
-                None,
-                None,
-                seen.overlap,
-                seen.free_space_violation,
-                seen.overlap - seen.free_space_violation,
-                seen.covisible_overlap,
-                poles=poles,
-            )
-        )
+    some = [replace(view, points=view.points[::SPARSE]) for view in (target, source)]
+    rough = [_by_scene(match, poles, *some) for match, poles in found]
+    first = max(rough, key=lambda each: each.score)
+    first = _by_scene(first.match, first.poles, target, source)
+    scored = [
+        _by_scene(each.match, each.poles, target, source) if _may_stand(each, first) else each
+        for each in rough
+    ]
     scored.sort(key=lambda each: -each.score)
     best = scored[0]
     hypotheses = tuple(
@@ -195,6 +193,20 @@ def _scored(
         for each in scored
     )
     return Pair(lidars, hypotheses, _overlaps(best))
+
+
+def _by_scene(match: Match, poles: Mapping[int, int], target: View, source: View) -> Hypothesis:
+    seen = compare_views(target, source, match.T_target_source, within=OVERLAP_DISTANCE)
+    return Hypothesis(
+        match,
+        None,
+        None,
+        seen.overlap,
+        seen.free_space_violation,
+        seen.overlap - seen.free_space_violation,
+        seen.covisible_overlap,
+        poles=poles,
+    )
 
 
 def _overlaps(best: Hypothesis) -> bool:
@@ -211,6 +223,17 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     Scenes that do not overlap tell nothing apart.
     """
     return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
+
+
+def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
+    """Whether the whole scene may leave standing, or possible, what a part of it speaks of."""
+    at_best = replace(
+        each,
+        overlap=each.overlap + SPARSE_ERROR,
+        free_space_violation=each.free_space_violation - SPARSE_ERROR,
+        score=each.score + 2 * SPARSE_ERROR,
+    )
+    return _stands(at_best, best) or _is_possible(at_best, best)
 
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:

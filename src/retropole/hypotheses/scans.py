@@ -15,7 +15,7 @@ from ..surfaces.averaging import averaged
 from ..surfaces.patches import Patches, surface_patches
 from ..surfaces.scans import find_poles
 from ..surfaces.static import check_static, check_still
-from ..surfaces.visibility import SCORING_SAMPLE, SCORING_VOXEL, View, view_of
+from ..surfaces.visibility import View, scoring_view
 from .placements import merge_clouds
 
 Recording = tuple[int, int]
@@ -150,10 +150,7 @@ def views_of(scans: SiteScans) -> Views:
     """Downsample every recording."""
     return Views(
         tuple(
-            tuple(
-                None if cloud is None else view_of(cloud, SCORING_VOXEL, SCORING_SAMPLE)
-                for cloud in row
-            )
+            tuple(None if cloud is None else scoring_view(cloud) for cloud in row)
             for row in scans.recorded
         )
     )
@@ -186,5 +183,5 @@ def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array,
 
 def patches_of(scans: SiteScans) -> list[Patches | None]:
     """Fit surface patches to what each LiDAR recorded; None where it recorded nothing."""
-    scenes = [scans.scene(lidar) for lidar in range(len(scans.by_lidar))]
+    scenes = (scans.scene(lidar) for lidar in range(len(scans.by_lidar)))
     return [None if scene is None else surface_patches(scene) for scene in scenes]

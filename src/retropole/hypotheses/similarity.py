@@ -33,6 +33,7 @@ from ..surfaces.visibility import (
     SCORING_VOXEL,
     View,
     compare_views,
+    scoring_view,
     view_of,
 )
 from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs, match_poles, pair_starts
@@ -212,10 +213,12 @@ def _better(
     scene = _scene_of(placement) if any(starts for _, starts in tried) else None
     if scene is None:
         return None
-    rivals = _fitted(scene, 1.0, rigid, CHANGES_TRIED, is_rigid=True)
+    rivals: list[Found] | None = None
     for change, starts in tried:
         for found in _fitted(scene, change, starts):
             if found.is_confirmed:
+                if rivals is None:
+                    rivals = _fitted(scene, 1.0, rigid, CHANGES_TRIED, is_rigid=True)
                 nearest = _counterparts(scene, found)
                 rivals += _fitted(scene, 1.0, nearest, len(nearest), is_rigid=True)
                 if all(found.is_better(rival) for rival in rivals):
@@ -225,7 +228,7 @@ def _better(
 
 def _scene_of(placement: Placement) -> _Scene | None:
     """Prepare a placement; None where the target has too few points."""
-    view = view_of(placement.target.cloud, SCORING_VOXEL, SCORING_SAMPLE)
+    view = scoring_view(placement.target.cloud)
     surfaces = surfaces_of(view.tree)
     if surfaces is None:
         return None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.datatypes import Array, IntArray, PointCloud, kept
 from ..base.se3 import lengths
 from ..base.sensors import SENSORS, Sensor
 
@@ -165,13 +165,23 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
+    told = _told_by_rings(cloud)
+    return cloud if told is None else replace(cloud, origin=told.apex, axis=told.axis)
+
+
+@kept
+def _told_by_rings(cloud: PointCloud) -> Cones | None:
+    """The cones of the rings of a cloud, their axis to the side of its own; None where it has these
+    origin and axis already, and where there are none.
+    """
+    assert cloud.ring is not None
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     if _spread(cloud.xyz[part], cloud.ring[part], cloud.origin, cloud.axis) <= CONE_SPREAD:
-        return cloud
+        return None
     part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
     points, ring = cloud.xyz[part], np.unique(cloud.ring[part], return_inverse=True)[1]
     if ring.max() == 0:
-        return cloud
+        return None
     for start in (cloud.origin, _densest(points), np.median(points, axis=0)):
         # A part tells first whether there are cones at all: where a sweep was undistorted in
         # motion, there are none, from whichever start.
@@ -183,8 +193,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
         # Seen from far away all points have one elevation, whatever their ring.
         if found.spread <= CONE_SPREAD and far > 2.0 * near:
             along = found.axis if found.axis @ cloud.axis >= 0.0 else -found.axis
-            return replace(cloud, origin=found.apex, axis=along)
-    return cloud
+            return replace(found, axis=along)
+    return None
 
 
 def fit_cones(points: Array, ring: IntArray, start: Array) -> Cones:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from ..adjustment.descent import inverse_of
+from ..alignment.solver import inverse_of
 from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of

@@ -17,7 +17,6 @@ from ..adjustment.solved import parts_of
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.expansion import MAX_ROUNDS, WIDEST
-from ..alignment.likelihood import FEW_NODES
 from ..alignment.maximum import Sight
 from ..alignment.network import Network, PoleFactor, bands_of, factor_of, observe
 from ..alignment.observations import BESIDE, beams_of
@@ -41,11 +40,11 @@ LEAST = 0.01
 """What a pole says of a direction counts from this part of what is known of it beforehand."""
 
 
-TOGETHER, ROUNDS, NODES = 400, 5, 3
+TOGETHER, ROUNDS = 400, 5
 """Where many poles are compared: returns that are expanded at once, whose noise is found together,
-rounds of each view of the axes, and nodes of its averages. Half of
-the errors of 200 random pairs are then within 0.4 % of those of each pole by itself in 30 rounds of
-six nodes, and all within 3.3 %; by the poles alone 0.9 % and 12 % (a street and a kerb)."""
+and rounds of each view of the axes. Half of the errors of 200 random pairs are then within 0.4 % of
+those of each pole by itself in 30 rounds, and all within 3.3 %; by the poles alone 0.9 % and 12 %
+(a street and a kerb)."""
 
 
 def divergences_of(stations: Sequence[Station]) -> list[float]:
@@ -101,7 +100,7 @@ def network_of(
     quickly
         As many poles are compared; see `TOGETHER`.
     """
-    together, *views = (TOGETHER, ROUNDS, NODES) if quickly else (1, MAX_ROUNDS, FEW_NODES)
+    together, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
     widths = divergences_of(stations)
     sights = []
     for i, station in enumerate(stations):
@@ -127,7 +126,7 @@ def network_of(
     at = Posterior(state, log_noise, 0.0, none[0:0], none, none, none, 0.0)
     free = np.repeat(np.arange(count) > 0, POSE)
     bands = bands_of(sights, scene_bands)
-    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, *views)
+    return observe(at, sights, placement, Surveyed(), candidates.radius, bands, free, rounds)
 
 
 def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:

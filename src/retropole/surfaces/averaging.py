@@ -10,11 +10,10 @@ All that looks at surfaces looks at these averages; only the returns on poles co
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
+from numpy.typing import NDArray
 
-from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.datatypes import Array, IntArray, PointCloud, kept
 from ..base.se3 import lengths
 from .sweeps import order_of
 
@@ -28,10 +27,6 @@ GAP, GAP_BY_RANGE = 0.15, 0.01
 
 BIN = 0.01
 """Ranges are sorted as precisely as that, metres: far less than any gap."""
-
-
-_averages: WeakKeyDictionary[PointCloud, PointCloud] = WeakKeyDictionary()
-"""Of clouds that are in use: every step asks for them."""
 
 
 def averaged(cloud: PointCloud) -> PointCloud:
@@ -49,17 +44,19 @@ def averaged(cloud: PointCloud) -> PointCloud:
     """
     if cloud.frame is None or not len(cloud) or cloud.frame.min() == cloud.frame.max():
         return cloud
-    if cloud not in _averages:
-        _averages[cloud] = _averaged(cloud)
-    return _averages[cloud]
+    return _averaged(cloud)
 
 
+@kept
 def _averaged(cloud: PointCloud) -> PointCloud:
     order, starts = _by_place(cloud)
     count = np.diff(np.r_[starts, len(order)])
-    columns = [np.add.reduceat(column[order], starts) / count for column in cloud.xyz.T]
+    # Column by column: all of them at once would be most of the memory of a long recording.
+    xyz = np.empty((len(starts), 3))
+    for column, mean in zip(cloud.xyz.T, xyz.T, strict=True):
+        mean[:] = np.add.reduceat(column.take(order), starts) / count
     return PointCloud(
-        np.stack(columns, axis=1),
+        xyz,
         ring=None if cloud.ring is None else cloud.ring[order[starts]],
         origin=cloud.origin,
         axis=cloud.axis,
@@ -72,19 +69,23 @@ def _by_place(cloud: PointCloud) -> tuple[IntArray, IntArray]:
     rays = cloud.xyz - cloud.origin
     ranges = lengths(rays)
     side = np.cross([0.0, 1.0, 0.0] if abs(cloud.axis[1]) < 0.9 else [0.0, 0.0, 1.0], cloud.axis)
-    azimuth = np.arctan2(rays @ np.cross(cloud.axis, side), rays @ side)
-    elevation = np.arcsin(np.clip(rays @ cloud.axis / np.maximum(ranges, 1e-9), -1.0, 1.0))
+    column = _numbered(np.arctan2(rays @ np.cross(cloud.axis, side), rays @ side) / AZIMUTH_CELL)
     # Rings that lie at even elevations lie in the middle of cells.
-    row = _numbered(elevation / ELEVATION_CELL + 0.5 if cloud.ring is None else cloud.ring)
-    column, depth = _numbered(azimuth / AZIMUTH_CELL), _numbered(ranges / BIN)
-    direction = row * (int(column.max()) + 1) + column
-    order = order_of(direction * (int(depth.max()) + 1) + depth)
+    if cloud.ring is None:
+        sine = rays @ cloud.axis / np.maximum(ranges, 1e-9)
+        row = _numbered(np.arcsin(np.clip(sine, -1.0, 1.0)) / ELEVATION_CELL + 0.5)
+    else:
+        row = _numbered(cloud.ring)
+    del rays
+    direction = row * (column.max() + 1) + column
+    depth = _numbered(ranges / BIN)
+    order = order_of(direction * np.int64(depth.max() + 1) + depth)
     direction, ranges = direction[order], ranges[order]
     parted = np.diff(ranges) > GAP + GAP_BY_RANGE * ranges[:-1]
     return order, np.flatnonzero(np.r_[True, (np.diff(direction) != 0) | parted])
 
 
-def _numbered(values: Array | IntArray) -> IntArray:
+def _numbered(values: Array | IntArray) -> NDArray[np.int32]:
     """Whole numbers (N,) of values, from 0."""
-    found = np.floor(values).astype(np.int64)
-    return np.asarray(found - found.min())
+    found = np.floor(values)
+    return np.asarray(found - found.min()).astype(np.int32)

@@ -27,8 +27,8 @@ START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
 """Where the search for the scale begins, about the square of the mean: its place for normal ones,
 logarithms."""
 
-LOG_ROUNDING = 1e-12
-"""Step of a logarithm at which its place is found."""
+LOG_ROUNDING = 1e-7
+"""Step of a logarithm at which its place is found: the next of Newton's is its square."""
 
 LEAST_SCATTER = 1e-6
 """Least that values are found to scatter by, and their variance in common, as a part of what is
@@ -205,15 +205,29 @@ class PatchPairs:
     places: IntArray
     at: Array
 
-    @property
-    def by_error(self) -> Array:
-        """(P, B) derivative with respect to all errors, in the order of the layout."""
-        table = np.empty((len(self.residuals), self.layout.size))
-        self.put_by_error(np.ones(len(table)), table)
-        return table
+    def by_errors(self, errors: Array) -> Array:
+        """(P, ...) change of the residuals by errors (B, ...), in the order of the layout."""
+        moved = np.zeros((len(self.residuals), *errors.shape[1:]))
+        for lidar, (by, share) in enumerate(self.by_lidar):
+            moved += by[:, :DEVICE] @ errors[self.layout.device(lidar)]
+            for kind in range(RING):
+                of_rings = share @ errors[self.layout.rings(lidar, kind)]
+                moved += (by[:, DEVICE + kind] * of_rings.T).T
+        return moved
+
+    def pull_of_errors(self, rows: Array) -> Array:
+        """(B,) sum of the residuals' derivatives by all errors, each times its own of (P,)."""
+        pull = np.zeros(self.layout.size)
+        for lidar, (by, share) in enumerate(self.by_lidar):
+            own = rows[:, None] * by
+            pull[self.layout.device(lidar)] = own[:, :DEVICE].sum(axis=0)
+            of_rings = share.T @ own[:, DEVICE:]
+            for kind in range(RING):
+                pull[self.layout.rings(lidar, kind)] = of_rings[:, kind]
+        return pull
 
     def put_by_error(self, factor: Array, table: Array) -> None:
-        """Put the same, each row times a factor (P,), into a table (P, B)."""
+        """Put the derivative by all errors, rows times a factor (P,), into a table (P, B)."""
         for lidar, (by, share) in enumerate(self.by_lidar):
             own = factor[:, None] * by
             table[:, self.layout.device(lidar)] = own[:, :DEVICE]

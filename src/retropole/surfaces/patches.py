@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import small_gicp
-from scipy.spatial import cKDTree
 
 from ..alignment.certainty import chi2_limit
 from ..alignment.solver import ROUNDING
@@ -15,6 +14,7 @@ from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RING, band_of, by_error
 from .averaging import averaged
 from .registration import SAMPLE, voxel_downsample
+from .visibility import tree_of
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)
 """Patches are fitted to clouds downsampled to one point per cube of these sides, metres: small ones
@@ -144,7 +144,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
             at = every_nth(points, SAMPLE)
             finer = [part.centres for part in parts if len(part.centres)]
             if finer:
-                near = cKDTree(np.concatenate(finer))
+                near = tree_of(np.concatenate(finer))
                 at = at[np.isinf(near.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
             parts.append(_patches_of(points, tree, at, cloud.origin, cloud.axis, count))
     every = Patches(
@@ -187,18 +187,21 @@ def _patches_of(
     index, _ = tree.batch_knn_search(at, count)
     index = np.asarray(index, dtype=np.intp)
     neighbours = points.take(index, axis=0)
-    centres = neighbours.mean(axis=1)
+    centres = _middle(neighbours)
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / count
     values, vectors = np.linalg.eigh(spread)
     values = np.maximum(values, ROUNDING * values[:, 2:])
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
-    across, heights = _directions(neighbours - origin, axis)
-    flat &= across > MIN_ACROSS
     # The plane of one ring and a point beside it goes through that point, whatever its error.
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
+    beams = points - origin
+    beams /= lengths(beams)[:, None]
+    flat = np.flatnonzero(flat)
+    across, heights = _directions(beams, axis, index[flat])
+    flat, heights = flat[across > MIN_ACROSS], heights[across > MIN_ACROSS]
     centres, normals = centres[flat], vectors[flat, :, 0]
     lean = _lean(centres - origin, normals, spread[flat])
     ranges = lengths(centres - origin)
@@ -208,7 +211,7 @@ def _patches_of(
     # not taken for thinner than most are.
     span = np.maximum(heights[:, -1] - heights[:, 0], 1e-12)
     gap = np.diff(heights, axis=1).max(axis=1) / span
-    sure = values[flat & (gap <= MAX_GAP), 0]
+    sure = values[flat[gap <= MAX_GAP], 0]
     if not len(sure):
         sure = values[flat, 0]
     usual = np.median(sure) if len(sure) else 0.0
@@ -238,20 +241,22 @@ def _patches_of(
         lean,
         np.tile(band[index[flat]], PATCH_NEIGHBOURS[0] // count),
         np.concatenate([device, ring], axis=2),
-        gap[flat],
-        heights[flat][:, [0, -1]],
+        gap,
+        heights[:, [0, -1]],
     )
 
 
-def _directions(rays: Array, axis: Array) -> tuple[Array, Array]:
+def _directions(beams: Array, axis: Array, index: IntArray) -> tuple[Array, Array]:
     """Say how the directions of the beams of patches spread, seen from where they start.
 
     Parameters
     ----------
-    rays
-        (M, K, 3) from the beam origin to the points, metres.
+    beams
+        (N, 3) unit vectors from where they start to the points.
     axis
         (3,) of the LiDAR.
+    index
+        (M, K) the points of each patch.
 
     Returns
     -------
@@ -259,19 +264,30 @@ def _directions(rays: Array, axis: Array) -> tuple[Array, Array]:
         RMS across their longer extent, or of their elevations where that is less, rad; and the
         elevations, sorted.
     """
-    directions = rays / np.linalg.norm(rays, axis=2, keepdims=True)
-    elevations = np.sort(np.arcsin(np.clip(directions @ axis, -1.0, 1.0)), axis=1)
-    mean = directions.mean(axis=1)
+    elevation = np.arcsin(np.clip(beams @ axis, -1.0, 1.0))
+    elevations = np.sort(elevation.take(index), axis=1)
+    aside = beams.take(index, axis=0)
+    mean = _middle(aside)
+    aside -= mean[:, None]
+    square = np.matmul(aside.transpose(0, 2, 1), aside) / index.shape[1]
+    # What lies along the beams themselves is left out.
     mean /= lengths(mean)[:, None]
-    aside = directions - directions.mean(axis=1, keepdims=True)
-    aside -= np.einsum("mki,mi->mk", aside, mean)[:, :, None] * mean[:, None]
-    square = np.matmul(aside.transpose(0, 2, 1), aside) / rays.shape[1]
-    trace = np.trace(square, axis1=1, axis2=2)
+    along = np.einsum("mij,mj->mi", square, mean)
+    twice = np.einsum("mi,mi->m", along, mean)
+    trace = np.trace(square, axis1=1, axis2=2) - twice
+    squares = np.einsum("mij,mij->m", square, square) + twice**2
+    squares -= 2.0 * np.einsum("mi,mi->m", along, along)
     # Of the three eigenvalues one is 0: the other two have this sum and this product.
-    product = (trace**2 - np.einsum("mij,mij->m", square, square)) / 2
+    product = (trace**2 - squares) / 2
     least = (trace - np.sqrt(np.maximum(trace**2 - 4.0 * product, 0.0))) / 2
     across = np.minimum(np.sqrt(np.maximum(least, 0.0)), np.std(elevations, axis=1))
     return np.asarray(across), elevations
+
+
+def _middle(points: Array) -> Array:
+    """(M, 3) mean of each K of points (M, K, 3), in a quarter of the time of np.mean."""
+    share = np.full(points.shape[1], 1.0 / points.shape[1])
+    return np.asarray(share @ points)
 
 
 def _doubted(patches: Patches) -> Patches:
@@ -282,7 +298,7 @@ def _doubted(patches: Patches) -> Patches:
     if not len(doubtful):
         return patches
     count = min(CONFIRMING, len(patches.centres))
-    distance, near = cKDTree(patches.centres).query(patches.centres[doubtful], k=count)
+    distance, near = tree_of(patches.centres).query(patches.centres[doubtful], k=count)
     between = patches.centres[near] - patches.centres[doubtful][:, None]
     own, other = patches.normals[doubtful], patches.normals[near]
     off = np.maximum(

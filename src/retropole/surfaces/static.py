@@ -14,7 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base import quantities, se3
-from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, Placement, PointCloud, Pole
+from ..base.datatypes import (
+    DEFAULT_RADIUS,
+    Array,
+    BoolArray,
+    IntArray,
+    Placement,
+    PointCloud,
+    Pole,
+    kept,
+)
 from ..base.errors import Reason, Refusal
 from ..io.recordings import time_of_recording
 from .registration import SAMPLE, Registration, Surface, prepare, register, surface_of
@@ -276,6 +285,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
         )
 
 
+@kept
 def turned_by(cloud: PointCloud) -> float:
     """How far a LiDAR turned from the first frames to the last, rad; 0 where that is not known.
 

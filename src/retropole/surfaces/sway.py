@@ -64,7 +64,7 @@ SHIFTS = np.array([0.002, 0.01, 0.05])
 """1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
 half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by less than 0.03°."""
 
-SHIFTED = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+SHIFT_ALONE = np.eye(6)[:, 3:]
 """Root of the covariance of such a shift, of one metre."""
 
 SEEN, LEAST_SWAY = 3.0, float(np.radians(0.003))
@@ -133,15 +133,54 @@ class Asked(NamedTuple):
     pull: Array
 
 
+class Axes(NamedTuple):
+    """What returns say of coefficients along the axes (6 F, K) of a prior: values and gradients
+    (K,)."""
+
+    way: Array
+    value: Array
+    along: Array
+
+
+def axes_of(asked: Asked, root: Array) -> Axes:
+    """Find the axes in which the returns and a prior are apart.
+
+    `root` (6, R) is of the covariance of each six coefficients, over turn and shift, rad and m,
+    where the size is one.
+    """
+    count, rank = len(asked.pull) // 6, root.shape[1]
+    blocks = root.T @ asked.left.reshape(count, 6, count, 6).transpose(0, 2, 1, 3) @ root
+    value, way = np.linalg.eigh(blocks.transpose(0, 2, 1, 3).reshape(count * rank, -1))
+    way = (root @ way.reshape(count, rank, -1)).reshape(6 * count, -1)
+    return Axes(way, np.maximum(value, 0.0), way.T @ asked.pull)
+
+
+def evidence_of(axes: Axes, variance: Array, noise: float) -> Array:
+    """(S,) logarithm of the evidence of priors of some variances (S,)."""
+    narrowed = 1 + np.multiply.outer(variance, axes.value / noise)
+    gained = np.multiply.outer(variance, (axes.along / noise) ** 2) / narrowed
+    return np.asarray(0.5 * np.sum(gained - np.log(narrowed), axis=1))
+
+
+def axes_along(asked: Sequence[Asked], ways: Sequence[tuple[float, Array]]) -> list[list[Axes]]:
+    """Find the axes of every hypothesis, for each of the ways and for a shift alone."""
+    roots = [*(root for _, root in ways), SHIFT_ALONE]
+    return [[axes_of(each, root) for root in roots] for each in asked]
+
+
 def infer(
-    asked: Sequence[Asked], sizes: Array, ways: Sequence[tuple[float, Array]], noise: float = 1.0
+    asked: Sequence[Asked],
+    axes: Sequence[Sequence[Axes]],
+    sizes: Array,
+    ways: Sequence[tuple[float, Array]],
+    noise: float = 1.0,
 ) -> Motion:
     """Weigh all hypotheses of the motion by the returns.
 
     Parameters
     ----------
-    asked
-        One at least.
+    asked, axes
+        One at least, and what `axes_along` finds of them.
     sizes
         1 σ of the turn, rad, each as probable as it is large.
     ways
@@ -149,78 +188,38 @@ def infer(
     noise
         So many times the variance of the returns that they state themselves.
     """
-    shares = sizes / sizes.sum()
-    evidence, prior, frequencies, found, shifted = [], [], [], [], [0.0]
-    for frequency, share, features, *told in asked:
-        left, pull = (each / noise for each in told)
-        for of_way, root in ways:
-            for of_size, one in zip(shares, weigh(left, pull, root, sizes), strict=True):
-                evidence.append(one.evidence)
-                prior.append(share * of_way * of_size)
-                frequencies.append(frequency)
-                found.append((features, one))
-        for alone in weigh(left, pull, SHIFTED, SHIFTS):
-            shifted.append(alone.evidence + float(np.log(share / len(SHIFTS))))
-    total = float(np.logaddexp.reduce(np.array(evidence) + np.log(prior)))
-    weighed = COUNTED * np.array(evidence) + np.log(prior)
-    probability = np.exp(weighed - np.logaddexp.reduce(weighed))
+    share = np.array([each.share for each in asked])
+    prior = np.einsum("a,w,s->aws", share, [of_way for of_way, _ in ways], sizes / sizes.sum())
+    evidence = np.array([[evidence_of(own, sizes**2, noise) for own in each[:-1]] for each in axes])
+    shifted = np.array([evidence_of(each[-1], SHIFTS**2, noise) for each in axes])
+    shifted += np.log(share / len(SHIFTS))[:, None]
+    total = float(np.logaddexp.reduce(evidence + np.log(prior), axis=None))
+    weighed = COUNTED * evidence + np.log(prior)
+    probability = np.exp(weighed - np.logaddexp.reduce(weighed, axis=None))
     motion, mean = np.zeros((len(asked[0].features), 6)), np.zeros(6)
     square = np.zeros((6, 6))
-    for p in np.flatnonzero(probability > NEGLIGIBLE):
-        features, one = found[p]
-        own = features.mean(axis=0)
-        here = own @ one.coefficients
-        spread = np.einsum("i,ixk->xk", own, one.root.reshape(len(own), 6, -1))
-        motion += probability[p] * (features @ one.coefficients)
-        mean += probability[p] * here
-        square += probability[p] * (spread @ spread.T + np.outer(here, here))
-    features, one = found[int(np.argmax(probability))]
+    best = np.unravel_index(int(np.argmax(probability)), probability.shape)
+    for a, w, s in zip(*np.nonzero(probability > NEGLIGIBLE), strict=True):
+        features, own, p = asked[a].features, axes[a][w], float(probability[a, w, s])
+        variance = sizes[s] ** 2 / (1 + sizes[s] ** 2 * own.value / noise)
+        coefficients = (own.way @ (variance * own.along / noise)).reshape(-1, 6)
+        middle = features.mean(axis=0)
+        here = middle @ coefficients
+        spread = np.einsum("i,ixk->xk", middle, own.way.reshape(len(middle), 6, -1))
+        motion += p * (features @ coefficients)
+        mean += p * here
+        square += p * ((spread * variance) @ spread.T + np.outer(here, here))
+        if (a, w, s) == best:
+            likeliest = features, coefficients
+    frequencies = np.log([each.frequency for each in asked])
     return Motion(
-        total - float(np.logaddexp.reduce(shifted)),
+        total - float(np.logaddexp.reduce(np.append(shifted, 0.0))),
         total,
         motion,
         square - np.outer(mean, mean),
-        float(np.exp(probability @ np.log(frequencies))),
-        (features, one.coefficients),
+        float(np.exp(probability.sum(axis=(1, 2)) @ frequencies)),
+        likeliest,
     )
-
-
-class Weighed(NamedTuple):
-    """Logarithm of the evidence of a hypothesis, and its coefficients (F, 6); the `way` and the
-    `scale` of each are a root of their covariance."""
-
-    evidence: float
-    coefficients: Array
-    way: Array
-    scale: Array
-
-    @property
-    def root(self) -> Array:
-        """(6 F, 6 F) a root of the covariance of the coefficients."""
-        return self.way * self.scale
-
-
-def weigh(left: Array, pull: Array, root: Array, sizes: Array) -> list[Weighed]:
-    """Estimate coefficients with information (K, K) and gradient (K,) under priors of some sizes.
-
-    `root` (6, 6) is of the covariance of each six of them, over turn and shift, rad and m, where
-    the size is one.
-    """
-    count = len(pull) // 6
-    whole = np.kron(np.eye(count), root)
-    value, way = np.linalg.eigh(whole.T @ left @ whole)
-    value, way = np.maximum(value, 0.0), whole @ way
-    along = way.T @ pull
-    variance = sizes[:, None] ** 2
-    narrowed = 1 + variance * value
-    evidence = 0.5 * np.sum(variance * along**2 / narrowed - np.log(narrowed), axis=1)
-    coefficients = (variance * along / narrowed) @ way.T
-    return [
-        Weighed(float(each), own.reshape(count, 6), way, scale)
-        for each, own, scale in zip(
-            evidence, coefficients, np.sqrt(variance / narrowed), strict=True
-        )
-    ]
 
 
 def ways_of(motion: Array) -> list[tuple[float, Array]]:
@@ -323,7 +322,7 @@ def steadied(cloud: PointCloud, stated: float | None = None) -> Steadied:
     if found is None or (stated is None and not found.is_seen) or turned_by(cloud) > MAX_TURN:
         # What turned by more is refused: a LiDAR that was bumped does not sway.
         return as_it_is
-    still = without(cloud.xyz, cloud.origin, found.motion[when.of_all])
+    still = without(cloud.xyz, cloud.origin, found.motion, when.of_all)
     return Steadied(replace(cloud, xyz=still), _stated(found, when), found.motion)
 
 
@@ -369,9 +368,10 @@ def judged(
         (B, 6) the motion, and the noise, as they are known.
     """
     ways = ways_of(motion)
-    found = infer(asked, sizes, ways, noise)
+    axes = axes_along(asked, ways)
+    found = infer(asked, axes, sizes, ways, noise)
     after = noise_of(observed, *found.best)
-    return (found if after == noise else infer(asked, sizes, ways, after)), after
+    return (found if after == noise else infer(asked, axes, sizes, ways, after)), after
 
 
 def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
@@ -449,7 +449,9 @@ def without_velocity(cloud: PointCloud, rate: Array, later: float) -> PointCloud
     else:
         when = timed(cloud)
         after = (when.times - when.times.mean() + later)[when.of_all]
-    return replace(cloud, xyz=without(cloud.xyz, cloud.origin, after[:, None] * rate))
+    part = np.arange(len(cloud))
+    still = without(cloud.xyz, cloud.origin, after[:, None] * rate, part)
+    return replace(cloud, xyz=still)
 
 
 def _stated(found: Motion, when: Timed) -> Sway:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
@@ -25,46 +24,53 @@ noise of the normals alone would imitate."""
 class Weighed:
     """Pairs of patches as the adjustment takes them.
 
+    Of each pair of patches there is a row: its derivative by the pose and the errors, and its
+    residual, each times the root of its weight, so that all have unit weight. All rows together
+    would be most of what a site keeps in memory.
+
     Attributes
     ----------
-    weights
-        (P,) of the residuals, 1/m².
-    table
-        (P, 6 + B + 1) derivative by the pose and the errors, and the residuals, each times the root
-        of its weight, so that all have unit weight.
+    pairs, weights
+        Those that correspond, and (P,) the weights of the residuals, 1/m².
     ways, left
         (P, 6) and (6,), as `held_directions` gives them: what the surfaces do not hold is left to
-        the poles, ``(1 − W diag(left) Wᵀ)`` times the table.
+        the poles, ``(1 − W diag(left) Wᵀ)`` times the rows.
     """
 
+    pairs: PatchPairs
     weights: Array
-    table: Array
     ways: Array
     left: Array
 
-    @cached_property
-    def along(self) -> Array:
-        """(6, 6 + B + 1) what of the table lies along the ways."""
-        return np.asarray(self.ways.T @ self.table)
-
-    @cached_property
-    def square(self) -> Array:
-        """(6 + B + 1, 6 + B + 1) of what is held of the table, of derivatives and residuals."""
-        # The square of one array: BLAS then computes one half of it.
-        whole = self.table.T @ self.table
-        return np.asarray(whole - (self.along.T * (self.left * (2.0 - self.left))) @ self.along)
-
     def by(self, directions: Array) -> Array:
-        """(P, M) change of the residuals by directions (6 + B, M) of the pose and the errors."""
-        return self._held(self.table[:, :-1] @ directions, self.along[:, :-1] @ directions)
+        """(P, ...) change of the residuals by directions (6 + B, ...) of pose and errors."""
+        by_pose = self.pairs.jacobian @ directions[:POSE]
+        rows = by_pose + self.pairs.by_errors(directions[POSE:])
+        return self._held((np.sqrt(self.weights) * rows.T).T)
 
     @property
     def residuals(self) -> Array:
         """(P,) of unit weight."""
-        return self._held(self.table[:, -1], self.along[:, -1])
+        return self._held(np.sqrt(self.weights) * self.pairs.residuals)
 
-    def _held(self, rows: Array, along: Array) -> Array:
-        return np.asarray(rows - self.ways @ (self.left * along.T).T)
+    def pull(self, residuals: Array) -> Array:
+        """(6 + B,) derivative of half the sum of squares by pose and errors, of unit weight."""
+        rows = np.sqrt(self.weights) * self._held(residuals)
+        return np.concatenate([rows @ self.pairs.jacobian, self.pairs.pull_of_errors(rows)])
+
+    @cached_property
+    def square(self) -> Array:
+        """(6 + B, 6 + B) of the derivatives of all residuals."""
+        root = np.sqrt(self.weights)
+        table = np.empty((len(root), POSE + self.pairs.layout.size))
+        table[:, :POSE] = root[:, None] * self.pairs.jacobian
+        self.pairs.put_by_error(root, table[:, POSE:])
+        along = self.ways.T @ table
+        # The square of one array: BLAS then computes one half of it.
+        return np.asarray(table.T @ table - (along.T * (self.left * (2.0 - self.left))) @ along)
+
+    def _held(self, rows: Array) -> Array:
+        return np.asarray(rows - self.ways @ (self.left * (self.ways.T @ rows).T).T)
 
 
 def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
@@ -85,13 +91,7 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    root = np.sqrt(weights)
-    ways, left = held_directions(pairs, weights)
-    table = np.empty((len(r), POSE + pairs.layout.size + 1))
-    table[:, :POSE] = root[:, None] * pairs.jacobian
-    pairs.put_by_error(root, table[:, POSE:-1])
-    table[:, -1] = root * r
-    return Weighed(weights, table, ways, left)
+    return Weighed(pairs, weights, *held_directions(pairs, weights))
 
 
 def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
@@ -116,10 +116,9 @@ def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
     rows = tangents.reshape(-1, 6)
     noise = rows.T @ rows
     scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
-    root = cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6), lower=True)
+    root = np.linalg.cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6))
     # Singular values of the rows: as eigenvalues of their squares, which span twenty powers of
     # ten where few surfaces are seen, the small ones are lost in rounding.
-    basis, scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="economic")
-    whitened = solve_triangular(root, scene.T, lower=True).T
-    turned, singular, _ = svd(whitened)
+    basis, scene = np.linalg.qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale)
+    turned, singular, _ = np.linalg.svd(np.linalg.solve(root, scene.T).T)
     return basis @ turned, MIN_HOLD**2 / (singular**4 + MIN_HOLD**2)
