@@ -51,7 +51,7 @@ from retropole.base.sensors import find_sensor
 from retropole.pipeline import Options, calibrate, calibrate_site
 from retropole.planning.choice import error_of, errors_of, rules_of
 from retropole.planning.place import Candidates, leaning, survey, who_sees
-from retropole.planning.planner import ROUNDS, Planned, design_of, plan, worst_at
+from retropole.planning.planner import Planned, design_of, plan, worst_at
 from retropole.planning.prediction import Surfaces, divergences_of, network_of
 from retropole.planning.stations import bare_scan, stand, stand_drawn
 from retropole.simulation import (
@@ -375,7 +375,7 @@ def spacing(job: tuple[str, str]) -> str:
         poles, seen = poles.select(both), seen[both]
         none = Surfaces((), (np.zeros(0, dtype=np.int64),) * 2)
         numbers = np.arange(len(poles))
-        network = network_of(stations, poles, seen, numbers, none.bands, ROUNDS)
+        network = network_of(stations, poles, seen, numbers, none.bands, quickly=True)
         design = design_of(stations, none, poles, seen, network, 10.0)
         upright = poles.axis[:, 2] > 0.99
         gaps = np.linalg.norm(poles.foot[:, None] - poles.foot, axis=2)

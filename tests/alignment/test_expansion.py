@@ -7,6 +7,7 @@ import pytest
 
 from retropole.alignment.expansion import (
     View,
+    average_lidar,
     average_passed,
     average_returns,
     exact_view,
@@ -94,7 +95,8 @@ def test_the_gradient_is_that_of_the_likelihood_of_corrected_beams(surroundings:
             bands = [np.unique(band_of(each.directions, each.axis)) for each in one]
             layout = Layout((bands[0], bands[1]))
             view = exact_view(2, np.exp(log_noise[lidar]))
-            _, gradient, _ = expand_lidar(state, lidar, one[lidar], view, layout)
+            averages = average_lidar(state, lidar, one[lidar], view)
+            _, gradient, _ = expand_lidar(state, lidar, one[lidar], averages, layout)
             axes = POSE + layout.size
 
             # Within a step, the noise does not follow the angle between beam and pole.

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import prior_precision
-from ..alignment.expansion import expand_lidar, find_view, semidefinite
+from ..alignment.expansion import average_lidar, expand_lidar, find_view, semidefinite
 from ..alignment.maximum import JointPriors, Sight, evaluate_joint, lines_of, maximise, start_noise
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, JointState, Posterior, State
@@ -84,7 +84,8 @@ def find_axes(
     nobody: IntArray = np.zeros(0, dtype=np.int64)
     unknowns = Unknowns((np.unique(band_of(beams.directions, beams.axis)),), 0, 0)
     layout = Layout((nobody, unknowns.bands[0]))
-    information, gradient, _ = expand_lidar(state, 1, beams, view, layout)
+    averages = average_lidar(state, 1, beams, view)
+    information, gradient, _ = expand_lidar(state, 1, beams, averages, layout)
     place = unknowns.of_layout(layout, (None, 0))
     errors = np.argsort(place)[np.count_nonzero(place < 0) :]
     kept = POSE + np.r_[errors, np.arange(len(place), len(gradient) - POSE)]

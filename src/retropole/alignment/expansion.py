@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import RADIUS, RING, WIDTH, Layout, band_of, by_error
 from .likelihood import FEW_NODES, arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
@@ -104,6 +105,12 @@ class Average:
     information: Array
     inlier: Array
     noise: Array
+
+    def part(self, some: BoolArray) -> Average:
+        """Give that of some of the beams (N,)."""
+        own = self.inlier, self.noise
+        inlier, noise = (each[some] for each in own) if len(self.inlier) else own
+        return Average(self.log[some], self.score[some], self.information[some], inlier, noise)
 
 
 def exact_view(poles: int, noise: Array) -> View:
@@ -257,28 +264,42 @@ WIDTH_STEP = 0.01
 """Of the logarithm of the width of a beam, over which its derivatives are taken as differences."""
 
 
+def average_lidar(state: State, lidar: int, one: Beams, view: View) -> tuple[Average, Average]:
+    """Average the likelihood of one LiDAR's returns, and of its beams that passed, with widths."""
+    seen, beside = own_geometry(state, lidar, one)
+    return (
+        with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view)),
+        with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view)),
+    )
+
+
 def expand_lidar(
-    state: State, lidar: int, one: Beams, view: View, layout: Layout
+    state: State, lidar: int, one: Beams, averages: tuple[Average, Average], layout: Layout
 ) -> tuple[Array, Array, Array]:
     """Expand the likelihood of one LiDAR's beams: information, gradient, inliers on each pole.
 
-    Over pose, errors and axes; the target (0) has no part in the pose. In some
-    directions there may be less information than none; see `semidefinite`.
+    Over pose, errors and axes, from the averages of `average_lidar`; the target (0) has no part in
+    the pose. In some directions there may be less information than none; see `semidefinite`.
     """
-    seen, beside = own_geometry(state, lidar, one)
-    on = with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view))
-    passed = with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view))
-    J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
-    size = J.shape[2]
-    flat = J.reshape(-1, size)
-    information = flat.T @ (on.information @ J).reshape(-1, size)
+    on, passed = averages
+    # All at once: the arrays are small, and calls cost as much as what they compute.
+    J = _jacobian(
+        state,
+        lidar,
+        np.concatenate([each.jacobian for each in own_geometry(state, lidar, one)]),
+        np.concatenate([one.directions, one.passed_directions]),
+        np.concatenate([one.ranges, np.zeros(len(one.passed_pole))]),
+        one,
+        np.concatenate([one.pole, one.passed_pole]),
+        layout,
+    )
+    size, count = J.shape[2], len(one.pole)
+    flat = J[:count].reshape(-1, size)
+    information = flat.T @ (on.information @ J[:count]).reshape(-1, size)
     gradient = on.score.reshape(-1) @ flat
     if len(one.passed_pole):
-        far = np.zeros(len(one.passed_pole))
-        own = one.passed_pole
-        J = _jacobian(state, lidar, beside, one.passed_directions, far, one, own, layout)[:, 1:]
-        flat = J.reshape(-1, size)
-        information = information + flat.T @ (passed.information @ J).reshape(-1, size)
+        flat = J[count:, 1:].reshape(-1, size)
+        information = information + flat.T @ (passed.information @ J[count:, 1:]).reshape(-1, size)
         gradient = gradient + passed.score.reshape(-1) @ flat
     inliers = np.bincount(one.pole, on.inlier, len(state.points)).astype(np.float64)
     return np.asarray(information), np.asarray(gradient), inliers
@@ -323,7 +344,7 @@ def semidefinite(information: Array, eigenvalues: Callable[[Array], Array]) -> A
 def _jacobian(
     state: State,
     lidar: int,
-    seen: BeamGeometry,
+    geometry: Array,
     directions: Array,
     ranges: Array,
     beams: Beams,
@@ -333,8 +354,8 @@ def _jacobian(
     """Derivative (N, 4, P) of depth, offset, radius and log-width by pose, errors and axes."""
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
-    q, n = ((state.points - t) @ R)[own], (state.directions @ R)[own]
-    by = closest_approach(beams.origin, directions, q, n)
+    q, n = (state.points - t) @ R, state.directions @ R
+    by = closest_approach(beams.origin, directions, q[own], n[own])
     ahead = by.ranges - ranges + state.offsets[lidar]
     by_axis = np.stack(
         [
@@ -344,10 +365,10 @@ def _jacobian(
         axis=1,
     )
     # Turning the beam about its origin is turning the axis the other way.
-    arm = (q - beams.origin)[:, None, :]
-    by_rotation = -np.cross(arm, by_axis[:, :, :3]) - np.cross(n[:, None, :], by_axis[:, :, 3:])
-    raising = np.cross(directions, beams.axis)
-    raising /= np.maximum(np.linalg.norm(raising, axis=1), 1e-9)[:, None]
+    by_rotation = by_axis[:, :, :3] @ se3.hat(q - beams.origin)[own]
+    by_rotation += by_axis[:, :, 3:] @ se3.hat(n)[own]
+    raising = directions @ se3.hat(beams.axis)
+    raising /= np.maximum(se3.lengths(raising), 1e-9)[:, None]
     by_range = np.stack([-by.sine, 0.0 * by.sine], axis=1)
     device, ring = by_error(
         by_range,
@@ -360,12 +381,12 @@ def _jacobian(
         tape=True,
     )
     axes = POSE + layout.size
-    J = np.zeros((len(own), 4, axes + seen.jacobian.shape[2] - SHARED))
-    J[:, :2, :POSE] = seen.jacobian[:, :, :POSE]
+    J = np.zeros((len(own), 4, axes + geometry.shape[2] - SHARED))
+    J[:, :2, :POSE] = geometry[:, :, :POSE]
     J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
     J[:, 2, POSE + RADIUS] = 1.0
     J[:, 3, POSE + layout.device(lidar).start + WIDTH] = 1.0
-    J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
+    J[:, :2, axes:] = geometry[:, :, SHARED:]
     bands = band_of(directions, beams.axis)
     # Beams that passed may lie in bands that no return is in.
     rows = np.flatnonzero(np.isin(bands, layout.bands[lidar]))

@@ -30,7 +30,7 @@ from scipy.linalg import block_diag
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PoseEstimate
 from ..base.systematic import TAPE, Layout, band_of
-from .expansion import MAX_ROUNDS, View, expand_lidar, find_view, semidefinite
+from .expansion import MAX_ROUNDS, Average, average_lidar, expand_lidar, find_view, semidefinite
 from .maximum import Sight
 from .posterior import JointState, Posterior
 from .survey import Surveyed, survey_terms
@@ -326,11 +326,13 @@ def observe(
     found: list[Observation] = []
     for sight in sights:
         noise = np.exp(end.log_noise[sight.lidar])
-        view = find_view(state.of(sight.lidar, sight.own), 1, sight.beams, noise, rounds)
+        at = state.of(sight.lidar, sight.own)
+        view = find_view(at, 1, sight.beams, noise, rounds)
+        averages = average_lidar(at, 1, sight.beams, view)
         own = placement[sight.own]
         for p in np.unique(own):
             some = np.flatnonzero(own == p)
-            found.append(_returns(state, sight, some, view, int(p), unknowns))
+            found.append(_returns(state, sight, some, averages, int(p), unknowns))
     for term in survey_terms(state, surveyed):
         J, residual = term.jacobian / term.sigma[:, None], term.residual / term.sigma
         found.append(
@@ -351,13 +353,17 @@ def _returns(
     state: JointState,
     sight: Sight,
     some: IntArray,
-    view: View,
+    averages: tuple[Average, Average],
     placement: int,
     unknowns: Unknowns,
 ) -> Observation:
     """Expand a LiDAR's returns in one placement: on some of its poles."""
     beams, own = sight.beams.of_poles(some), sight.own[some]
-    part = View(view.shift[some], view.covariance[some], view.noise)
+    on, passed = averages
+    part = (
+        on.part(np.isin(sight.beams.pole, some)),
+        passed.part(np.isin(sight.beams.passed_pole, some)),
+    )
     # The site is the target of a pair that has no returns.
     none = np.zeros(0, dtype=np.int64)
     layout = Layout((none, np.unique(band_of(beams.directions, beams.axis))))

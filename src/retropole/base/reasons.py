@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
 from typing import Any, Literal, cast
 
 import msgspec
@@ -178,6 +177,8 @@ class Tables(msgspec.Struct, frozen=True):
 @cache
 def tables() -> Tables:
     """Read the texts, when they are first asked for; line breaks in them are spaces."""
+    from importlib.resources import files
+
     text = files("retropole.base").joinpath("reasons.toml").read_bytes()
     return msgspec.convert(_joined(msgspec.toml.decode(text)), Tables)
 

@@ -20,13 +20,12 @@ from .bags import is_rosbag2
 from .fields import USUAL, Unit, Wanted, in_metres, unit_named
 from .fields import only_returns as only_returns
 from .las import read_las
-from .lvx import LVX, lvx_topics, open_lvx
-from .packets import CAPTURES, open_packets, topics_of_capture
-from .packets import PACKETS as PACKETS
 from .pcd import read_pcd
 from .pcd import write_pcd as write_pcd
 from .ply import read_ply
+from .recordings import CAPTURES, LVX, read_within
 from .recordings import MAX_POINTS as MAX_POINTS
+from .recordings import PACKETS as PACKETS
 from .recordings import Frame as Frame
 from .recordings import FrameHeader as FrameHeader
 from .recordings import ReadRecording as ReadRecording
@@ -35,8 +34,6 @@ from .recordings import Topic as Topic
 from .recordings import chosen_frames as chosen_frames
 from .recordings import downsample as downsample
 from .recordings import joined as joined
-from .recordings import read_within
-from .ros import bag_topics, open_bag
 
 READERS: dict[str, Callable[[Path, Wanted], PointCloud]] = {
     ".pcd": read_pcd,
@@ -84,12 +81,19 @@ def open_recording(
     """
     path = Path(path)
     files = _files(path)
+    # What decodes packets takes as long to import as the rest, and most recordings are files.
     if _is_bag(path):
+        from .ros import open_bag
+
         return open_bag(path, topic, wanted)
     if path.suffix.lower() in CAPTURES and path.is_file():
+        from .packets import open_packets
+
         return open_packets(path, topic, wanted)
     wanted.refuse_angles(f"{path}: holds no packets, angles are of no use")
     if path.suffix.lower() in LVX and path.is_file():
+        from .lvx import open_lvx
+
         return open_lvx(path, topic, wanted)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
@@ -111,10 +115,18 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
     path = Path(path)
     _files(path)
     if path.suffix.lower() in CAPTURES and path.is_file():
+        from .packets import topics_of_capture
+
         return topics_of_capture(path)
     if path.suffix.lower() in LVX and path.is_file():
+        from .lvx import lvx_topics
+
         return lvx_topics(path)
-    return bag_topics(path) if _is_bag(path) else ()
+    if _is_bag(path):
+        from .ros import bag_topics
+
+        return bag_topics(path)
+    return ()
 
 
 def _is_bag(path: Path) -> bool:

@@ -20,9 +20,6 @@ from ..base.quantities import counted
 from .fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from .recordings import PACKETS_OF, Frame, Recording, Topic
 
-LVX = (".lvx2", ".lvx")
-"""Suffixes of Livox' recordings."""
-
 MAGIC = 0xAC0EA767
 """In the header, after the signature ``livox_tech`` and four bytes for the version."""
 

@@ -15,6 +15,15 @@ from ..base.datatypes import IntArray, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.quantities import step_of
 
+PACKETS = (".pcap", ".pcapng")
+"""Suffixes of packet captures."""
+
+CAPTURES = (*PACKETS, ".cap")
+"""Suffixes that captures have, also those that may be of a format that is not read."""
+
+LVX = (".lvx2", ".lvx")
+"""Suffixes of the recordings of Livox' viewers."""
+
 MAX_RECORDING_POINTS = 1_000_000
 """By default, frames are left out evenly so that about this many points are read: 10 sweeps of a
 sensor with 128 rings, 40 of one with 16."""

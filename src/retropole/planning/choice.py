@@ -8,7 +8,7 @@ optimal experiments). Nothing is drawn at random.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice, permutations
 
 import numpy as np
@@ -122,6 +122,8 @@ class Design:
         Which of them may stand together.
     feet
         (C, 2) where each stands, metres.
+    found
+        What was found so far with each pole more: an exchange often asks again.
     """
 
     roots: Sequence[tuple[IntArray, Array]]
@@ -130,6 +132,7 @@ class Design:
     reach: float
     rules: Rules
     feet: Array
+    found: dict[tuple[int, ...], Array] = field(default_factory=dict, init=False)
 
     @property
     def weight(self) -> Array:
@@ -162,7 +165,7 @@ class Design:
         """
         place, root = self.roots[k]
         own = inverse[: self.unknowns.poses, place] @ root
-        inner = np.eye(root.shape[1]) + sign * (root.T @ inverse[np.ix_(place, place)] @ root)
+        inner = np.eye(root.shape[1]) + sign * (root.T @ (inverse[place][:, place] @ root))
         less = np.einsum("ij,ji->i", own, np.linalg.solve(inner, own.T))
         return np.asarray(-sign * (less[POSE:].reshape(-1, POSE) @ self.weight))
 
@@ -171,6 +174,16 @@ class Design:
         squares = self.squares(inverse)
         changed = [squares + self.change(inverse, k, 1.0) for k in range(len(self.roots))]
         return np.asarray(np.sqrt(np.maximum(np.mean(changed, axis=1), 1e-18)))
+
+    def beside(self, chosen: Sequence[int]) -> Array:
+        """(C,) the error of `error_of` with each pole more than those that are chosen."""
+        key = tuple(sorted(chosen))
+        if key not in self.found:
+            together, alone = (
+                self.with_each(self.inverse(key, alone=each)) for each in (False, True)
+            )
+            self.found[key] = np.sqrt(together * alone)
+        return self.found[key]
 
 
 def choose(
@@ -291,10 +304,7 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
     """Yield the poles that may stand in a placement, too, and the error with each, best first."""
     taken = [k for each in chosen for k in each]
-    together, alone = (
-        design.with_each(design.inverse(taken, alone=each)) for each in (False, True)
-    )
-    error = np.sqrt(together * alone) * walk_factor(design, chosen, p)
+    error = design.beside(taken) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():
         if k not in taken and design.rules.allow(k, chosen[p]):
             yield k, float(error[k])

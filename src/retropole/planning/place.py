@@ -319,10 +319,11 @@ def is_seen(met: Met, beams: RecordedBeams) -> bool:
     )
 
 
-def sees_core(met: Met, beams: RecordedBeams) -> bool:
-    """Whether enough beams meet a pole with their middle, and do not only touch it."""
-    rings = np.unique(beams.rings[met.beam])
-    return len(met.beam) >= MIN_CORE and (rings[0] < 0 or len(rings) >= MIN_RINGS)
+def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
+    """Whether enough of the beams that met a pole do so with their middle, not only an edge."""
+    ranges = pole.intersect(beams.origin, beams.directions[met], 0.0).ranges
+    rings = beams.rings[met[ranges < beams.ranges[met]]]
+    return len(rings) >= MIN_CORE and (rings.min() < 0 or len(np.unique(rings)) >= MIN_RINGS)
 
 
 def who_sees(
@@ -339,8 +340,8 @@ def who_sees(
                 continue
             if field is not None and not stands_inside(pole, station, field):
                 continue
-            seen[k, i] = is_seen(beams_met(pole, beams, divergence), beams)
-            seen[k, i] &= sees_core(beams_met(pole, beams, 0.0), beams)
+            met = beams_met(pole, beams, divergence)
+            seen[k, i] = is_seen(met, beams) and sees_core(pole, met.beam, beams)
     return seen
 
 

@@ -40,6 +40,13 @@ LEAST = 0.01
 """What a pole says of a direction counts from this part of what is known of it beforehand."""
 
 
+TOGETHER, ROUNDS = 400, 5
+"""Where many poles are compared: returns that are expanded at once, whose noise is found together,
+and rounds of each view of the axes. Half of the errors of 200 random pairs are then within 0.4 % of
+those of each pole by itself in 30 rounds, and all within 3.3 %; by the poles alone 0.9 % and 12 %
+(a street and a kerb)."""
+
+
 def divergences_of(stations: Sequence[Station]) -> list[float]:
     """Full angle of each LiDAR's beams, rad."""
     return [DIVERGENCE if s.sensor is None else s.sensor.divergence for s in stations]
@@ -58,9 +65,9 @@ def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, 
     xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
     away = float(np.linalg.norm(own.centre))
     reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
-    near = beams.directions @ (own.centre / away) > np.sqrt(1 - (reach / away) ** 2)
-    near &= np.isfinite(beams.ranges)
-    near[met.beam] = False
+    cone = np.sqrt(1 - (reach / away) ** 2)
+    near = np.flatnonzero(beams.directions @ (own.centre / away) > cone)
+    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], met.beam)
     around = beams.ranges[near, None] * beams.directions[near]
     cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
     rings = len(np.unique(beams.rings[met.beam]))
@@ -76,7 +83,7 @@ def network_of(
     seen: BoolArray,
     placement: IntArray,
     scene_bands: Sequence[IntArray],
-    rounds: int = MAX_ROUNDS,
+    quickly: bool = False,
 ) -> Network:
     """Expand what all LiDARs would record of some poles about the poses as they are known.
 
@@ -90,16 +97,20 @@ def network_of(
         (C,) which each stands in.
     scene_bands
         Bands of elevation that each LiDAR has other returns in.
-    rounds
-        As `network.observe` has it.
+    quickly
+        As many poles are compared; see `TOGETHER`.
     """
+    together, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
     widths = divergences_of(stations)
     sights = []
     for i, station in enumerate(stations):
-        for k in np.flatnonzero(seen[:, i]).tolist():
-            found = seen_by(station, candidates.pole(k), widths[i])
-            beams = beams_of([found], station.sensor)
-            sights.append(Sight(i, beams, np.array([k])))
+        own = np.flatnonzero(seen[:, i])
+        found = [seen_by(station, candidates.pole(k), widths[i]) for k in own.tolist()]
+        returns = np.cumsum([len(pole.xyz) for pole, _ in found])
+        for some in np.split(own, np.flatnonzero(np.diff(returns // together)) + 1):
+            first = int(np.searchsorted(own, some[0]))
+            beams = beams_of(found[first : first + len(some)], station.sensor)
+            sights.append(Sight(i, beams, some))
     noise = np.array([range_noise(s.sensor) for s in stations])
     log_noise = np.log(noise[:, None] * np.array([1.0, LATERAL_NOISE]))
     count = len(stations)

@@ -32,12 +32,6 @@ from .ouster import OUSTER, metadata_beside, model_named, sweeps_of_capture
 from .sweeps import AT_ONCE, Sweep, index_of, positions_of, stacked, sweeps_of
 from .velodyne import is_velodyne, model_of, velodyne_sweeps
 
-PACKETS = (".pcap", ".pcapng")
-"""Suffixes of packet captures."""
-
-CAPTURES = (*PACKETS, ".cap")
-"""Suffixes that captures have, also those that may be of a format that is not read."""
-
 VELODYNE = "Velodyne"
 
 
