@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from again import record_again
 from retropole.api.watching import Watch, Wish, open_sources
 from retropole.base.datatypes import IntArray, PointCloud
+from retropole.io.fields import Wanted
 from retropole.io.packets import open_packets
 from retropole.io.packets.models import Angles, Blocks, Interpolated, Mirrors, Model, Points
 from retropole.io.packets.sweeps import index_of, positions_of, sweeps_of
@@ -310,7 +311,7 @@ def decoded(name: str, packets: int) -> None:
             table.write_text("".join(lines))
         size = path.stat().st_size / 2**20
         begun, before = time.process_time(), memory()
-        recording = open_packets(path, angles=table)
+        recording = open_packets(path, wanted=Wanted(angles=None if table is None else str(table)))
         points = sum(len(each.cloud) for each in recording.read(range(recording.count)))
         read = time.process_time() - begun
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
