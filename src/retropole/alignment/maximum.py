@@ -42,7 +42,7 @@ MAX_NOISE = 0.05
 MIN_INLIER_SHARE = 0.5
 """Share of the returns that must lie on the common poles."""
 
-POLE_STEP, POLE_GAIN = 0.3, 0.01
+POLE_STEP = POLE_GAIN = 0.01
 """Step, in units of the 1 σ of each parameter were all others known, at which the geometry has
 converged: the next is a twentieth of it, and the expansion about the end takes it too. And gain of
 the logarithm of the posterior below which the noise is kept, and the geometry alone goes on."""
