@@ -1,9 +1,18 @@
 """Poles, survey and scenes of a site in one problem: where it ends, and what its terms are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from retropole.adjustment.descent import RefinementProblem, minimise, scene_pairs
+from retropole.adjustment.descent import (
+    NARROWED,
+    NARROWING,
+    RefinementProblem,
+    converge,
+    minimise,
+    scene_pairs,
+)
 from retropole.alignment.network import factor_of
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -47,6 +56,19 @@ def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -
     free = network.free.reshape(-1, 6)
     assert np.abs(off[free] / sigma_of(steps)[free]).max() < 0.1
     assert not off[~free].any()
+
+
+def test_it_rests_only_where_the_search_has_narrowed(steps: Steps) -> None:
+    problem, end = problem_of(steps), steps.adjusted.end
+    covariance = 1e4 * end.inverse[: end.search.shape[0], : end.search.shape[0]]
+    begun = converge(problem, replace(end, search=covariance, iterations=0), covariance)
+    assert begun.converged
+    # From its end the first step is small at once.
+    least = 1 + np.log(NARROWED / 1e4) / np.log(NARROWING)
+    assert least <= begun.iterations < least + 3
+    free = steps.adjusted.network.free.reshape(-1, 6)
+    off = np.stack([se3.local(a, b) for a, b in zip(end.T, begun.T, strict=True)])
+    assert np.abs(off[free] / sigma_of(steps)[free]).max() < 0.1
 
 
 def test_what_the_datum_holds_stays(steps: Steps, surveyed: Steps) -> None:
