@@ -6,7 +6,6 @@ own packets alone, so that few are in memory at a time.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -291,8 +290,3 @@ def _rows_of(positions: Array, turn: int, margin: float) -> IntArray:
         positions.max(axis=1) + margin >= turn
     )
     return np.flatnonzero(is_part)
-
-
-def most_common_size(sizes: Iterable[int]) -> int:
-    """Give the size that most packets have; 0 of none."""
-    return max(Counter(sizes).items(), key=lambda each: each[1], default=(0, 0))[0]
