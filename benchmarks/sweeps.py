@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
@@ -122,6 +122,16 @@ def poles_of(answer: Calibration) -> PoleFactor:
     return align(paired, answer.T_target_source, radius=DEFAULT_RADIUS, radius_sigma=0.0).factor
 
 
+def answers(pair: SimulatedPair, counts: Sequence[int]) -> Iterator[tuple[int, Calibration, float]]:
+    """Calibrate by the first sweeps of one recording, so many at a time: how many, the answer, and
+    its CPU seconds."""
+    for count in counts:
+        clouds = [first_sweeps(cloud, count) for cloud in (pair.target, pair.source)]
+        start = time.process_time()
+        answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
+        yield count, answer, time.process_time() - start
+
+
 def run(job: tuple[int, tuple[int, ...]]) -> list[Run]:
     """Calibrate by the first sweeps of one recording, so many at a time; nothing where nothing
     possible was drawn."""
@@ -136,11 +146,7 @@ def run(job: tuple[int, tuple[int, ...]]) -> list[Run]:
     except SimulationError:
         return []
     found = []
-    for count in counts:
-        clouds = [first_sweeps(cloud, count) for cloud in (pair.target, pair.source)]
-        start = time.process_time()
-        answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
-        seconds = time.process_time() - start
+    for _, answer, seconds in answers(pair, counts):
         if answer.T_target_source is None or answer.covariance is None:
             found.append(Run(answer.reasons[0].code, seconds))
             continue
@@ -194,8 +200,7 @@ def run_pair(job: tuple[tuple[str, str], int, tuple[int, ...]]) -> list[PairRun]
     except SimulationError:
         return []
     found = []
-    for count in counts:
-        clouds = [first_sweeps(cloud, count) for cloud in (pair.target, pair.source)]
+    for count, answer, seconds in answers(pair, counts):
         first = len(pair.surroundings)
         sights = [
             cloud.xyz[(np.asarray(cloud.frame) < count) & (labels == first + k)]
@@ -203,9 +208,6 @@ def run_pair(job: tuple[tuple[str, str], int, tuple[int, ...]]) -> list[PairRun]
             for k in range(len(pair.poles))
         ]
         is_seen = all(len(xyz) >= ENOUGH and extent(xyz) > SHORTEST for xyz in sights)
-        start = time.process_time()
-        answer = calibrate(*clouds, options=Options(sensors=pair.sensors))
-        seconds = time.process_time() - start
         codes = tuple(reason.code for reason in answer.reasons)
         one = PairRun(names, seed, count, is_seen, answer.status, codes)
         if answer.T_target_source is not None:
