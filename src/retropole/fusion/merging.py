@@ -57,8 +57,10 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
     points["xyz"] = cloud.xyz @ T_frame_lidar[:3, :3].T + T_frame_lidar[:3, 3]
     points["time"] = np.nan if cloud.time is None else cloud.time
     points["intensity"] = np.nan if cloud.intensity is None else cloud.intensity
-    is_ring = None if cloud.ring is None else (cloud.ring >= 0) & (cloud.ring < NO_RING)
-    points["ring"] = NO_RING if is_ring is None else np.where(is_ring, cloud.ring, NO_RING)
+    points["ring"] = NO_RING
+    if cloud.ring is not None:
+        is_ring = (cloud.ring >= 0) & (cloud.ring < NO_RING)
+        points["ring"][is_ring] = cloud.ring[is_ring]
     points["lidar"] = lidar
     return points
 
@@ -224,4 +226,3 @@ def voxels(sweeps: Iterable[Points], size: float) -> Points:
             anchor = np.floor(xyz[0] / size).astype(np.int64) if anchor is None else anchor
             grid.add(cell_keys(xyz, size, anchor), points)
     return np.zeros(0, POINT) if anchor is None else grid.all().rows
-

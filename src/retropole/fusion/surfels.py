@@ -14,6 +14,7 @@ from itertools import combinations, product
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.se3 import lengths
@@ -35,7 +36,7 @@ SAME_NORMAL = float(np.cos(np.radians(15.0)))
 """Cosine of the angle that normals of one surface may differ by."""
 
 NEAR_LEVEL, NEAR_VERTICAL = float(np.cos(np.radians(20.0))), float(np.sin(np.radians(20.0)))
-"""Of the angle to the vertical: normals of ground have a larger cosine, those of walls a smaller."""
+"""Of the angle to the vertical: those of ground have a larger cosine, of walls a smaller."""
 
 Kind = Literal["ground", "walls", "other"]
 KINDS: tuple[Kind, ...] = ("ground", "walls", "other")
@@ -161,7 +162,8 @@ def moments_of(sweeps: Iterable[Points], size: float = DEFAULT_CELL) -> Moments:
     return Moments(size, anchor, keys, sums.reshape(len(keys), 12))
 
 
-class _Fit(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Fit:
     """Planes through the windows of cells: number of points, means (from the middle of the cell),
     covariances, their eigenvalues and normals, mean intensity, and which are surfaces."""
 
@@ -234,6 +236,10 @@ def _across(spread: Array, rays: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(least, 0.0)))
 
 
+def _middles(cells: IntArray, moments: Moments) -> Array:
+    return np.asarray((cells_at(cells, moments.anchor) + 0.5) * moments.size)
+
+
 def _in_cell(middle: Array, size: float) -> BoolArray:
     """Whether a place (C, 3), from the middle of its cell, is in it: so no surface counts twice."""
     return np.asarray((np.abs(middle) <= size / 2).all(axis=1))
@@ -253,7 +259,7 @@ def surfels_of(moments: Moments, origins: Array) -> Surfels:
         (L, 3) where the beams of each start, in the frame of the points.
     """
     cells = np.unique(moments.keys // LIDARS * LIDARS)
-    middles = (cells_at(cells, moments.anchor) + 0.5) * moments.size
+    middles = _middles(cells, moments)
     windows = [_window(moments, cells, k) for k in range(len(origins))]
     fits = [_fit(own, middles, at) for own, at in zip(windows, origins, strict=True)]
     left = np.array([fit.flat for fit in fits]).reshape(len(origins), -1)
@@ -307,7 +313,7 @@ def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apar
         sums = [_window(moments, cells, k) for k in (i, j)]
         both = (sums[0][:, 0] >= MIN_POINTS) & (sums[1][:, 0] >= MIN_POINTS)
         cells = cells[both]
-        middles = (cells_at(cells, moments.anchor) + 0.5) * size
+        middles = _middles(cells, moments)
         first, second = (
             _fit(s[both], middles, origins[k]) for s, k in zip(sums, (i, j), strict=True)
         )
@@ -339,6 +345,22 @@ def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray
     is_ground = (steep > NEAR_LEVEL) & (centres @ up < height)
     is_wall = np.abs(steep) < NEAR_VERTICAL
     return np.where(is_ground, 0, np.where(is_wall, 1, 2))
+
+
+def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:
+    """Give the distance (M,) that was found nearest to each surfel, NaN where none is in reach."""
+    found = np.full(len(surfels.centres), np.nan)
+    if not apart or not len(found):
+        return found
+    centres, normals, off = (
+        np.concatenate([getattr(each, name) for each in apart])
+        for name in ("centres", "normals", "distances")
+    )
+    away, at = cKDTree(centres).query(surfels.centres, distance_upper_bound=reach)
+    known = np.flatnonzero(np.isfinite(away))
+    same = np.einsum("mi,mi->m", normals[at[known]], surfels.normals[known]) > SAME_NORMAL
+    found[known[same]] = off[at[known[same]]]
+    return found
 
 
 def distances(apart: Iterable[Apart]) -> list[Distance]:
