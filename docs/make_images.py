@@ -169,6 +169,31 @@ def draw_street(out: Path, wanted: Collection[str]) -> None:
             photograph(folder / "r" / "report.html", out / "report.png")
 
 
+def draw_merged(path: Path) -> None:
+    """A merged street from above, coloured by LiDAR, and how far surfaces lie apart."""
+    figure = new_figure(10.0, 4.6)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run("simulate", "street", "--seed", 1, "--sweeps", 5, "--out", folder, "-q")
+        run("calibrate", folder / "lidar0", folder / "lidar1", "--out", folder / "r", "-q")
+        views = {"points of both LiDARs": [], "surfels: where both see a surface": ["--surfels"]}
+        for k, (title, more) in enumerate(views.items()):
+            more = more or ["--voxel", "0.15", "--colour", "lidar"]
+            run("merge", folder / "r", "-o", folder / "m.ply", *more, "-q")
+            head, _, body = (folder / "m.ply").read_bytes().partition(b"end_header\n")
+            kinds = {"float": "f4", "uchar": "u1", "ushort": "u2", "uint": "u4", "double": "f8"}
+            lines = [line.split() for line in head.decode().splitlines()]
+            rows = np.frombuffer(body, [(w[2], kinds[w[1]]) for w in lines if w[0] == "property"])
+            colour = np.column_stack([rows[c] for c in ("red", "green", "blue")]) / 255
+            axes = figure.add_subplot(
+                1, 2, k + 1, aspect="equal", xlim=(-22, 22), ylim=(-18, 18), title=title
+            )
+            axes.scatter(rows["x"], rows["y"], s=0.4, c=colour, lw=0, rasterized=True)
+            axes.set(xlabel="m", ylabel="m")
+    figure.savefig(path, dpi=80)
+    Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
+
+
 def draw_placement(path: Path) -> None:
     """What the example about placing the poles draws."""
     with tempfile.TemporaryDirectory() as name:
@@ -180,7 +205,7 @@ def draw_placement(path: Path) -> None:
 
 SCENES, OF_STREET = ("corridor", "harbor", "bare"), ("detect", "plan", "report")
 PICTURES = ("bias", *(f"gallery_{scene}" for scene in SCENES), "gallery_car_park", *OF_STREET)
-PICTURES = (*PICTURES, "placement", "placements")
+PICTURES = (*PICTURES, "merge", "placement", "placements")
 
 
 def main() -> None:
@@ -201,6 +226,8 @@ def main() -> None:
         draw_car_park(given.data, out / "gallery_car_park.png")
     if set(OF_STREET) & set(wanted):
         draw_street(out, wanted)
+    if "merge" in wanted:
+        draw_merged(out / "merge.png")
     if "placement" in wanted:
         draw_placement(out / "placement.png")
     if "placements" in wanted:

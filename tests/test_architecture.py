@@ -21,7 +21,7 @@ LAYERS = (
     # The method and its answer.
     *("pipeline", "checking", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report"),
+    *("simulation", "planning", "fusion", "export", "report"),
     "api",
     *("fleet", "cli", "__main__"),
 )
@@ -42,8 +42,9 @@ DOORS = {
         *("base", "result", "export", "checking"),
         *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
-    # A recording is written in the frames that one is read in, a tree in the frames of a site.
-    "export": {"base", "io", "result"},
+    # A recording is written in the frames that one is read in, a tree in the frames of a site, and
+    # what was fused as it was.
+    "export": {"base", "fusion", "io", "result"},
 }
 """Rooms that what stands outermost may import; with time fewer."""
 
