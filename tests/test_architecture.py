@@ -39,7 +39,7 @@ DOORS = {
     "cli": {"api", "base", "fleet", "report", "result"},
     # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
     "report": {
-        *("base", "result", "export", "checking"),
+        *("base", "result", "export", "checking", "fusion"),
         *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
     # A recording is written in the frames that one is read in, a tree in the frames of a site, and

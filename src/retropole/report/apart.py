@@ -1,0 +1,63 @@
+"""How far apart the surfaces lie that two LiDARs see, under the poses of the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import every_nth
+from ..fusion.merging import LIDARS, Points, fused
+from ..fusion.surfels import Distance, distances, moments_of, surfaces_apart
+from .listings import Listing, columns
+from .page import EMPTY, Html, fill, listed
+from .subject import Subject
+
+MOST_POINTS = 300_000
+"""Points of each recording that are looked at, evenly: it takes 0.1 s."""
+
+FEWEST_SURFELS = 20
+"""Fewer say nothing: each is off by some millimetres."""
+
+
+def apart(subject: Subject) -> Html:
+    """Say how far surfaces lie apart; nothing where no two LiDARs see any, or none has a pose."""
+    found = [each for each in found_apart(subject) if each.surfels >= FEWEST_SURFELS]
+    if not found:
+        return EMPTY
+    rows = [
+        [
+            "–".join(subject.site.lidars[k].name for k in each.lidars),
+            *(each.kind, f"{1000 * each.median_m:.1f}", f"{1000 * each.median_signed_m:+.1f}"),
+            *(each.surfels, f"{each.area_m2:.1f}"),
+        ]
+        for each in found
+    ]
+    header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
+    # Most surfels first say most; of many pairs the rest is folded away.
+    rows.sort(key=lambda row: -int(row[4]))
+    return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
+
+
+def found_apart(subject: Subject) -> list[Distance]:
+    """Compare the surfaces of all LiDARs of a subject in its frame."""
+    if not subject.answered or not subject.scans or len(subject.scans) > LIDARS:
+        return []
+    poses = [np.array(each.T_site_lidar) for each in subject.site.lidars]
+    vertical = None if subject.pair is None else subject.pair.vertical
+    up = np.array([0.0, 0.0, 1.0]) if vertical is None else vertical
+
+    def sweeps() -> Iterator[Points]:
+        for k, (pose, scans) in enumerate(zip(poses, subject.scans, strict=True)):
+            for scan in scans:
+                if scan is not None:
+                    rows = every_nth(np.arange(len(scan.cloud)), MOST_POINTS)
+                    yield fused(scan.cloud.select(rows), pose, k)
+
+    clouds = [next((s.cloud for s in scans if s is not None), None) for scans in subject.scans]
+    origins = [
+        pose[:3, 3] if cloud is None else se3.apply(pose, cloud.origin[None])[0]
+        for pose, cloud in zip(poses, clouds, strict=True)
+    ]
+    return distances(surfaces_apart(moments_of(sweeps()), np.array(origins), up))
