@@ -14,6 +14,7 @@ from retropole.fusion.surfels import (
     moments_of,
     surfaces_apart,
     surfels_of,
+    up_by_ground,
 )
 from retropole.simulation import simulate_pair
 
@@ -135,6 +136,14 @@ def test_moments_do_not_depend_on_how_sweeps_come() -> None:
     parted = moments_of([first, *np.array_split(rest, 7)], CELL)
     np.testing.assert_array_equal(parted.keys, whole.keys)
     np.testing.assert_allclose(parted.sums, whole.sums, atol=1e-9)
+
+
+def test_the_vertical_is_that_of_the_ground_however_a_lidar_leans() -> None:
+    rng = np.random.default_rng(8)
+    xyz = np.c_[rng.uniform(-9, 9, (9000, 2)), rng.normal(-2.0, 0.01, 9000)]
+    T = se3.from_rt(se3.rotation_from_rpy(np.array([0.4, -0.3, 1.0])), np.array([1.0, 2.0, 3.0]))
+    own = PointCloud(se3.apply(se3.inverse(T), xyz + T[:3, 3]))
+    np.testing.assert_allclose(up_by_ground(own, T), UP, atol=2e-3)
 
 
 def test_no_points_have_no_surfels() -> None:

@@ -116,8 +116,6 @@ class Placed(NamedTuple):
         Of the frame.
     poses
         (4, 4) of each LiDAR, in metres on the ground.
-    up
-        (3,) unit vector.
     finish
         From there (N, 3) to the coordinates of the frame.
     """
@@ -125,7 +123,6 @@ class Placed(NamedTuple):
     name: str
     epsg: int | None
     poses: list[Array]
-    up: Array
     finish: Callable[[Array], Array] | None = None
 
     def coordinates(self, xyz: Array) -> Array:
@@ -160,8 +157,6 @@ def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = No
     site = as_site(document)
     names = [lidar.name for lidar in site.lidars]
     poses = [np.array(lidar.T_site_lidar, dtype=float) for lidar in site.lidars]
-    vertical = document.vertical if isinstance(document, ResultDoc) else None
-    up = np.array([0.0, 0.0, 1.0]) if vertical is None else vertical
     if epsg is not None or frame == MAP:
         if frame not in ("", MAP):
             raise UsageError(f"--crs is of the frame map, not of {frame}")
@@ -174,19 +169,18 @@ def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = No
         to_map = partial(to_frame, site.frame)
         if code is not None and code != site.frame.epsg:
             to_map = partial(in_projected, site.frame, epsg=code)
-        found = Placed(MAP, code, poses, up, to_map)
+        found = Placed(MAP, code, poses, to_map)
         if code is not None:
             # Refuses what is far outside of where it is used.
             unproject(projected(code), found.origins)
         return found
     if frame in names:
         T_frame_site = se3.inverse(poses[names.index(frame)])
-        own = [T_frame_site @ pose for pose in poses]
-        return Placed(frame, None, own, T_frame_site[:3, :3] @ up)
+        return Placed(frame, None, [T_frame_site @ pose for pose in poses])
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
         there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site)]
         raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
-    return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses, up)
+    return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
 
 
 def has_map(site: SiteDoc) -> bool:
@@ -284,7 +278,9 @@ def merge(
     written = 0
     if surfels is not None:
         moments = fusing.moments_of((points for points, _ in stream), surfels)
-        apart = tuple(fusing.surfaces_apart(moments, at.origins, at.up))
+        is_level = site.frame.surveyed and at.name in (SITE, MAP)
+        up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
+        apart = tuple(fusing.surfaces_apart(moments, at.origins, up))
         found = fusing.surfels_of(moments, at.origins)
         written = len(found.centres)
         if out is not None:
@@ -411,6 +407,12 @@ class _Stream:
             own = frame.stamp if self.is_stamped else SWEEP_SECONDS * frame.number
             when = when if own is None else own
             yield when, k, in_metres(frame.cloud, unit)
+
+    def up(self) -> Array:
+        """Find the vertical by the ground that the first LiDAR sees."""
+        first = self.opened[0]
+        head = in_metres(self.heads[0].cloud, first.how.unit)
+        return fusing.up_by_ground(head, self.at.poses[first.lidar])
 
     def fused(self, cloud: PointCloud, lidar: int) -> Points:
         """Bring a sweep to the coordinates of the output."""

@@ -16,8 +16,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths
+from ..surfaces.consistency import ground_normal
 from ..surfaces.patches import MAX_FLATNESS, MIN_ACROSS, MIN_SPREAD
 from .merging import LIDARS, Grid, Points, cell_keys, cells_at, summed
 
@@ -345,6 +346,16 @@ def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray
     is_ground = (steep > NEAR_LEVEL) & (centres @ up < height)
     is_wall = np.abs(steep) < NEAR_VERTICAL
     return np.where(is_ground, 0, np.where(is_wall, 1, 2))
+
+
+def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
+    """Find the vertical (3,) in the frame of the pose, by the ground that a LiDAR sees.
+
+    Its own axis where it sees none: most LiDARs stand upright.
+    """
+    normal = ground_normal(cloud, np.random.default_rng(0))
+    normal = normal if normal @ cloud.axis >= 0 else -normal
+    return np.asarray(T_frame_lidar[:3, :3] @ normal)
 
 
 def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:

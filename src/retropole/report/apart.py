@@ -9,7 +9,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import every_nth
 from ..fusion.merging import LIDARS, Points, fused
-from ..fusion.surfels import Distance, distances, moments_of, surfaces_apart
+from ..fusion.surfels import Distance, distances, moments_of, surfaces_apart, up_by_ground
 from .listings import Listing, columns
 from .page import EMPTY, Html, fill, listed
 from .subject import Subject
@@ -45,8 +45,6 @@ def found_apart(subject: Subject) -> list[Distance]:
     if not subject.answered or not subject.scans or len(subject.scans) > LIDARS:
         return []
     poses = [np.array(each.T_site_lidar) for each in subject.site.lidars]
-    vertical = None if subject.pair is None else subject.pair.vertical
-    up = np.array([0.0, 0.0, 1.0]) if vertical is None else vertical
 
     def sweeps() -> Iterator[Points]:
         for k, (pose, scans) in enumerate(zip(poses, subject.scans, strict=True)):
@@ -56,6 +54,12 @@ def found_apart(subject: Subject) -> list[Distance]:
                     yield fused(scan.cloud.select(rows), pose, k)
 
     clouds = [next((s.cloud for s in scans if s is not None), None) for scans in subject.scans]
+    first = next((k for k, cloud in enumerate(clouds) if cloud is not None), None)
+    if first is None:
+        return []
+    up = np.array([0.0, 0.0, 1.0])
+    if not subject.site.frame.surveyed:
+        up = up_by_ground(clouds[first], poses[first])
     origins = [
         pose[:3, 3] if cloud is None else se3.apply(pose, cloud.origin[None])[0]
         for pose, cloud in zip(poses, clouds, strict=True)
