@@ -9,7 +9,7 @@ ranges, ``field`` ones every error that a real one has, which shows at the true 
 Seeds 0 to 9 may set constants (``--seeds 0 10``); those from 100 on state figures.
 
     python benchmarks/merging.py
-    python benchmarks/merging.py --seeds 0 10 --cell 0.5 --sweeps 1
+    python benchmarks/merging.py --seeds 0 10 --cell 0.5 --sweeps 5
     python benchmarks/merging.py --speed
 """
 
@@ -138,7 +138,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs=2, default=(100, 120))
     parser.add_argument("--cell", type=float, default=DEFAULT_CELL)
-    parser.add_argument("--sweeps", type=int, default=5)
+    parser.add_argument("--sweeps", type=int, default=1)
     parser.add_argument("--noise", nargs="+", default=["typical", "field"], choices=NOISE_MODELS)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--workers", type=int, default=2)
