@@ -142,6 +142,7 @@ def test_voxels_are_of_all_lidars_together(tmp_path: Path) -> None:
     ("asked", "words"),
     [
         ({"out": "a.laz", "surfels": 0.3}, "surfels are written as .ply"),
+        ({"surfels": 0.3, "voxel": 0.1}, "surfels are made of all points"),
         ({"out": "a.mcap", "voxel": 0.1}, "MCAP holds the sweeps one by one"),
         ({"out": "a.ply", "frame": "site"}, "no frame is called 'site'; there are target, source"),
         ({"out": "a.ply", "frame": "map"}, "the result has no frame map"),

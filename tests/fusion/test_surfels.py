@@ -5,6 +5,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
+from retropole.base.errors import UsageError
 from retropole.fusion.merging import Points, fused
 from retropole.fusion.surfels import (
     Apart,
@@ -144,6 +145,11 @@ def test_the_vertical_is_that_of_the_ground_however_a_lidar_leans() -> None:
     T = se3.from_rt(se3.rotation_from_rpy(np.array([0.4, -0.3, 1.0])), np.array([1.0, 2.0, 3.0]))
     own = PointCloud(se3.apply(se3.inverse(T), xyz + T[:3, 3]))
     np.testing.assert_allclose(up_by_ground(own, T), UP, atol=2e-3)
+
+
+def test_more_lidars_than_bits_are_refused() -> None:
+    with pytest.raises(UsageError, match="up to 32 LiDARs"):
+        moments_of([points_of(np.ones((3, 3)), 32)], CELL)
 
 
 def test_no_points_have_no_surfels() -> None:

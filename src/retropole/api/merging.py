@@ -253,6 +253,10 @@ def merge(
     suffix = "" if out is None else out.suffix.lower()
     if surfels is not None and suffix not in ("", ".ply"):
         raise UsageError(f"{out}: surfels are written as .ply")
+    if surfels is not None and (voxel is not None or colour is not None):
+        raise UsageError(
+            "surfels are made of all points, and have colours of their own: no voxels, no colours"
+        )
     if surfels is None and out is None:
         raise UsageError("a file to write is needed, or surfels to compare the LiDARs by")
     if suffix == ".mcap" and (voxel is not None or colour is not None):
@@ -280,8 +284,9 @@ def merge(
         moments = fusing.moments_of((points for points, _ in stream), surfels)
         is_level = site.frame.surveyed and at.name in (SITE, MAP)
         up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
-        apart = tuple(fusing.surfaces_apart(moments, at.origins, up))
-        found = fusing.surfels_of(moments, at.origins)
+        origins = stream.origins()
+        apart = tuple(fusing.surfaces_apart(moments, origins, up))
+        found = fusing.surfels_of(moments, origins)
         written = len(found.centres)
         if out is not None:
             distance = fusing.distance_at(found, apart, surfels)
@@ -407,6 +412,14 @@ class _Stream:
             own = frame.stamp if self.is_stamped else SWEEP_SECONDS * frame.number
             when = when if own is None else own
             yield when, k, in_metres(frame.cloud, unit)
+
+    def origins(self) -> Array:
+        """(L, 3) where the beams of each LiDAR start, in the coordinates of the output."""
+        origins = np.array([pose[:3, 3] for pose in self.at.poses])
+        for head, each in zip(self.heads, self.opened, strict=True):
+            own = in_metres(head.cloud, each.how.unit).origin
+            origins[each.lidar] = se3.apply(self.at.poses[each.lidar], own[None])[0]
+        return self.at.coordinates(origins)
 
     def up(self) -> Array:
         """Find the vertical by the ground that the first LiDAR sees."""

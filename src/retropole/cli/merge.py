@@ -9,7 +9,7 @@ import click
 
 from ..result.options import Frames
 from .common import echo_warning, json_text, listening, say, show, show_written
-from .options import CLOUD, FILE, METRES, Number, Whole, run_options
+from .options import CLOUD, FILE, METRES, Number, Whole, run_option
 
 if TYPE_CHECKING:
     from ..api.merging import Merged
@@ -81,7 +81,9 @@ def _named(context: click.Context, option: click.Parameter, given: tuple[str, ..
     metavar="EPSG",
     help="Projected system of the map, where it is another than that of the survey.",
 )
-@run_options("frames")
+@run_option(
+    "frames", help="Frames of each recording to read, as Python slices: 0:20, ::10.  [default: all]"
+)
 @click.option("--voxel", type=Number(min=0.001, max=1000), help="One point a cube of so many m.")
 @click.option(
     "--crop",

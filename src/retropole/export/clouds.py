@@ -44,8 +44,8 @@ APART_RAMP = np.array([(0, 114, 178), (230, 230, 230), (213, 94, 0)])
 MOST_APART = 0.02
 """Distance of surfaces at either end of `APART_RAMP`, metres (chosen)."""
 
-LARGE = 1e4
-"""From this coordinate on, metres, float32 has steps of 1 mm."""
+LARGE = 1e3
+"""From this coordinate on, metres, float32 has steps of 0.06 mm and more."""
 
 Rgb = NDArray[np.uint8]
 Columns = dict[str, NDArray[Any]]
@@ -364,9 +364,7 @@ def surfel_file(surfels: Surfels, apart: Array, comments: Sequence[str]) -> byte
     for name in ("radius", "thickness", "intensity"):
         columns[name] = getattr(surfels, name).astype(np.float32)
     columns["count"] = surfels.count.astype(np.uint32)
-    columns["lidars"] = surfels.lidars.astype(
-        np.float64 if surfels.lidars.max(initial=0) >= 2**32 else np.uint32
-    )
+    columns["lidars"] = surfels.lidars.astype(np.uint32)
     columns["distance"] = apart.astype(np.float32)
     colours = by_value(apart, -MOST_APART, MOST_APART, APART_RAMP)
     colours[np.isnan(apart)] = 90

@@ -96,8 +96,8 @@ def is_static(cloud: PointCloud, usual: Array) -> BoolArray:
 HALF = 2**18
 """Cells that a grid has from its middle to either end, along each axis."""
 
-LIDARS = 2**6
-"""LiDARs that the cells of a grid are told apart by."""
+LIDARS = 2**5
+"""So many LiDARs may have cells of their own in a grid: as many as bits of a number in PLY."""
 
 
 def cell_keys(xyz: Array, size: float, anchor: IntArray, lidar: IntArray | int = 0) -> IntArray:

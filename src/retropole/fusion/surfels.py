@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.errors import UsageError
 from ..base.se3 import lengths
 from ..surfaces.consistency import ground_normal
 from ..surfaces.patches import MAX_FLATNESS, MIN_ACROSS, MIN_SPREAD
@@ -136,20 +137,22 @@ def moments_of(sweeps: Iterable[Points], size: float = DEFAULT_CELL) -> Moments:
     Parameters
     ----------
     sweeps
-        Of up to 64 LiDARs.
+        Of up to 32 LiDARs.
     size
         Side of a cell, metres.
 
     Raises
     ------
     UsageError
-        As `merging.cell_keys`.
+        As `merging.cell_keys`, and where there are more LiDARs.
     """
     grid, anchor = Grid(summed), np.zeros(3, np.int64)
     is_first = True
     for points in sweeps:
         if not len(points):
             continue
+        if points["lidar"].max() >= LIDARS:
+            raise UsageError(f"surfels are made of up to {LIDARS} LiDARs, there are more")
         if is_first:
             anchor, is_first = np.floor(points["xyz"][0] / size).astype(np.int64), False
         keys = cell_keys(points["xyz"], size, anchor, points["lidar"])
