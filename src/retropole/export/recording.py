@@ -343,3 +343,43 @@ def publish(
     writer = DataWriter(own, Topic(own, f"rt{TRANSFORM_TOPIC}", message_type(TRANSFORMS)), qos=qos)
     writer.write(message_of(TRANSFORMS, bytes(store.serialize_cdr(message, TRANSFORMS))))
     return Published(writer)
+
+
+def cloud_publisher(
+    topic: str, frame: str, *, domain: int | None = None, interface: str | None = None
+) -> Callable[[NDArray[Any], float], None]:
+    """Publish clouds on a topic, reliably; who is slow gets the newest alone.
+
+    Parameters
+    ----------
+    topic, frame
+        As ROS names them: ``/merged/points``, and the frame of the points.
+    domain, interface
+        As `io.live.dds.DdsSource` takes them.
+
+    Returns
+    -------
+    Callable
+        Publishes a record of each point, and when they were measured, Unix seconds.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `publish`.
+    """
+    own = participant(domain_or_default(domain), interface)
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    qos = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(1))
+    topic = f"/{topic.strip('/')}"
+    writer = DataWriter(own, Topic(own, f"rt{topic}", message_type(CLOUDS)), qos=qos)
+
+    def write(points: NDArray[Any], when: float) -> None:
+        message = _cloud_message(points, frame, round(when * NANOSECONDS), store)
+        writer.write(message_of(CLOUDS, bytes(store.serialize_cdr(message, CLOUDS))))
+
+    return write

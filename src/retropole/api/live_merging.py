@@ -1,0 +1,365 @@
+"""`merge --live`: sweeps of LiDARs that record now, in one frame, as they come.
+
+Each LiDAR is read by a thread of its own, which keeps its newest sweep alone. A cloud is made of
+the newest sweeps once all LiDARs have one, and without those that are late.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from threading import Condition, Thread
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.datatypes import Array
+from ..base.errors import Refusal, RetropoleError, quoting
+from ..base.files import read_document
+from ..export.documents import result_in
+from ..export.recording import Track, write_recording
+from ..fusion.merging import Points, fused, inside
+from ..io import Frame
+from ..io.live import Source
+from ..result import any_result_file
+from ..result.site import LIDARS, SiteDoc
+from .checking import check_recordings, check_site, read_stored
+
+LATE = 0.15
+"""A sweep is waited for so long, s: one and a half turns at 10 Hz."""
+
+STOPPED = 1.0
+"""Seconds without a sweep after which a LiDAR is no longer waited for: ten turns."""
+
+SAME_CLOCK = 1.0
+"""The clock of a LiDAR that is nearer to that of this computer counts as the same, s: a sweep takes
+0.1 s, and its way some."""
+
+CLOCK_SWEEPS = 20
+"""Sweeps of which the median says how far the clock of a LiDAR is ahead."""
+
+CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
+"""Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
+
+
+class LiveLidar(NamedTuple):
+    """A LiDAR that records now: name, source, and (4, 4) pose in the frame of all.
+
+    `clock` is how far its clock is ahead of that of this computer, s, where that is known.
+    """
+
+    name: str
+    source: Source
+    T_frame_lidar: Array
+    clock: float | None = None
+
+
+class Checked(NamedTuple):
+    """What a check against the result says: which LiDARs moved, and why, in words."""
+
+    moved: tuple[str, ...]
+    words: str
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How clouds kept up.
+
+    Attributes
+    ----------
+    seconds
+        In which they came.
+    ages
+        For each cloud, how long ago its oldest sweep was made when the cloud had been given, s.
+    sweeps
+        Of each LiDAR by its name, how many are in the clouds.
+    """
+
+    seconds: float
+    ages: tuple[float, ...]
+    sweeps: Mapping[str, int]
+
+    @property
+    def words(self) -> str:
+        """In one line."""
+        if not self.ages:
+            return f"no cloud in {self.seconds:.0f} s"
+        counts = ", ".join(f"{name} {count}" for name, count in self.sweeps.items())
+        return (
+            f"{len(self.ages) / self.seconds:.1f} clouds a second, oldest sweep "
+            f"{median(self.ages):.2f} s ago (at most {max(self.ages):.2f}); sweeps of {counts}"
+        )
+
+
+class _Received(NamedTuple):
+    """A sweep, and when it was made and came, by the clock of this computer, s."""
+
+    frame: Frame
+    made: float
+    came: float
+
+
+class _Reader(Thread):
+    """Reads one LiDAR: its newest sweep, None once it is taken, and the last ones for a check."""
+
+    def __init__(self, lidar: LiveLidar, arrival: Condition) -> None:
+        super().__init__(daemon=True)
+        self.lidar, self.clock, self.last_came = lidar, lidar.clock, -float("inf")
+        self.newest: _Received | None = None
+        self.recent: deque[Frame] = deque(maxlen=CHECK_SWEEPS)
+        self.is_closed = False
+        self._arrival, self._fault = arrival, ""
+        self._apart: deque[float] = deque(maxlen=CLOCK_SWEEPS)
+
+    def run(self) -> None:
+        while not self.is_closed:
+            try:
+                frame = self.lidar.source.newest(0.2)
+            except RetropoleError as error:
+                self._fault = quoting(str(error))
+                continue
+            if frame is None:
+                # A source that has ended gives nothing at once.
+                time.sleep(0.01)
+                continue
+            came = time.time()
+            with self._arrival:
+                self.newest = _Received(frame, self._made(frame, came), came)
+                self.last_came, self._fault = came, ""
+                self.recent.append(frame)
+                self._arrival.notify()
+
+    def _made(self, frame: Frame, came: float) -> float:
+        """Say when a sweep was made by this computer's clock, which its own may be far from."""
+        stamp = frame.stamp if frame.clock is None else frame.clock
+        if stamp is None:
+            return came
+        self._apart.append(stamp - came)
+        if self.lidar.clock is None:
+            apart = median(self._apart)
+            self.clock = 0.0 if abs(apart) < SAME_CLOCK else apart
+        # None came before it was made.
+        return min(stamp - (self.clock or 0.0), came)
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it records."""
+        return time.time() - self.last_came < STOPPED
+
+    @property
+    def words(self) -> str:
+        """Say why nothing comes, or what is odd about its clock; empty where nothing is."""
+        if not self.is_alive:
+            why = self._fault or self.lidar.source.waits_for
+            return f"left out, since no sweep comes{': ' + why if why else ''}"
+        if self.lidar.clock is None and self.clock:
+            way = "ahead of" if self.clock > 0 else "behind"
+            return (
+                f"its clock is {abs(self.clock):.1f} s {way} that of this computer, judged by when "
+                "its sweeps come; sweeps are joined without that, the times of points are as sent"
+            )
+        return ""
+
+
+class LiveMerge:
+    """Clouds of LiDARs that record now: `step` it again and again, then `close` it.
+
+    Parameters
+    ----------
+    lidars
+        Each with a source of its own.
+    give
+        Called with each cloud, and when its newest sweep was made, Unix seconds.
+    crop
+        (2, 3) corners of a box in the frame of all; what is outside is left out.
+    check
+        Given some sweeps of each LiDAR that records, says which moved. It is called in a process of
+        its own, so that no cloud waits for it, and is pickled for that. None checks nothing.
+    every
+        How often it is called, s.
+
+    Attributes
+    ----------
+    moved
+        LiDARs that are left out since they moved.
+    """
+
+    def __init__(
+        self,
+        lidars: Sequence[LiveLidar],
+        give: Callable[[Points, float], None],
+        *,
+        crop: Array | None = None,
+        check: Callable[[Mapping[str, Sequence[Frame]]], Checked] | None = None,
+        every: float = CHECK_SECONDS,
+    ) -> None:
+        self.moved: tuple[str, ...] = ()
+        self._give, self._crop, self._check, self._every = give, crop, check, every
+        self._arrival = Condition()
+        self._readers = [_Reader(lidar, self._arrival) for lidar in lidars]
+        self._pool = ProcessPoolExecutor(1, get_context("spawn")) if check else None
+        self._work: Future[Checked] | None = None
+        self._start = self._since = time.time()
+        self._due = self._start + min(every, FIRST_CHECK)
+        self._about: dict[str, str] = {}
+        self._words: list[str] = []
+        self._ages: list[float] = []
+        self._sweeps = {lidar.name: 0 for lidar in lidars}
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing will come any more."""
+        return all(own.lidar.source.has_ended and own.newest is None for own in self._readers)
+
+    def step(self, wait: float = 0.5) -> bool:
+        """Give a cloud if there is one within so many seconds; says whether."""
+        until = time.time() + wait
+        with self._arrival:
+            while not (ready := self._ready()) and (left := until - time.time()) > 0:
+                self._arrival.wait(min(left, 0.02))
+        self._look_after()
+        newest = max((sweep.made for _, sweep in ready), default=0.0)
+        # One that had to wait for others is of another turn.
+        joined = [(k, sweep) for k, sweep in ready if newest - sweep.made <= LATE]
+        if not joined:
+            return False
+        poses = [own.lidar.T_frame_lidar for own in self._readers]
+        points = np.concatenate([fused(each.frame.cloud, poses[k], k) for k, each in joined])
+        if self._crop is not None:
+            points = points[inside(points["xyz"], self._crop)]
+        self._give(points, newest)
+        self._ages.append(time.time() - min(sweep.made for _, sweep in joined))
+        for k, _ in joined:
+            self._sweeps[self._readers[k].lidar.name] += 1
+        return True
+
+    def _ready(self) -> list[tuple[int, _Received]]:
+        """Take the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
+        used = [own for own in self._readers if own.lidar.name not in self.moved]
+        waiting = [own.newest for own in used if own.newest is not None]
+        is_late = any(own.newest is None and own.is_alive for own in used)
+        if not waiting or (is_late and time.time() - min(s.came for s in waiting) < LATE):
+            return []
+        taken = [(k, own.newest) for k, own in enumerate(self._readers)]
+        for own in self._readers:
+            own.newest = None
+        return [(k, s) for k, s in taken if s is not None and self._readers[k] in used]
+
+    def _look_after(self) -> None:
+        """Note who stops, who comes again, and who moved."""
+        now = time.time()
+        for own in self._readers if now - self._start > 2 * STOPPED else ():
+            name, words = own.lidar.name, own.words
+            # Without the numbers in it, which change all the time.
+            about = "".join(c for c in words if not c.isdigit())
+            if about != self._about.get(name, ""):
+                self._words.append(f"{name}: {words or 'its sweeps come'}")
+                self._about[name] = about
+        if self._pool is None or self._check is None:
+            return
+        if self._work is None:
+            recent = {own.lidar.name: list(own.recent) for own in self._readers if own.is_alive}
+            is_whole = all(len(frames) == CHECK_SWEEPS for frames in recent.values())
+            if now >= self._due and len(recent) > 1 and is_whole:
+                self._work = self._pool.submit(self._check, recent)
+        elif self._work.done():
+            self._due, error = now + self._every, self._work.exception()
+            if error is None:
+                self.moved, words = self._work.result()
+            else:
+                words = f"the check failed: {quoting(str(error))}"
+            if words != self._about.get("", ""):
+                self._words.append(words)
+                self._about[""] = words
+            self._work = None
+
+    def new_words(self) -> list[str]:
+        """Give what is to be said since this was last called; each once for as long as it holds."""
+        words, self._words = self._words, []
+        return words
+
+    def pace(self) -> Pace:
+        """Say how clouds kept up since this was last called."""
+        now = time.time()
+        found = Pace(now - self._since, tuple(self._ages), dict(self._sweeps))
+        self._since, self._ages = now, []
+        self._sweeps = dict.fromkeys(self._sweeps, 0)
+        return found
+
+    def close(self) -> None:
+        """Let go of sources, threads and processes."""
+        for own in self._readers:
+            own.is_closed = True
+        for own in self._readers:
+            own.join(1.0)
+            own.lidar.source.close()
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
+    """Check sweeps of LiDARs against the result that they are merged by.
+
+    Parameters
+    ----------
+    result
+        ``result.json``, ``site-result.json``, or the folder that holds it.
+    frames
+        Of some of its LiDARs, by their names, metres.
+
+    Returns
+    -------
+    Checked
+        Of a pair that moved, that is the source: the frame is the target's. Of a site where nobody
+        can tell which moved, these are all of the pairs that did.
+    """
+    file = any_result_file(result)
+    document = result_in(read_document(file))
+    topic = "/points"
+    with TemporaryDirectory() as folder:
+        paths = {name: Path(folder) / f"{k}.mcap" for k, name in enumerate(frames)}
+        for name, path in paths.items():
+            path.write_bytes(write_recording({topic: Track(name, frames[name])}))
+        try:
+            if not isinstance(document, SiteDoc):
+                target, source = (paths[name] for name in LIDARS)
+                pair = check_recordings(
+                    read_stored(file), target, source, target_topic=topic, source_topic=topic, unit="m"
+                )
+                moved = (LIDARS[1],) if pair.status == "moved" else ()
+                status, reasons = pair.status, pair.reasons
+            else:
+                sensors = {lidar.name: lidar.sensor for lidar in document.lidars}
+                tables = [
+                    f"[[lidar]]\nname = {json.dumps(name)}\nsensor = {json.dumps(sensors[name])}\n"
+                    f"topic = {json.dumps(topic)}\nrecordings = [{json.dumps(path.name)}]\n"
+                    for name, path in paths.items()
+                ]
+                place = Path(folder) / "site.toml"
+                place.write_text(
+                    'name = "live"\nplacements = ["1"]\n' + "\n".join(tables), encoding="utf-8"
+                )
+                site = check_site(file, place)
+                pairs = {each[:2] for each in site.pairs if each.answer.status == "moved"}
+                moved = site.moved or tuple(name for name in paths if any(name in p for p in pairs))
+                status = site.status
+                reasons = (*site.reasons, *(r for each in site.pairs for r in each.answer.reasons))
+        except Refusal as refusal:
+            moved, status, reasons = (), "cannot_tell", (refusal.reason,)
+    why = f": {reasons[0].message}" if reasons and status != "same" else ""
+    said = {
+        "same": "checked: no LiDAR has moved",
+        "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
+        "cannot_tell": f"checked: whether a LiDAR has moved cannot be told{why}",
+    }
+    return Checked(moved, said[status])
