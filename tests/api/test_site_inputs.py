@@ -7,7 +7,7 @@ import pytest
 
 from retropole.api.inputs import Listener, read_input
 from retropole.api.site_file import decode_site_file
-from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
+from retropole.api.site_inputs import offset_of, read_site, repeated, site_of, with_survey
 from retropole.base.errors import ReadError
 from retropole.io.fields import Wanted
 from retropole.result import Reading

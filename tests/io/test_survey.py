@@ -11,9 +11,8 @@ import pytest
 from retropole.base.errors import ReadError
 from retropole.io.survey import read_survey
 
-# Emlid Flow, "CSV": the columns of its export since 2023, as users show them in
-# https://community.emlid.com/t/correct-interpretation-of-origin-column-of-csv-export/42225; which
-# of them are the point, and which the base station, says
+# Emlid Flow, "CSV". What Easting, Origin and Base easting mean of its columns say
+# https://community.emlid.com/t/correct-interpretation-of-origin-column-of-csv-export/42225 and
 # https://community.emlid.com/t/survey-csv-file-explained/34769.
 EMLID = (
     b"Name,Code,Code description,Easting,Northing,Elevation,Description,Longitude,Latitude,"

@@ -390,7 +390,7 @@ def _asked(
     for one in at.network.observations:
         # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it. Nor
         # on which side of poles they were surveyed.
-        if one.kind in ("pose", "side"):
+        if one.kind == "pose" or one.kind == "side":
             continue
         if one.poles is None:
             assert one.by_value is not None

@@ -283,6 +283,8 @@ def _faults(site: SiteFile) -> Iterator[str]:
         yield from _lidar_faults(lidar, len(site.placements))
     yield from _reference_faults(site)
     names = [lidar.name for lidar in site.lidar]
+    if site.columns is not None and site.survey is None:
+        yield "columns: expected survey, the file that has them"
     for pole in site.surveyed_pole:
         of = f"surveyed_pole {pole.name}"
         if pole.placement not in site.placements:
@@ -293,8 +295,6 @@ def _faults(site: SiteFile) -> Iterator[str]:
             yield from _end_faults(site, of, pole, end, f"{end}_m", f"{end}_sigma_m")
         if pole.foot_m is not None and pole.foot_m == pole.top_m:
             yield f"{of}: foot_m and top_m are the same point"
-    if site.columns is not None and site.survey is None:
-        yield "columns: expected survey, the file that has them"
     for point in site.control_point:
         if point.at is None and point.at_m is None:
             yield f"control_point {point.name}: expected at_m, or at"

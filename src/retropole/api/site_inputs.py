@@ -357,8 +357,11 @@ def offset_of(file: SiteFile) -> Array:
     for pole in file.surveyed_pole:
         ends = (("foot_m", pole.foot_m), ("top_m", pole.top_m))
         surveyed += [(f"surveyed_pole {pole.name}, {k}", end) for k, end in ends if end is not None]
-    points = [each for each in file.control_point if each.at_m is not None]
-    surveyed += [(f"control_point {each.name}, at_m", each.at_m) for each in points]
+    surveyed += [
+        (f"control_point {each.name}, at_m", each.at_m)
+        for each in file.control_point
+        if each.at_m is not None
+    ]
     if not surveyed:
         return np.zeros(3)
     places = np.array([place for _, place in surveyed])
