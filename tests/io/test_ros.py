@@ -81,7 +81,7 @@ def test_how_far_a_clock_is_ahead_of_the_recorders(tmp_path: Path, kind: str) ->
     cloud = random_cloud(0, 40)
     points = [points_of(cloud)] * 3
     own = np.zeros(40, [*points[0].dtype.descr, ("timestamp", "<f8")])
-    for name in points[0].dtype.names:
+    for name in required(points[0].dtype.names):
         own[name] = points[0][name]
     own["timestamp"] = START / 1e9 - 18.1 + np.arange(40) / 400
     topics = {"/front": points, "/rear": points, "/timed": [own]}

@@ -4,12 +4,14 @@ The layouts are those of these programs, byte for byte; the places are made up, 
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.io.survey import read_survey
+from retropole.io.survey import SurveyPoint, read_survey
+from tests.io.files import required
 
 # Emlid Flow, "CSV". What Easting, Origin and Base easting mean of its columns say
 # https://community.emlid.com/t/correct-interpretation-of-origin-column-of-csv-export/42225 and
@@ -52,10 +54,10 @@ SEDRIX = (
 FOOT = [500012.341, 5538630.512, 119.871]
 
 
-def read(folder: Path, data: bytes, *ids: str, **how: object) -> dict[str, object]:
+def read(folder: Path, data: bytes, **how: Any) -> SurveyPoint:
     path = folder / "points.csv"
     path.write_bytes(data)
-    return read_survey(path, ids or ("P1f",), **how)  # type: ignore[arg-type, return-value]
+    return read_survey(path, ["P1f"], **how)["P1f"]
 
 
 @pytest.mark.parametrize(
@@ -78,23 +80,23 @@ def read(folder: Path, data: bytes, *ids: str, **how: object) -> dict[str, objec
 def test_names_say_what_columns_are(
     tmp_path: Path, data: bytes, columns: str | None, sigma: list[float] | None
 ) -> None:
-    point = read(tmp_path, data, columns=columns, is_map=True)["P1f"]
-    np.testing.assert_allclose(point.at, FOOT, rtol=0, atol=1e-9)  # type: ignore[attr-defined]
+    point = read(tmp_path, data, columns=columns, is_map=True)
+    np.testing.assert_allclose(point.at, FOOT, rtol=0, atol=1e-9)
     if sigma is None:
-        assert point.sigma is None  # type: ignore[attr-defined]
+        assert point.sigma is None
     else:
-        np.testing.assert_allclose(point.sigma, sigma)  # type: ignore[attr-defined]
+        np.testing.assert_allclose(required(point.sigma), sigma)
 
 
 def test_of_a_plan_x_and_y_are_its_axes_of_a_map_they_are_not_known(tmp_path: Path) -> None:
     plan = b"id;x;y;z\nP1f;3.25;-1.5;0.125\n"
-    point = read(tmp_path, plan)["P1f"]
-    np.testing.assert_array_equal(point.at, [3.25, -1.5, 0.125])  # type: ignore[attr-defined]
+    point = read(tmp_path, plan)
+    np.testing.assert_array_equal(point.at, [3.25, -1.5, 0.125])
     with pytest.raises(ReadError, match="in some countries x is east, in others north"):
         read(tmp_path, plan, is_map=True)
     both = b"id,Y,X,Easting,Northing,H\nP1f,1,2,500012.341,5538630.512,119.871\n"
-    named = read(tmp_path, both, is_map=True)["P1f"]
-    np.testing.assert_allclose(named.at, FOOT)  # type: ignore[attr-defined]
+    named = read(tmp_path, both, is_map=True)
+    np.testing.assert_allclose(named.at, FOOT)
 
 
 @pytest.mark.parametrize(
@@ -128,6 +130,6 @@ def test_what_is_wrong_is_named(
 
 
 def test_only_the_points_that_are_used_must_be_whole(tmp_path: Path) -> None:
-    assert read(tmp_path, EMLID)["P1f"]
+    assert read(tmp_path, EMLID).sigma is not None
     with pytest.raises(ReadError, match="cannot be read"):
         read_survey(tmp_path / "none.csv", ["P1f"])

@@ -186,7 +186,7 @@ def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
 def test_clocks_that_differ_are_named_as_far_as_recordings_have_them(
     hashes: str, offsets: tuple[float | None, float | None], said: str, unsaid: tuple[str, ...]
 ) -> None:
-    result = made_up()
+    result = made_up().result
     inputs = [
         replace(each, sha256=64 * own, clock_offset_s=offset)
         for each, own, offset in zip(result.inputs, hashes, offsets, strict=True)
