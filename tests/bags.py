@@ -37,7 +37,12 @@ def points_of(cloud: PointCloud, kind: str = "<f4") -> NDArray[Any]:
 
 
 def message(
-    points: NDArray[Any], store: Any, *, row_padding: int = 0, frame_id: str = "lidar"
+    points: NDArray[Any],
+    store: Any,
+    *,
+    row_padding: int = 0,
+    frame_id: str = "lidar",
+    stamp: int = 10**9,
 ) -> Any:
     """Make a PointCloud2 of a record array (N,) or (height, width), laid out as that is."""
     rows = np.atleast_2d(points)
@@ -53,7 +58,7 @@ def message(
             )
         )
     data = b"".join(row.tobytes() + b"\xaa" * row_padding for row in rows)
-    time = types["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
     seq = {"seq": 0} if "seq" in types["std_msgs/msg/Header"].__dataclass_fields__ else {}
     return types[CLOUDS](
         header=types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **seq),
@@ -75,9 +80,13 @@ def write_bag(
     *,
     store: Stores | None = None,
     compression: Any = None,
+    ahead: Mapping[str, float] | None = None,
     **layout: Any,
 ) -> Path:
-    """Write record arrays as messages, 10 a second and topic by topic in turn; give the bag."""
+    """Write record arrays as messages, 10 a second and topic by topic in turn; give the bag.
+
+    The stamps of a topic are some seconds `ahead` of the recorder's clock, else 1 s after 1970.
+    """
     ros1 = kind == "bag"
     types = get_typestore(store or (Stores.ROS1_NOETIC if ros1 else Stores.LATEST))
     path = folder / ("recording.bag" if ros1 else "recording")
@@ -102,6 +111,8 @@ def write_bag(
         for k in range(max((len(clouds) for clouds in topics.values()), default=0)):
             for name, clouds in topics.items():
                 if k < len(clouds):
+                    if ahead is not None:
+                        layout["stamp"] = START + k * STEP + round(1e9 * ahead[name])
                     made = message(clouds[k], types, **layout)
                     data = types.serialize_ros1 if ros1 else types.serialize_cdr
                     writer.write(connections[name], START + k * STEP, data(made, CLOUDS))

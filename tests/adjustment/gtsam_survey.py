@@ -92,10 +92,10 @@ def _residuals(
         return moved(gtsam.Pose3(state.T[lidar]), step)
 
     for end in surveyed.ends:
+        # The same for all coordinates in what is compared.
+        (own,) = {*np.broadcast_to(end.sigma, 3).tolist()}
 
-        def across(
-            step: Array, k: int = end.axis, at: Array = end.at, s: float = end.sigma
-        ) -> Array:
+        def across(step: Array, k: int = end.axis, at: Array = end.at, s: float = own) -> Array:
             B = tangents[k]
             line = state.directions[k] + B @ step[2:]
             line = line / np.linalg.norm(line)
@@ -105,7 +105,9 @@ def _residuals(
         found.append(([("axis", end.axis)], across))
     for q, known in enumerate(surveyed.known):
 
-        def stated(step: Array, q: int = q, at: Array = known.at, s: float = known.sigma) -> Array:
+        def stated(
+            step: Array, q: int = q, at: Array = known.at, s: Array | float = known.sigma
+        ) -> Array:
             return np.asarray((state.control[q] + step - at) / s)
 
         found.append(([("point", q)], stated))

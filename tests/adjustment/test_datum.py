@@ -4,15 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
+from scipy.stats import chi2
 
 from retropole.adjustment.datum import find_datum, without_poles, without_survey
-from retropole.alignment.survey import Surveyed
+from retropole.alignment.posterior import JointState
+from retropole.alignment.survey import Surveyed, survey_terms
 from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.base.description import Site, Up
 from retropole.simulation.sites import SimulatedSite
 from tests.adjustment.adjusting import Steps, with_lidar
+from tests.adjustment.test_survey import poles, seen
+from tests.adjustment.test_survey import site as survey_site
 from tests.alignment.test_posterior import drawn
 from tests.alignment.test_survey import everything
+from tests.numeric import numeric_jacobian
 
 pytestmark = pytest.mark.full
 
@@ -112,3 +119,68 @@ def test_what_is_left_out_of_a_survey_is_that_alone(name: str) -> None:
     before, after = told(known), told(left)
     assert after == {each: of for each, of in before.items() if each != name and of != name}
     assert len(after) < len(before)
+
+
+DRAWS, RADIUS, SIGMA = 200, 0.03, 0.002
+"""Of points on poles' surfaces, metres."""
+
+
+def sides(rng: np.random.Generator, directions: Array, habit: str) -> Array:
+    """(N, 2, 3) by how much foot and top of each pole are off its axis: to a side, by the radius.
+
+    Each end from anywhere, both ends of a pole from one side, or all from one side.
+    """
+    count = len(directions)
+    shape = {"end": (count, 2), "pole": (count, 1), "site": (1, 1)}[habit]
+    angle = np.broadcast_to(rng.uniform(0, 2 * np.pi, shape), (count, 2))
+    off = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=2)
+    off = off - np.einsum("nki,ni->nk", off, directions)[:, :, None] * directions[:, None]
+    return np.asarray(RADIUS * off / np.linalg.norm(off, axis=2, keepdims=True))
+
+
+def residuals_of(state: JointState, surveyed: Surveyed, step: Array) -> Array:
+    """(M,) of a survey, by its 1 σ, with all poles moved as one and the side that was measured."""
+    T = se3.retract(np.eye(4), step[:6])
+    moved = replace(
+        state,
+        points=se3.apply(T, state.points),
+        directions=state.directions @ T[:3, :3].T,
+        control=step[6:].reshape(1, 3),
+    )
+    return np.concatenate([term.residual / term.sigma for term in survey_terms(moved, surveyed)])
+
+
+@pytest.mark.parametrize("habit", ["end", "pole", "site"])
+def test_the_true_frame_is_as_near_as_is_stated(habit: str) -> None:
+    """Of each habit, some part of the pose has the error that is stated, and none has more."""
+    rng = np.random.default_rng(11)
+    known = [structs.replace(each, sigma=SIGMA, on="surface") for each in poles()]
+    found = seen(known, np.eye(4))
+    own = {0: np.eye(4), 1: np.eye(4)}
+    datum = find_datum(replace(survey_site(known), radius=RADIUS), np.zeros((2, 3)), own, found)
+    assert "6 surveyed ends of poles" in datum.words
+    assert "control point" not in datum.words
+    surveyed = datum.surveyed
+    directions = np.array([pole.direction for pole in found])
+    points = np.array([pole.point for pole in found])
+    state = JointState(np.eye(4)[None], np.zeros(1), RADIUS, points, directions, np.zeros((1, 3)))
+    J = numeric_jacobian(lambda step: residuals_of(state, surveyed, step), 9)
+    inverse = np.linalg.inv(J.T @ J)
+    covariance = inverse[:6, :6]
+    steps, inside = [], 0
+    for _ in range(DRAWS):
+        off = sides(rng, directions, habit).reshape(-1, 3) + rng.normal(0, SIGMA, (6, 3))
+        ends = tuple(
+            replace(end, at=structs.astuple(known[k // 2])[2 + k % 2] + off[k])
+            for k, end in enumerate(surveyed.ends)
+        )
+        left = residuals_of(state, replace(surveyed, ends=ends), np.zeros(9))
+        step = -(inverse @ J.T @ left)[:6]
+        inside += step @ np.linalg.solve(covariance, step) < chi2.ppf(0.95, 6)
+        steps.append(step)
+    L = np.linalg.cholesky(np.linalg.inv(covariance))
+    ratio = np.linalg.eigvalsh(L.T @ np.cov(np.array(steps).T) @ L)
+    # Of 200 draws, a variance is known to 10 %.
+    assert ratio.max() < 1.25
+    assert ratio.max() > {"end": 0.4, "pole": 0.7, "site": 0.6}[habit]
+    assert inside >= 0.93 * DRAWS

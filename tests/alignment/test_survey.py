@@ -94,6 +94,44 @@ def test_an_end_says_nothing_of_where_it_lies_along_the_axis() -> None:
         np.testing.assert_allclose(term.residual, 0.0, atol=1e-12)
 
 
+def test_each_coordinate_counts_by_its_own_sigma_beside_the_axis() -> None:
+    state, sigma = drawn(), np.array([0.004, 0.01, 0.03])
+    tangents = state.of(0, np.arange(len(state.points))).tangents
+    for k, along in ((0, 0.7), (3, -1.2)):
+        at = state.points[k] + along * state.directions[k] + [0.002, -0.003, 0.004]
+        (term,) = survey_terms(state, Surveyed(ends=(SurveyedEnd("end", k, at, sigma, 0.02),)))
+        # W of two coordinates beside the axis is that of three, projected.
+        B = tangents[k]
+        covariance = B.T @ np.diag(sigma**2) @ B + 0.02**2 * np.eye(2)
+        off = B.T @ (at - state.points[k])
+        turned = (at - state.points[k]) @ state.directions[k]
+        J = np.concatenate([-np.eye(2), -turned * np.eye(2)], axis=1)
+        weighted = term.jacobian / term.sigma[:, None]
+        stated = J.T @ np.linalg.solve(covariance, J)
+        np.testing.assert_allclose(weighted.T @ weighted, stated, atol=1e-9 * stated.max())
+        chi2 = np.sum((term.residual / term.sigma) ** 2)
+        assert chi2 == pytest.approx(off @ np.linalg.solve(covariance, off))
+
+
+def test_the_side_that_was_measured_is_an_error_of_all_ends() -> None:
+    state = drawn(control=1)
+    at = state.points[0] + 0.6 * state.directions[0] + state.control[0]
+    ends = (SurveyedEnd("end", 0, at, 0.005, 0.02, side=0),)
+    side = KnownPoint("side", np.zeros(3), 0.014, is_side=True)
+    surveyed = Surveyed(ends, (side,))
+    end, prior = survey_terms(state, surveyed)
+    np.testing.assert_allclose(end.residual, 0.0, atol=1e-12)
+    assert (end.kind, prior.kind) == ("survey", "side")
+    whole = np.zeros((2, state.size))
+    whole[:, end.place] = end.jacobian
+    moving = np.zeros(state.size)
+    for k in range(3):
+        moving[:] = 0.0
+        moving[state.control_points().start + k] = 1e-6
+        (moved, _) = survey_terms(state.moved(moving), surveyed)
+        np.testing.assert_allclose((moved.residual - end.residual) / 1e-6, whole @ moving * 1e6)
+
+
 def test_up_is_measured_about_two_axes_of_the_level() -> None:
     state = drawn()
     R = se3.exp_so3(np.array([0.01, -0.02, 0.0]))

@@ -92,6 +92,22 @@ def test_all_topics_of_a_bag(tmp_path: Path, cloud: PointCloud) -> None:
         assert words in text
 
 
+def test_which_clock_the_times_are_of(tmp_path: Path, cloud: PointCloud) -> None:
+    pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+    from tests.bags import points_of, write_bag
+
+    points = [points_of(cloud.select(np.arange(50)))] * 2
+    ahead = {"/front": 36.95, "/rear": -0.05}
+    document = describe(write_bag(tmp_path, "mcap", dict.fromkeys(ahead, points), ahead=ahead))
+    assert [each.clock_offset_s for each in document.clouds] == pytest.approx([36.95, -0.05])
+    text = " ".join(describe_info(document).split())
+    assert "clock is 37.0 s ahead of the recorder's, as TAI (PTP) is ahead of UTC (NTP)" in text
+    assert "clock agrees with the recorder's within 0.5 s" in text
+    write_pcd(tmp_path / "a.pcd", cloud)
+    assert describe(tmp_path / "a.pcd").clouds[0].clock_offset_s is None
+    assert "\nclock" not in describe_info(describe(tmp_path / "a.pcd"))
+
+
 def test_no_intensity_and_one_for_all(tmp_path: Path, cloud: PointCloud) -> None:
     write_pcd(tmp_path / "none.pcd", replace(cloud, intensity=None))
     assert describe(tmp_path / "none.pcd").clouds[0].intensity is None

@@ -7,7 +7,7 @@ import pytest
 
 from retropole.api.inputs import Listener, read_input
 from retropole.api.site_file import decode_site_file
-from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
+from retropole.api.site_inputs import offset_of, read_site, repeated, site_of, with_survey
 from retropole.base.errors import ReadError
 from retropole.io.fields import Wanted
 from retropole.result import Reading
@@ -192,3 +192,57 @@ def test_one_recording_for_two_is_told(tmp_path: Path) -> None:
     assert reason is not None
     assert reason.code == "same_recording"
     assert "mast-a in placement 1 and mast-b in placement 2" in reason.message
+
+
+TABLES = """
+[[surveyed_pole]]
+name = "A"
+placement = "1"
+foot = "A foot"
+top = "A top"
+on = "surface"
+[[control_point]]
+name = "P"
+at = "P"
+sigma_m = 0.002
+[[control_point.seen]]
+lidar = "a"
+at_m = [5, 0, 0]
+sigma_m = 0.01
+"""
+SURVEYED = """id,north,east,height,sigma_e,sigma_n,sigma_h
+A foot,2,1,0.5,0.004,0.005,0.01
+A top,2.1,1.1,2.5,0.004,0.006,0.012
+P,7,3,1,0.004,0.004,0.004
+"""
+
+
+def test_a_survey_of_a_file_is_that_of_the_site_file(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(SURVEYED)
+    head = 'name = "Q"\nplacements = ["1"]\nsurvey = "points.csv"\n'
+    lidars = "".join(f'[[lidar]]\nname = "{k}"\nrecordings = ["{k}.pcd"]\n' for k in "ab")
+    path = tmp_path / "site.toml"
+    file = decode_site_file((head + lidars + TABLES).encode())
+    site = site_of(with_survey(file, path), {})
+    (pole,), (point,) = site.poles, site.points
+    np.testing.assert_array_equal(pole.foot, [1, 2, 0.5])
+    np.testing.assert_array_equal(pole.top_sigma, [0.004, 0.006, 0.012])
+    assert (pole.sigma, pole.on) == (0.012, "surface")
+    # What the site file says of a point goes before what the survey says.
+    np.testing.assert_array_equal(point.at, [3, 7, 1])
+    assert (point.sigma, point.sigmas) == (0.002, None)
+    (tmp_path / "points.csv").write_text(SURVEYED.replace("0.012", "0"))
+    with pytest.raises(ReadError, match=r"points.csv: point A top: its 1 σ are .*give sigma_m"):
+        with_survey(file, path)
+    (tmp_path / "points.csv").write_text(SURVEYED.replace("sigma_h", "note"))
+    with pytest.raises(ReadError, match="point A foot: has no 1 σ"):
+        with_survey(file, path)
+    for old, new, words in (
+        ('survey = "points.csv"\n', "", "surveyed_pole A, foot: expected survey"),
+        ('survey = "points.csv"\n', 'columns = "id, e, n, h"\n', "columns: expected survey"),
+        ('foot = "A foot"', "foot_m = [1, 2, 0.5]", "surveyed_pole A: missing key sigma_m"),
+        ('at = "P"', 'at = "P"\nat_m = [1, 2, 3]', "point P: expected at or at_m, not both"),
+        ('at = "P"\n', "", "control_point P: expected at_m, or at"),
+    ):
+        with pytest.raises(ReadError, match=words):
+            decode_site_file((head + lidars + TABLES).replace(old, new).encode())

@@ -22,9 +22,18 @@ from rosbags.typesys import Stores, get_typestore
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.export.transform import LONGEST_NAME as LONGEST_EXPORTED
-from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
+from retropole.io import (
+    BAGS,
+    chosen_frames,
+    open_recording,
+    read_cloud,
+    read_frames,
+    read_recording,
+    sha256_of,
+)
 from retropole.io.live.files import BagSource
 from retropole.io.live.replay import ReplaySource
+from retropole.io.recordings import clock_offset
 from retropole.io.ros import columns_of, frame_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
 from tests.io.clouds import assert_same, random_cloud
@@ -64,6 +73,28 @@ def test_every_kind_of_bag_gives_back_what_was_written(tmp_path: Path, kind: str
     assert whole.source == str(path)
     assert whole.recorded == pytest.approx((START / 1e9, START / 1e9 + 0.4))
     assert len(sha256_of(path)) == 64
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_how_far_a_clock_is_ahead_of_the_recorders(tmp_path: Path, kind: str) -> None:
+    """By the stamps of messages, or by the times of points, where these are dates."""
+    cloud = random_cloud(0, 40)
+    points = [points_of(cloud)] * 3
+    own = np.zeros(40, [*points[0].dtype.descr, ("timestamp", "<f8")])
+    for name in required(points[0].dtype.names):
+        own[name] = points[0][name]
+    own["timestamp"] = START / 1e9 - 18.1 + np.arange(40) / 400
+    topics = {"/front": points, "/rear": points, "/timed": [own]}
+    ahead = {"/front": 36.9, "/rear": -0.1, "/timed": 36.9}
+    path = write_bag(tmp_path, kind, topics, ahead=ahead)
+    for topic, expected in (("/front", 36.9), ("/rear", -0.1), ("/timed", -18.1)):
+        offset = clock_offset(read_recording(path, topic=topic).headers)
+        assert offset == pytest.approx(expected, abs=1e-3)
+    # Where a message has no stamp, nothing is known.
+    unstamped = {"/front": -START / 1e9}
+    (tmp_path / "none").mkdir()
+    path = write_bag(tmp_path / "none", kind, {"/front": points[:1]}, ahead=unstamped)
+    assert clock_offset(read_recording(path).headers) is None
 
 
 @pytest.mark.parametrize("store", ROS2, ids=lambda store: store.value)

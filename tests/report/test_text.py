@@ -14,8 +14,8 @@ from retropole.base.reasons import plain, reasons
 from retropole.base.sensors import LITTLE
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
-from retropole.report.listings import pose_rows
-from retropole.report.subject import recorded_by
+from retropole.report.listings import clocks, pose_rows
+from retropole.report.subject import as_subject, recorded_by
 from retropole.report.text import (
     LINES,
     WIDTH,
@@ -168,6 +168,35 @@ def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
     words = "To bound the time, the 200 most alike of 229 pairs of possible poles were laid on each"
     assert f"{words} other, the best 16 of 310 ways of pairing possible poles were tried" in whole
     assert "registered" not in whole
+
+
+@pytest.mark.parametrize(
+    ("hashes", "offsets", "said", "unsaid"),
+    [
+        # One recorder: the clocks of both LiDARs are compared.
+        ("aa", (-0.05, 36.95), "the clock of the source is 37.0 s ahead of that of the target", ()),
+        ("aa", (37.0, 36.9), "the clock of the target is 37.0 s ahead of the rec", ("that",)),
+        # Two: nobody knows how far their clocks are apart.
+        ("ab", (-0.05, 36.95), "the clock of the source is 37.0 s ahead of the rec", ("that",)),
+        ("aa", (-1.7e9, 0.0), "the clock of the target is not set", ("ahead", "the source is")),
+        ("aa", (-0.1, 0.2), "", ("the clock of",)),
+        ("ab", (None, None), "", ("the clock of",)),
+    ],
+)  # fmt: skip
+def test_clocks_that_differ_are_named_as_far_as_recordings_have_them(
+    hashes: str, offsets: tuple[float | None, float | None], said: str, unsaid: tuple[str, ...]
+) -> None:
+    result = made_up().result
+    inputs = [
+        replace(each, sha256=64 * own, clock_offset_s=offset)
+        for each, own, offset in zip(result.inputs, hashes, offsets, strict=True)
+    ]
+    lines = list(clocks(as_subject(replace(result, inputs=inputs))))
+    whole = " ".join(describe_result(replace(result, inputs=inputs), ["r"], verbose=True).split())
+    assert said in whole
+    assert all(each in whole for each in lines)
+    assert not any(word in line for word in unsaid for line in lines)
+    assert all("no time was changed" in line for line in lines)
 
 
 def test_what_was_asked_for_is_answered() -> None:

@@ -28,6 +28,12 @@ from ..hypotheses.pairs import Pair
 from .shared import SharedPole
 from .survey import Fit, lay_on_survey, list_unmet, pole_at, transformed
 
+SIDE = "side on which poles were surveyed"
+"""An error that all ends surveyed on surfaces share, 1 σ radius / √2 in each direction: whoever
+measures them from one place, or always holds the rod to one side, is off by the radius. Each end
+has another, 1 σ radius: √2 more than if each were on a side by chance, as both ends of a pole may
+be on one. So none of these habits makes a stated error too small."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hanging:
@@ -335,27 +341,32 @@ def _known(
         if pole.surveyed is None:
             continue
         each = site.poles[pole.surveyed]
-        for name, end in (("foot", each.foot), ("top", each.top)):
-            if end is not None:
-                ends.append(SurveyedEnd(f"{name} of {each.name}", k, end, each.sigma))
+        spread = site.radius if each.on == "surface" else 0.0
+        for name, end, sigma in each.ends:
+            ends.append(SurveyedEnd(f"{name} of {each.name}", k, end, sigma, spread))
     known, seen = [], []
     for q, point in enumerate(site.points):
         sights = [sight for k, sight in enumerate(point.seen) if (q, k) in fit.sightings]
         if not sights:
             continue
-        known.append(KnownPoint(point.name, point.at, point.sigma))
+        sigmas = np.full(3, point.sigma) if point.sigmas is None else point.sigmas
+        known.append(KnownPoint(point.name, point.at, sigmas))
         for sight in sights:
             name = f"{point.name} as {site.lidars[sight.lidar].name} sees it"
             at = sight.at - origins[sight.lidar]
             seen.append(SeenPoint(name, sight.lidar, len(known) - 1, at, sight.sigma))
+    if any(end.spread for end in ends):
+        ends = [replace(end, side=len(known)) if end.spread else end for end in ends]
+        known.append(KnownPoint(SIDE, np.zeros(3), site.radius / np.sqrt(2.0), is_side=True))
     return Surveyed(tuple(ends), tuple(known), tuple(seen))
 
 
 def _counts(surveyed: Surveyed) -> Iterator[str]:
     if surveyed.ends:
         yield f"{counted(len(surveyed.ends), 'surveyed end')} of poles"
-    if surveyed.known:
-        yield counted(len(surveyed.known), "control point")
+    points = sum(not point.is_side for point in surveyed.known)
+    if points:
+        yield counted(points, "control point")
 
 
 def without_poles(datum: Datum, gone: set[int]) -> Datum:
@@ -383,7 +394,11 @@ def without_survey(surveyed: Surveyed, name: str) -> Surveyed:
             if each.point != number
         )
         known = tuple(each for each in surveyed.known if each.name != name)
-        return replace(surveyed, known=known, seen=seen)
+        ends = tuple(
+            each if each.side is None else replace(each, side=each.side - 1)
+            for each in surveyed.ends
+        )
+        return replace(surveyed, ends=ends, known=known, seen=seen)
     return replace(
         surveyed,
         ends=tuple(each for each in surveyed.ends if each.name != name),

@@ -388,8 +388,9 @@ def _asked(
     for k, pole in enumerate(poles):
         yield from _of_pole(at, pole.name(site), k, pole.placement, names, astray)
     for one in at.network.observations:
-        # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it.
-        if one.kind == "pose":
+        # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it. Nor
+        # on which side of poles they were surveyed.
+        if one.kind == "pose" or one.kind == "side":
             continue
         if one.poles is None:
             assert one.by_value is not None

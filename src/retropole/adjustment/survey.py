@@ -211,7 +211,7 @@ def _fit(
 
 def ends_of(each: SurveyedPole) -> list[Array]:
     """(3,) each, the ends of a pole that were surveyed."""
-    return [end for end in (each.foot, each.top) if end is not None]
+    return [end for _, end, _ in each.ends]
 
 
 def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | None:

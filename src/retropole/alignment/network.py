@@ -187,7 +187,7 @@ class Observation:
         that 1 σ, metres or rad; None of returns.
     """
 
-    kind: Literal["returns", "survey", "control point", "up", "pose"]
+    kind: Literal["returns", "survey", "control point", "up", "pose", "side"]
     name: str
     place: IntArray
     information: Array

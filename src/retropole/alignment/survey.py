@@ -19,21 +19,38 @@ from .unknowns import POSE
 
 @dataclass(frozen=True, eq=False)
 class SurveyedEnd:
-    """A surveyed end of a pole: a point (3,) on an axis, in the frame of the site; 1 σ, metres."""
+    """A surveyed end of a pole: a point (3,) on an axis, in the frame of the site; 1 σ, metres.
+
+    Attributes
+    ----------
+    sigma
+        Of each coordinate: one for all, or (3,).
+    spread
+        1 σ that is added in each direction beside the axis, metres: of a point on the surface, of
+        which nobody knows on which side it is.
+    side
+        Index of the known point that is the offset of all surfaces' points; None on the axis.
+    """
 
     name: str
     axis: int
     at: Array
-    sigma: float
+    sigma: float | Array
+    spread: float = 0.0
+    side: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPoint:
-    """A control point: (3,) in the frame of the site, and 1 σ, metres."""
+    """A control point: (3,) in the frame of the site, and 1 σ of each coordinate, metres.
+
+    With `is_side` it is none, but by how much (3,) points on surfaces are off the axes together.
+    """
 
     name: str
     at: Array
-    sigma: float
+    sigma: float | Array
+    is_side: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +110,7 @@ class SurveyTerm:
         Whose observation it is; None where it is the surveyor's.
     """
 
-    kind: Literal["survey", "control point", "up", "pose"]
+    kind: Literal["survey", "control point", "up", "pose", "side"]
     name: str
     residual: Array
     jacobian: Array
@@ -106,25 +123,34 @@ class SurveyTerm:
 def survey_terms(state: JointState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
     """Hold what was surveyed against a state."""
     tangents = state.of(0, np.arange(len(state.points))).tangents
+    first = state.control_points().start
     for end in surveyed.ends:
-        away = end.at - state.points[end.axis]
+        off = np.zeros(3) if end.side is None else state.control[end.side]
+        away = end.at - off - state.points[end.axis]
         along = float(away @ state.directions[end.axis])
         B = tangents[end.axis]
+        # Beside the axis, along the axes of the ellipse of the error, so that it has two 1 σ.
+        variances = np.broadcast_to(end.sigma, 3) ** 2
+        variance, Q = variances[:2], np.eye(2)
+        if np.ptp(variances) > 0.0:
+            variance, Q = np.linalg.eigh((B.T * variances) @ B)
         # Turning the axis moves it, beside the end, by the angle times how far along that is.
-        J = np.concatenate([-np.eye(2), -along * np.eye(2)], axis=1)
+        J = np.concatenate([-np.eye(2), -along * np.eye(2), -B.T], axis=1)
+        place = state.axes(np.array([end.axis]))
+        if end.side is not None:
+            place = np.r_[place, first + 3 * end.side + np.arange(3)]
         yield SurveyTerm(
             "survey",
             end.name,
-            B.T @ away,
-            J,
-            state.axes(np.array([end.axis])),
-            np.full(2, end.sigma),
+            Q.T @ B.T @ away,
+            Q.T @ J[:, : len(place)],
+            place,
+            np.sqrt(variance + end.spread**2),
             axis=end.axis,
         )
-    first = state.control_points().start
     for q, point in enumerate(surveyed.known):
         yield SurveyTerm(
-            "control point",
+            "side" if point.is_side else "control point",
             point.name,
             state.control[q] - point.at,
             np.eye(3),

@@ -14,6 +14,7 @@ from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_
 from ..io.beams import guess_sensors, rings_fault, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
 from ..io.fields import NAMES, Unit, Wanted, intensities_of
+from ..io.recordings import clock_offset
 from ..result import Reading, document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
 from ..verdict.similarity import beyond_sensors, unit_of_one
@@ -109,6 +110,7 @@ def _cloud(read: ReadRecording, named: str | None) -> CloudDoc:
         sensors=[cloud.model] if cloud.model else guess_sensors(cloud),
         odd_coordinates=words,
         units=list(units),
+        clock_offset_s=clock_offset(read.headers),
     )
 
 

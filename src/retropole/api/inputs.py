@@ -30,6 +30,7 @@ from ..io import (
 from ..io.beams import with_beam_origin, with_trusted_rings
 from ..io.coordinates import Oddity, oddity_of
 from ..io.fields import USUAL, in_metres, unit_named
+from ..io.recordings import clock_offset
 from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..surfaces.scans import find_poles
 from ..surfaces.static import what_to_give
@@ -256,6 +257,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
             frame_id=_frame_of(each),
+            clock_offset_s=None if each.read is None else clock_offset(each.read.headers),
         )
         for each in inputs
     ]

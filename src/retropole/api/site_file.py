@@ -60,8 +60,11 @@ XYZ = Meta(min_length=3, max_length=3)
 Place = Annotated[list[Coordinate], XYZ]
 Seen = Annotated[list[Annotated[float, Meta(ge=-FARTHEST_SEEN, le=FARTHEST_SEEN)]], XYZ]
 Upwards = Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], XYZ]
-Sigma = Annotated[float, Meta(ge=1e-4, le=10.0)]
+LEAST_SIGMA, LARGEST_SIGMA = 1e-4, 10.0
 """1 σ of a coordinate, metres: no survey is surer than 0.1 mm, and none so poor helps."""
+
+Sigma = Annotated[float, Meta(ge=LEAST_SIGMA, le=LARGEST_SIGMA)]
+Sigmas = Annotated[list[Sigma], XYZ]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -121,13 +124,18 @@ class LidarTable(_Table, frozen=True, kw_only=True):
 
 
 class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
-    """A pole of which an end on the axis was surveyed, or both."""
+    """A pole of which an end was surveyed, or both: `foot` and `top` name points of the survey."""
 
     name: Name
     placement: Name
     foot_m: Place | None = None
     top_m: Place | None = None
-    sigma_m: Sigma
+    foot: Name | None = None
+    top: Name | None = None
+    sigma_m: Sigma | None = None
+    foot_sigma_m: Sigmas | None = None
+    top_sigma_m: Sigmas | None = None
+    on: Literal["axis", "surface"] = "axis"
 
 
 class SeenTable(_Table, frozen=True, kw_only=True):
@@ -139,11 +147,13 @@ class SeenTable(_Table, frozen=True, kw_only=True):
 
 
 class ControlPointTable(_Table, frozen=True, kw_only=True):
-    """A surveyed point that LiDARs see as a target."""
+    """A surveyed point that LiDARs see as a target: `at` names a point of the survey."""
 
     name: Name
-    at_m: Place
-    sigma_m: Sigma
+    at_m: Place | None = None
+    at: Name | None = None
+    sigma_m: Sigma | None = None
+    sigmas_m: Sigmas | None = None
     seen: Annotated[list[SeenTable], Meta(min_length=1, max_length=MOST_LIDARS)]
 
 
@@ -156,6 +166,8 @@ class SiteFile(_Table, frozen=True, kw_only=True):
     reference: ReferenceTable = ReferenceTable()
     need: NeedTable | None = None
     max_points: MaxPoints = MAX_POINTS
+    survey: Annotated[str, Meta(min_length=1, max_length=LONGEST_PATH)] | None = None
+    columns: Long | None = None
     lidar: Annotated[list[LidarTable], Meta(min_length=2, max_length=MOST_LIDARS)]
     surveyed_pole: Annotated[list[SurveyedPoleTable], Meta(max_length=MOST_SURVEYED)] = []
     control_point: Annotated[list[ControlPointTable], Meta(max_length=MOST_SURVEYED)] = []
@@ -271,20 +283,45 @@ def _faults(site: SiteFile) -> Iterator[str]:
         yield from _lidar_faults(lidar, len(site.placements))
     yield from _reference_faults(site)
     names = [lidar.name for lidar in site.lidar]
+    if site.columns is not None and site.survey is None:
+        yield "columns: expected survey, the file that has them"
     for pole in site.surveyed_pole:
         of = f"surveyed_pole {pole.name}"
         if pole.placement not in site.placements:
             yield f"{of}, placement: {_no(pole.placement, site.placements)}"
-        if pole.foot_m is None and pole.top_m is None:
+        if not any((pole.foot_m, pole.top_m, pole.foot, pole.top)):
             yield f"{of}: expected foot_m, top_m or both"
+        for end in ("foot", "top"):
+            yield from _end_faults(site, of, pole, end, f"{end}_m", f"{end}_sigma_m")
         if pole.foot_m is not None and pole.foot_m == pole.top_m:
             yield f"{of}: foot_m and top_m are the same point"
     for point in site.control_point:
+        if point.at is None and point.at_m is None:
+            yield f"control_point {point.name}: expected at_m, or at"
+        yield from _end_faults(site, f"control_point {point.name}", point, "at", "at_m", "sigmas_m")
         seeing = [each.lidar for each in point.seen]
         for name in seeing:
             if name not in names:
                 yield f"control_point {point.name}, seen, lidar: {_no(name, names)}"
         yield from _twice(f"control_point {point.name}, seen, lidar", seeing)
+
+
+def _end_faults(
+    site: SiteFile,
+    of: str,
+    table: SurveyedPoleTable | ControlPointTable,
+    by_name: str,
+    by_value: str,
+    sigmas: str,
+) -> Iterator[str]:
+    """Say what is wrong with one surveyed place, given by its name or by its coordinates."""
+    named, at, own = (getattr(table, key) for key in (by_name, by_value, sigmas))
+    if named is not None and at is not None:
+        yield f"{of}: expected {by_name} or {by_value}, not both"
+    if named is not None and site.survey is None:
+        yield f"{of}, {by_name}: expected survey, the file that has {named!r}"
+    if at is not None and table.sigma_m is None and own is None:
+        yield f"{of}: missing key sigma_m"
 
 
 def _names(site: SiteFile) -> Iterator[str]:

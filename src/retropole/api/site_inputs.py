@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from ..base.datatypes import Array
 from ..base.description import (
@@ -20,19 +21,28 @@ from ..base.description import (
     SurveyedPole,
     Up,
 )
-from ..base.errors import ReadError, Refusal, UsageError, naming
+from ..base.errors import ReadError, Refusal, UsageError, naming, quoting
 from ..base.files import path_in_text
 from ..base.projection import projected
 from ..base.quantities import error as length
 from ..base.quantities import step_of
+from ..base.se3 import FARTHEST
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..base.world import in_metres
 from ..io import sha256_of
 from ..io.fields import USUAL, Wanted
+from ..io.survey import read_survey
 from ..result.site import RecordingDoc, SiteConfig, recording_document
 from .inputs import SILENT, Input, Listener, input_documents, read_input, refuse_repeated
-from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
+from .site_file import (
+    LARGEST_SIGMA,
+    LEAST_SIGMA,
+    SITE_FILE,
+    LidarTable,
+    SiteFile,
+    read_site_file,
+)
 
 OFFSET_STEP = 100.0
 """The offset of large coordinates is a multiple of this, metres: a site that is surveyed about its
@@ -107,7 +117,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
         Where a recording needs an extra, or projected coordinates do.
     """
     path = site_file_in(path)
-    file = read_site_file(path)
+    file = with_survey(read_site_file(path), path)
     # What can be told now is told before recordings are read: that takes long.
     if file.reference.epsg is not None:
         with naming(f"{path}: reference, epsg", is_said_there=True):
@@ -130,6 +140,59 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
         site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
     )
     return SiteInputs(site, inputs, config)
+
+
+def with_survey(file: SiteFile, path: Path) -> SiteFile:
+    """Put in the coordinates, and 1 σ of each, of the points of the survey that a site file names.
+
+    A `sigma_m` that the site file gives goes before that of the survey.
+
+    Parameters
+    ----------
+    file, path
+        The site file, and where it is: the survey counts from its folder.
+
+    Raises
+    ------
+    ReadError
+        As `io.survey.read_survey`, and where nothing says how accurate a point is.
+    """
+    if file.survey is None:
+        return file
+    place = path.parent / file.survey
+    named = [name for pole in file.surveyed_pole for name in (pole.foot, pole.top) if name]
+    named += [point.at for point in file.control_point if point.at]
+    is_map = file.reference.frame == "enu" or file.reference.epsg is not None
+    known = read_survey(place, named, file.columns, is_map=is_map)
+
+    def keys(name: str | None, at: str, sigmas: str, *, is_given: bool) -> dict[str, list[float]]:
+        if name is None:
+            return {}
+        found = known[name]
+        with naming(f"{place}: point {quoting(name)}"):
+            if np.abs(found.at).max() > FARTHEST:
+                raise ReadError(f"a coordinate is beyond {FARTHEST:g} m")
+            if is_given:
+                return {at: found.at.tolist()}
+            if found.sigma is None:
+                raise ReadError("has no 1 σ of each coordinate; give sigma_m in the site file")
+            if not LEAST_SIGMA <= found.sigma.min() <= found.sigma.max() <= LARGEST_SIGMA:
+                raise ReadError(
+                    f"its 1 σ are {found.sigma.tolist()}, expected {LEAST_SIGMA:g} to "
+                    f"{LARGEST_SIGMA:g} m; give sigma_m in the site file"
+                )
+        return {at: found.at.tolist(), sigmas: found.sigma.tolist()}
+
+    poles, points = [], []
+    for pole in file.surveyed_pole:
+        given = pole.sigma_m is not None
+        foot = keys(pole.foot, "foot_m", "foot_sigma_m", is_given=given)
+        top = keys(pole.top, "top_m", "top_sigma_m", is_given=given)
+        poles.append(structs.replace(pole, **foot, **top))
+    for point in file.control_point:
+        at = keys(point.at, "at_m", "sigmas_m", is_given=point.sigma_m is not None)
+        points.append(structs.replace(point, **at))
+    return structs.replace(file, surveyed_pole=poles, control_point=points)
 
 
 def read_of(
@@ -249,7 +312,10 @@ def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
                 file.placements.index(pole.placement),
                 None if pole.foot_m is None else np.array(pole.foot_m) - offset,
                 None if pole.top_m is None else np.array(pole.top_m) - offset,
-                pole.sigma_m,
+                _largest(pole.sigma_m, pole.foot_sigma_m, pole.top_sigma_m),
+                None if pole.foot_sigma_m is None else np.array(pole.foot_sigma_m),
+                None if pole.top_sigma_m is None else np.array(pole.top_sigma_m),
+                pole.on,
             )
             for pole in file.surveyed_pole
         ),
@@ -257,16 +323,21 @@ def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
             ControlPoint(
                 point.name,
                 np.array(point.at_m) - offset,
-                point.sigma_m,
+                _largest(point.sigma_m, point.sigmas_m),
                 tuple(
                     Sighting(names.index(each.lidar), np.array(each.at_m), each.sigma_m)
                     for each in point.seen
                 ),
+                None if point.sigmas_m is None else np.array(point.sigmas_m),
             )
             for point in file.control_point
         ),
         need=None if need is None else Need(need.within_cm / 100, need.at_m),
     )
+
+
+def _largest(sigma: float | None, *sigmas: list[float] | None) -> float:
+    return max(max(each) for each in ([] if sigma is None else [sigma], *sigmas) if each)
 
 
 def offset_of(file: SiteFile) -> Array:
@@ -286,7 +357,11 @@ def offset_of(file: SiteFile) -> Array:
     for pole in file.surveyed_pole:
         ends = (("foot_m", pole.foot_m), ("top_m", pole.top_m))
         surveyed += [(f"surveyed_pole {pole.name}, {k}", end) for k, end in ends if end is not None]
-    surveyed += [(f"control_point {each.name}, at_m", each.at_m) for each in file.control_point]
+    surveyed += [
+        (f"control_point {each.name}, at_m", each.at_m)
+        for each in file.control_point
+        if each.at_m is not None
+    ]
     if not surveyed:
         return np.zeros(3)
     places = np.array([place for _, place in surveyed])

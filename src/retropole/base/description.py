@@ -7,6 +7,7 @@ placement, for all LiDARs. Everything is in metres and radians.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -66,18 +67,26 @@ class SurveyedPole(
     msgspec.Struct,
     frozen=True,
     eq=False,
-    rename={"foot": "foot_m", "top": "top_m", "sigma": "sigma_m"},
+    omit_defaults=True,
+    rename={
+        **{"foot": "foot_m", "top": "top_m", "sigma": "sigma_m"},
+        **{"foot_sigma": "foot_sigma_m", "top_sigma": "top_sigma_m"},
+    },
 ):
-    """A taped pole of which points on the axis were surveyed.
+    """A taped pole of which points on the axis, or on its surface, were surveyed.
 
     Attributes
     ----------
     name, placement
         What it is called, and the index of the placement that it stands in.
     foot, top
-        (3,) its lower and upper end on the axis, in the frame of the site; None where not surveyed.
+        (3,) its lower and upper end, in the frame of the site; None where not surveyed.
     sigma
         1 σ of each coordinate, metres.
+    foot_sigma, top_sigma
+        (3,) where the coordinates of an end have their own; `sigma` is then the largest of all.
+    on
+        Whether the ends are points of the axis, or of the surface on a side that nobody knows.
     """
 
     name: Text
@@ -85,6 +94,19 @@ class SurveyedPole(
     foot: Vector | None
     top: Vector | None
     sigma: Size
+    foot_sigma: Vector | None = None
+    top_sigma: Vector | None = None
+    on: Literal["axis", "surface"] = "axis"
+
+    @property
+    def ends(self) -> list[tuple[str, Array, Array]]:
+        """Which end was surveyed, where (3,), and 1 σ of each coordinate (3,), metres."""
+        both = (("foot", self.foot, self.foot_sigma), ("top", self.top, self.top_sigma))
+        return [
+            (name, at, np.full(3, self.sigma) if sigma is None else sigma)
+            for name, at, sigma in both
+            if at is not None
+        ]
 
 
 class Sighting(msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}):
@@ -96,14 +118,22 @@ class Sighting(msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sig
 
 
 class ControlPoint(
-    msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}
+    msgspec.Struct,
+    frozen=True,
+    eq=False,
+    omit_defaults=True,
+    rename={"at": "at_m", "sigma": "sigma_m", "sigmas": "sigmas_m"},
 ):
-    """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres."""
+    """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres.
+
+    Where its coordinates have a σ of their own, `sigmas` (3,) has them, `sigma` the largest.
+    """
 
     name: Text
     at: Vector
     sigma: Size
     seen: tuple[Sighting, ...]
+    sigmas: Vector | None = None
 
 
 class Geodetic(msgspec.Struct, frozen=True):

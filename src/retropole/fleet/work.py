@@ -376,7 +376,7 @@ class LocalFiles:
         return path
 
     def metadata(self) -> list[str]:
-        """Hash what tells of packets: metadata beside them, and angles that a site file names.
+        """Hash what is beside recordings: metadata of packets, angles and a survey of a site file.
 
         Raises
         ------
@@ -388,7 +388,10 @@ class LocalFiles:
         if self.site is not None:
             from ..api.site_file import read_site_file
 
-            for lidar in read_site_file(self.site).lidar:
+            file = read_site_file(self.site)
+            if file.survey is not None:
+                found.append(self._beside(self.site, "survey", file.survey))
+            for lidar in file.lidar:
                 if lidar.angles is not None:
                     name = os.path.relpath(lidar.angles, self.site.parent)
                     found.append(self._beside(self.site, lidar.name, name))

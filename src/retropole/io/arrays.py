@@ -202,7 +202,7 @@ def read_pts(path: Path, wanted: Wanted = USUAL) -> PointCloud:
 
 def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = ()) -> PointCloud:
     """Read a text; `wide` are the names that columns without names may have, if there are more."""
-    body = _as_utf8(read_whole(path)).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    body = as_utf8(read_whole(path)).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     head = _head(body)
     body = body[head.position :]
     raw = body.partition(b"\n")[0]
@@ -237,7 +237,7 @@ def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = 
     return noted(cloud_from_columns(own, wanted), *notes)
 
 
-def _as_utf8(data: bytes) -> bytes:
+def as_utf8(data: bytes) -> bytes:
     """Give a text as UTF-8 without a byte order mark; one of UTF-16 has such a mark."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", errors="replace").encode("utf-8", errors="replace")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.clocks import is_set
 from ..base.datatypes import IntArray, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.quantities import step_of
@@ -31,10 +32,6 @@ sensor with 128 rings, 40 of one with 16."""
 UNIX_SECONDS = 1e9, 1e11
 """Stamps in this range are Unix time, seconds: from 2001 on. Clocks that were never set, and those
 that start with the recording, stay below it."""
-
-UNSET = 86_400.0
-"""Seconds from the recorder's clock at which a LiDAR's was never set; one that is set wrongly, as
-to another time zone, is nearer."""
 
 CLOUDS = "sensor_msgs/msg/PointCloud2"
 """Type of the messages with point clouds, as ROS 2 writes it."""
@@ -77,11 +74,15 @@ class FrameHeader(NamedTuple):
         Time of recording, seconds of the recorder's clock, or None where the file does not say.
     frame_id
         Name of the coordinate frame; empty where the recording has none.
+    clock
+        When the frame was made by the LiDAR's own clock, or by that of its driver, seconds; None
+        where the recording does not have it beside the recorder's.
     """
 
     number: int
     stamp: float | None
     frame_id: str
+    clock: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class Frame:
 
     Attributes
     ----------
-    number, stamp, frame_id
+    number, stamp, frame_id, clock
         As in `FrameHeader`.
     cloud
         Its points; an empty cloud is a frame without returns.
@@ -103,11 +104,12 @@ class Frame:
     stamp: float | None = None
     frame_id: str = ""
     sender: str = ""
+    clock: float | None = None
 
     @property
     def header(self) -> FrameHeader:
         """All but the points."""
-        return FrameHeader(self.number, self.stamp, self.frame_id)
+        return FrameHeader(self.number, self.stamp, self.frame_id, self.clock)
 
 
 @dataclass(frozen=True)
@@ -306,6 +308,20 @@ def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
     return (min(known), max(known)) if len(known) == len(stamps) else None
 
 
+def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
+    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None where nothing says it.
+
+    By up to some tenths of a second it is not that of the clocks: frames are recorded when they
+    have come.
+    """
+    apart = [
+        each.clock - each.stamp
+        for each in headers
+        if each.clock is not None and each.stamp is not None and is_unix(each.stamp)
+    ]
+    return float(np.median(apart)) if apart else None
+
+
 def is_unix(seconds: float) -> bool:
     """Whether a time, s, may be one of a clock that is set."""
     return UNIX_SECONDS[0] <= seconds < UNIX_SECONDS[1]
@@ -320,8 +336,8 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
     """
     if cloud.time is not None and len(cloud.time):
         first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))
-        is_set = cloud.recorded is None or abs(first - cloud.recorded[0]) < UNSET
-        if is_unix(first) and is_unix(last) and is_set:
+        near = cloud.recorded is None or is_set(first - cloud.recorded[0])
+        if is_unix(first) and is_unix(last) and near:
             return first, last
     return cloud.recorded
 

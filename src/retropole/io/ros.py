@@ -21,7 +21,7 @@ from ..base.quantities import counted
 from .bags import opened
 from .fields import NANOSECONDS, USUAL, Columns, Wanted, frame_from_columns, noted
 from .packets import packets_in
-from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox
+from .recordings import CLOUDS, Frame, Recording, Topic, is_of_livox, is_unix
 from .unpacking import LARGEST_RECORD
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -159,14 +159,20 @@ def frame_of(
             frame_id, columns, note = _livox_points(data, encoding)
         cloud = replace(frame_from_columns(where, columns, wanted), source=f"{source}{where}")
         name = shortened(frame_id, LONGEST_NAME)
-        return Frame(number, noted(cloud, note), stamp / NANOSECONDS, name)
+        clock = float(columns["time"][0]) if len(columns["time"]) else None
+        return Frame(number, noted(cloud, note), stamp / NANOSECONDS, name, clock=clock)
     with naming(where), reported(CLOUDS):
         # The decoder lets pass whatever is raised when bytes do not fit.
         message = _decoder(encoding)(data)
         columns = columns_of(message)
     cloud = replace(frame_from_columns(where, columns, wanted), source=f"{source}{where}")
     frame_id = shortened(message.header.frame_id, LONGEST_NAME)
-    return Frame(number, cloud, stamp / NANOSECONDS, frame_id)
+    own = message.header.stamp
+    clock = own.sec + own.nanosec / NANOSECONDS or None
+    if cloud.time is not None and len(cloud.time) and is_unix(float(cloud.time[0])):
+        # A driver may stamp messages by the clock of its computer.
+        clock = float(cloud.time[0])
+    return Frame(number, cloud, stamp / NANOSECONDS, frame_id, clock=clock)
 
 
 def _livox_points(data: bytes, encoding: str) -> tuple[str, Columns, str]:

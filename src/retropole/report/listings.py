@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from ..adjustment.blunders import POOR, is_poor
 from ..base import se3
+from ..base.clocks import NOTICED, is_set, words_of
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
@@ -391,6 +393,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     if site.sways:
         found = max(site.sways, key=lambda each: each.sway.left_rad)
         yield f"swayed while recorded: {subject.called(found.lidar)} {found.sway.words}"
+    yield from clocks(subject)
     if pair is not None:
         yield from _of_pair(pair, verbose)
     else:
@@ -402,6 +405,28 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
         change = f"{error(most.translation)} and {error(most.rotation, 'rad')}"
         without = f"({whose}without placement {subject.placement(most.placement)})"
         yield f"leaving out one placement: the pose changes by at most {change} {without}"
+
+
+def clocks(subject: Subject) -> Iterator[str]:
+    """Say which clocks of LiDARs differ, as far as recordings have them.
+
+    Those of two LiDARs are compared in one recording alone: two recorders may differ themselves.
+    """
+    found = [each for each in subject.site.inputs if each.clock_offset_s is not None]
+    alone = {each.lidar: each for each in reversed(found)}
+    compared: dict[tuple[int, int], str] = {}
+    for one, other in combinations(found, 2):
+        apart = (other.clock_offset_s or 0.0) - (one.clock_offset_s or 0.0)
+        both = is_set(one.clock_offset_s or 0.0) and is_set(other.clock_offset_s or 0.0)
+        if one.sha256 == other.sha256 and both and abs(apart) >= NOTICED:
+            words = words_of(apart, f"that of {subject.called(one.lidar)}")
+            compared.setdefault((one.lidar, other.lidar), f"{subject.called(other.lidar)} {words}")
+    said = list(compared.values())
+    for k, each in alone.items():
+        apart = each.clock_offset_s or 0.0
+        if abs(apart) >= NOTICED and not any(k in lidars for lidars in compared):
+            said.append(f"{subject.called(k)} {words_of(apart)}")
+    yield from (f"the clock of {words}; no time was changed" for words in said[:NAMED])
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from ..base import se3
+from ..base.clocks import words_of
 from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
@@ -380,6 +381,11 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         *([f"frame_id   {cloud.frame_id}"] if cloud.frame_id else []),
         f"frames     {cloud.frames}{read}",
         f"rate       {rate}{duration}",
+        *(
+            []
+            if cloud.clock_offset_s is None
+            else wrapped(f"clock      {words_of(cloud.clock_offset_s)}", " " * 11)
+        ),
         f"fields     {fields}",
         f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
         f"{cloud.points / cloud.frames_read:,.0f} a frame",

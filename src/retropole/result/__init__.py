@@ -116,7 +116,8 @@ class InputDoc(msgspec.Struct, frozen=True):
     """What was read, what was left out of too many, and in `notes` what was lost.
 
     `frame_id` is the frame of its points by the recording's own words; empty where it has none, or
-    several, or what can be no name.
+    several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the
+    recorder's; null where the recording does not have both.
     """
 
     path: Text
@@ -129,6 +130,7 @@ class InputDoc(msgspec.Struct, frozen=True):
     frames_left_out: Count = 0
     frame_id: Text = ""
     notes: list[Text] = []
+    clock_offset_s: Number | None = None
 
 
 class StagesDoc(msgspec.Struct, frozen=True, eq=False):

@@ -43,7 +43,8 @@ class CloudDoc(msgspec.Struct):
 
     `beam_origin_m` is where the beams start, and `told_by_rings` whether that is not from the file.
     `odd_coordinates` says why the coordinates cannot be metres about the LiDAR, and `units` which
-    units would explain it.
+    units would explain it. `clock_offset_s` is how far the LiDAR's clock is ahead of the
+    recorder's.
     """
 
     topic: str | None
@@ -66,6 +67,7 @@ class CloudDoc(msgspec.Struct):
     sensors: list[str]
     odd_coordinates: str
     units: list[str]
+    clock_offset_s: float | None = None
 
 
 class InfoDoc(msgspec.Struct, kw_only=True):

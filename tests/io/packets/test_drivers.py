@@ -12,11 +12,12 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from retropole.base.errors import ReadError
-from retropole.io import read_frames
+from retropole.io import read_frames, read_recording
 from retropole.io.packets import capture
 from retropole.io.packets.drivers import LAYOUTS, datagrams
-from retropole.io.recordings import PACKET_MESSAGES
+from retropole.io.recordings import PACKET_MESSAGES, clock_offset
 from tests.io.files import required
+from tests.io.packets.sending import bag_of
 from tests.paths import SHARED
 
 
@@ -131,3 +132,14 @@ def test_a_bag_of_a_velodyne_gives_what_its_capture_gives(tmp_path: Path, is_ros
     np.testing.assert_array_equal(first.cloud.xyz, recorded.cloud.xyz)
     np.testing.assert_allclose(required(first.cloud.time), required(recorded.cloud.time), atol=1e-4)
     assert len(second.cloud) > 10_000
+
+
+@pytest.mark.parametrize(
+    ("name", "days"), [("robosense_helios32", 2399.4), ("hesai_xt32", 1265.9), ("hesai_64", 929.6)]
+)
+def test_a_clock_that_was_never_set_is_that_far_behind(
+    tmp_path: Path, name: str, days: float
+) -> None:
+    """These units count from dates of 2017 to 2020; their bags are of 2023."""
+    offset = clock_offset(read_recording(bag_of(name, tmp_path)).headers)
+    assert required(offset) / -86400 == pytest.approx(days, abs=0.1)

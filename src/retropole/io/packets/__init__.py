@@ -269,7 +269,8 @@ def _recording(
         for number, sweep in some:
             came = float(times[int(index.rows[number][0])])
             sweep = sweep._replace(stamp=came if is_unix(came) else None)
-            yield _frame(path, number, sweep, sender.name, notes, wanted)
+            frame = _frame(path, number, sweep, sender.name, notes, wanted)
+            yield replace(frame, clock=_clock_of(model, frame))
 
     return Recording(path, len(index.rows), frames, model=sender.name)
 
@@ -310,6 +311,14 @@ def _frame(
     model = "" if name in (VELODYNE, OUSTER) else name
     cloud = replace(cloud, model=model, nominal_angles=sweep.nominal_angles)
     return Frame(number, cloud, stamp)
+
+
+def _clock_of(model: Model, frame: Frame) -> float | None:
+    """When a sweep began by the LiDAR's own clock; None where packets do not say which second."""
+    time, layout = frame.cloud.time, model.layout
+    if time is None or not len(time) or getattr(layout, "clock", "") == "microseconds":
+        return None
+    return float(time.min())
 
 
 def _first(columns: Columns) -> float | None:

@@ -1,0 +1,77 @@
+"""By how much clocks differ, and which known difference that is.
+
+A LiDAR's times are those of the clock that sets it: TAI by PTP as its profiles have it, GPS time or
+UTC by a receiver or NTP. Nothing is corrected by what is said here.
+"""
+
+from __future__ import annotations
+
+from .quantities import duration
+
+UNSET = 86_400.0
+"""Seconds from the recorder's clock at which a LiDAR's was never set; one that is set wrongly, as
+to another time zone, is nearer."""
+
+NO_DATE = 1e9
+"""Seconds, 32 years: older than any LiDAR, so that no date in its memory is so far away."""
+
+NOTICED = 0.5
+"""Seconds by which clocks differ, and known differences are met: a message is recorded up to some
+tenths after its first point, and differences of time scales are whole seconds."""
+
+SCALES = {
+    37.0: ("TAI (PTP)", "UTC (NTP)"),
+    18.0: ("GPS time", "UTC (NTP)"),
+    19.0: ("TAI (PTP)", "GPS time"),
+}
+"""Seconds that the first time scale is ahead of the second, since 2017 (IERS, Bulletins C 52 to 70:
+no leap second since; GPS time is 19 s behind TAI by definition), and what sets clocks to it."""
+
+ZONE = 900.0
+"""Seconds: time zones differ by whole quarters of an hour."""
+
+
+def is_set(apart: float) -> bool:
+    """Whether clocks this far apart, s, may both be set."""
+    return abs(apart) < UNSET
+
+
+def words_of(apart: float, other: str = "the recorder's") -> str:
+    """Say how a LiDAR's clock stands to another, and which known difference that is.
+
+    Parameters
+    ----------
+    apart
+        Seconds that it is ahead of the other.
+    other
+        What the other is called.
+    """
+    if abs(apart) >= NO_DATE:
+        return "is not set: it counts from its start, its times are no dates"
+    if not is_set(apart):
+        long = f"is {duration(abs(apart))} {_way(apart)} {other}"
+        return f"{long}: it was never set, or what it sent was recorded again later"
+    if abs(apart) < NOTICED:
+        return f"agrees with {other} within {NOTICED:g} s"
+    size = duration(abs(apart)) if _zones(apart) else f"{abs(apart):.1f} s"
+    return f"is {size} {_way(apart)} {other}, {_cause(apart)}"
+
+
+def _way(apart: float) -> str:
+    return "ahead of" if apart > 0 else "behind"
+
+
+def _zones(apart: float) -> int:
+    """By how many quarters of an hour time zones differ as clocks do; 0 where no zones do."""
+    quarters = round(abs(apart) / ZONE)
+    return quarters if abs(abs(apart) - quarters * ZONE) < NOTICED else 0
+
+
+def _cause(apart: float) -> str:
+    for seconds, scales in SCALES.items():
+        if abs(abs(apart) - seconds) < NOTICED:
+            one, other = scales if apart > 0 else scales[::-1]
+            return f"as {one} is {_way(apart)} {other}"
+    if _zones(apart):
+        return "as one time zone is from another"
+    return "which is no known difference of time scales"
