@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,14 +16,15 @@ from retropole.api.live_merging import (
     Checked,
     LiveLidar,
     LiveMerge,
-    check_live,
 )
 from retropole.base import se3
-from retropole.base.datatypes import Array, PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.fusion.merging import Points
 from retropole.io import Frame
 
 PERIOD = 0.05
+
+Check = Callable[[Mapping[str, Sequence[Frame]]], Checked]
 
 
 class Turning:
@@ -55,7 +54,9 @@ class Turning:
 
 
 @contextmanager
-def merging(lidars: Sequence[LiveLidar], **options: object) -> Iterator[tuple[LiveMerge, list[Points]]]:
+def merging(
+    lidars: Sequence[LiveLidar], **options: object
+) -> Iterator[tuple[LiveMerge, list[Points]]]:
     given: list[Points] = []
     merge = LiveMerge(lidars, lambda points, when: given.append(points), **options)  # type: ignore[arg-type]
     try:

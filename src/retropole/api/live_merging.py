@@ -7,31 +7,41 @@ the newest sweeps once all LiDARs have one, and without those that are late.
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from threading import Condition, Thread
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from ..base.datatypes import Array
-from ..base.errors import Refusal, RetropoleError, quoting
-from ..base.files import read_document
-from ..export.documents import result_in
-from ..export.recording import Track, write_recording
-from ..fusion.merging import Points, fused, inside
+from ..base.errors import Refusal, RetropoleError, UsageError, quoting
+from ..base.files import stream_atomically
+from ..export.clouds import About, columns_of, comments_of, surfel_columns
+from ..export.recording import Track, cloud_publisher, cloud_stream, write_recording
+from ..fusion.merging import Points, fused, inside, together, voxels
+from ..fusion.surfels import moments_of, surfels_of
 from ..io import Frame
-from ..io.live import Source
-from ..result import any_result_file
-from ..result.site import LIDARS, SiteDoc
+from ..io.fields import NANOSECONDS, USUAL, records_of
+from ..io.live import Source, open_sources
+from ..result.site import LIDARS, SiteDoc, as_site
 from .checking import check_recordings, check_site, read_stored
+from .merging import placed, warnings_of, with_poses
+
+MERGED = "/retropole/points"
+"""Topic on which clouds are published."""
 
 LATE = 0.15
 """A sweep is waited for so long, s: one and a half turns at 10 Hz."""
@@ -48,6 +58,40 @@ CLOCK_SWEEPS = 20
 
 CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
 """Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveWish:
+    """What is asked for of clouds of LiDARs that record now.
+
+    Attributes
+    ----------
+    topic
+        On which they are published by DDS; None publishes nothing.
+    out
+        MCAP file that they are written to, or None.
+    frame
+        As `merging.placed` takes it.
+    voxel, crop, surfels
+        As `merging.merge` takes them.
+    clocks
+        By the names of LiDARs, how far their clocks are ahead of that of this computer, s.
+    every
+        How often sweeps are checked against the result, s; None checks nothing.
+    domain, interface
+        Of ROS 2, as `io.live.dds.DdsSource` takes them.
+    """
+
+    topic: str | None = MERGED
+    out: Path | None = None
+    frame: str = ""
+    voxel: float | None = None
+    crop: Array | None = None
+    surfels: float | None = None
+    clocks: Mapping[str, float] = field(default_factory=dict)
+    every: float | None = CHECK_SECONDS
+    domain: int | None = None
+    interface: str | None = None
 
 
 class LiveLidar(NamedTuple):
@@ -150,14 +194,14 @@ class _Reader(Thread):
         return min(stamp - (self.clock or 0.0), came)
 
     @property
-    def is_alive(self) -> bool:
+    def does_record(self) -> bool:
         """Whether it records."""
         return time.time() - self.last_came < STOPPED
 
     @property
     def words(self) -> str:
         """Say why nothing comes, or what is odd about its clock; empty where nothing is."""
-        if not self.is_alive:
+        if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
             return f"left out, since no sweep comes{': ' + why if why else ''}"
         if self.lidar.clock is None and self.clock:
@@ -234,7 +278,7 @@ class LiveMerge:
         if not joined:
             return False
         poses = [own.lidar.T_frame_lidar for own in self._readers]
-        points = np.concatenate([fused(each.frame.cloud, poses[k], k) for k, each in joined])
+        points = together([fused(each.frame.cloud, poses[k], k) for k, each in joined])
         if self._crop is not None:
             points = points[inside(points["xyz"], self._crop)]
         self._give(points, newest)
@@ -247,7 +291,7 @@ class LiveMerge:
         """Take the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
         used = [own for own in self._readers if own.lidar.name not in self.moved]
         waiting = [own.newest for own in used if own.newest is not None]
-        is_late = any(own.newest is None and own.is_alive for own in used)
+        is_late = any(own.newest is None and own.does_record for own in used)
         if not waiting or (is_late and time.time() - min(s.came for s in waiting) < LATE):
             return []
         taken = [(k, own.newest) for k, own in enumerate(self._readers)]
@@ -268,7 +312,7 @@ class LiveMerge:
         if self._pool is None or self._check is None:
             return
         if self._work is None:
-            recent = {own.lidar.name: list(own.recent) for own in self._readers if own.is_alive}
+            recent = {own.lidar.name: list(own.recent) for own in self._readers if own.does_record}
             is_whole = all(len(frames) == CHECK_SWEEPS for frames in recent.values())
             if now >= self._due and len(recent) > 1 and is_whole:
                 self._work = self._pool.submit(self._check, recent)
@@ -307,6 +351,105 @@ class LiveMerge:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
 
+@contextmanager
+def merging_live(
+    result: str | Path, sources: Mapping[str, str], wish: LiveWish = LiveWish()
+) -> Iterator[LiveMerge]:
+    """Open LiDARs of a result that record now, to merge their sweeps as they come.
+
+    Parameters
+    ----------
+    result
+        ``result.json``, ``site-result.json``, or the folder that holds it.
+    sources
+        By the names of its LiDARs (of a pair ``target`` and ``source``), as `source_of` takes them.
+    wish
+        What is asked for.
+
+    Yields
+    ------
+    LiveMerge
+        To be stepped; it is closed at the end, and the file is then whole.
+
+    Raises
+    ------
+    Refusal
+        Where the result was refused: it holds no poses.
+    ReadError, UsageError, MissingExtraError, OSError
+        Where something cannot be opened, or options do not go together.
+    """
+    file, document = with_poses(result)
+    site = as_site(document)
+    names = [lidar.name for lidar in site.lidars]
+    for name in {**sources, **wish.clocks}:
+        if name not in names:
+            raise UsageError(f"no LiDAR is called {name!r}; there are {', '.join(names)}")
+    if wish.out is not None and wish.out.suffix.lower() != ".mcap":
+        raise UsageError(f"{wish.out}: clouds of LiDARs that record now are written as .mcap")
+    at = placed(document, wish.frame)
+    if at.finish is not None:
+        raise UsageError("coordinates of a map do not fit the float32 of a topic: take site")
+    poses = dict(zip(names, at.poses, strict=True))
+    used = [name for name in names if name in sources]
+    origins = np.array([poses[name][:3, 3] for name in used])
+    about = About(
+        names=used,
+        frame=at.name,
+        comments=warnings_of(document),
+        has_intensity=True,
+        has_ring=True,
+        has_time=True,
+        is_large=False,
+        middle=origins.mean(axis=0) if used else np.zeros(3),
+        is_unix=False,
+    )
+    with ExitStack() as stack, threadpool_limits(1, user_api="blas"):
+        to: list[Callable[[NDArray[Any], float], None]] = []
+        frame = frame_id_of(site, at.name)
+        if wish.topic is not None:
+            own = cloud_publisher(wish.topic, frame, domain=wish.domain, interface=wish.interface)
+            to.append(own)
+        if wish.out is not None:
+            device = stack.enter_context(stream_atomically(wish.out))
+            notes = {f"note {k}": line for k, line in enumerate(comments_of(about))}
+            topic = wish.topic or MERGED
+            write = stack.enter_context(cloud_stream(device, {topic: frame}, notes))
+            to.append(lambda points, when: write(topic, round(when * NANOSECONDS), points))
+
+        def give(points: Points, when: float) -> None:
+            if wish.surfels is not None:
+                found = surfels_of(moments_of([points], wish.surfels), origins)
+                records = records_of(surfel_columns(found))
+            else:
+                thin = points if wish.voxel is None else voxels([points], wish.voxel)
+                records = records_of(columns_of(thin, about))
+            for each in to:
+                each(records, when)
+
+        texts = [sources[name] for name in used]
+        opened = open_sources(
+            texts,
+            domain=wish.domain,
+            interface=wish.interface,
+            wanted=[USUAL] * len(texts),
+        )
+        lidars = [
+            LiveLidar(name, source, poses[name], wish.clocks.get(name))
+            for name, source in zip(used, opened, strict=True)
+        ]
+        check = None if wish.every is None or len(used) < 2 else partial(check_live, file)
+        made = LiveMerge(lidars, give, crop=wish.crop, check=check, every=wish.every or 0.0)
+        stack.callback(made.close)
+        yield made
+
+
+def frame_id_of(site: SiteDoc, frame: str) -> str:
+    """Name a frame as ROS does: that of a LiDAR as its recordings name it, if they do."""
+    lidar = next((k for k, each in enumerate(site.lidars) if each.name == frame), None)
+    own = [each.frame_id for each in site.inputs if each.lidar == lidar and each.frame_id]
+    return own[0] if own else re.sub(r"\W", "_", frame)
+
+
 def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     """Check sweeps of LiDARs against the result that they are merged by.
 
@@ -323,9 +466,8 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
         Of a pair that moved, that is the source: the frame is the target's. Of a site where nobody
         can tell which moved, these are all of the pairs that did.
     """
-    file = any_result_file(result)
-    document = result_in(read_document(file))
-    topic = "/points"
+    file, document = with_poses(result)
+    topic, moved = "/points", tuple[str, ...]()
     with TemporaryDirectory() as folder:
         paths = {name: Path(folder) / f"{k}.mcap" for k, name in enumerate(frames)}
         for name, path in paths.items():
@@ -334,7 +476,12 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
             if not isinstance(document, SiteDoc):
                 target, source = (paths[name] for name in LIDARS)
                 pair = check_recordings(
-                    read_stored(file), target, source, target_topic=topic, source_topic=topic, unit="m"
+                    read_stored(file),
+                    target,
+                    source,
+                    target_topic=topic,
+                    source_topic=topic,
+                    unit="m",
                 )
                 moved = (LIDARS[1],) if pair.status == "moved" else ()
                 status, reasons = pair.status, pair.reasons

@@ -135,6 +135,23 @@ class Placed(NamedTuple):
         return self.coordinates(np.array([pose[:3, 3] for pose in self.poses]))
 
 
+def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
+    """Find and load a result document that has poses.
+
+    Raises
+    ------
+    Refusal
+        Where it was refused.
+    ReadError
+        As `stored.loaded`.
+    """
+    file = any_result_file(Path(result))
+    document = loaded(file, decode_any)
+    if document.status == "refused":
+        raise refusal_of(document.reasons, "the calibration was refused, there are no poses: ")
+    return file, document
+
+
 def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = None) -> Placed:
     """Place the LiDARs of a result in a frame.
 
@@ -181,6 +198,12 @@ def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = No
         there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site)]
         raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
     return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
+
+
+def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
+    """Say in a file what its calibration says of itself."""
+    words = [f"warning ({each.code}): {each.message}" for each in document.reasons]
+    return [verdict_line(document.status, document.reasons), *words]
 
 
 def has_map(site: SiteDoc) -> bool:
@@ -246,10 +269,7 @@ def merge(
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be read or written, or options do not go together.
     """
-    file = any_result_file(Path(result))
-    document = loaded(file, decode_any)
-    if document.status == "refused":
-        raise refusal_of(document.reasons, "the calibration was refused, there are no poses: ")
+    file, document = with_poses(result)
     suffix = "" if out is None else out.suffix.lower()
     if surfels is not None and suffix not in ("", ".ply"):
         raise UsageError(f"{out}: surfels are written as .ply")
@@ -275,9 +295,7 @@ def merge(
     if static:
         notes.append("what moved is left out as seen from LiDARs at rest; theirs must not have")
     stream = _Stream(opened, at, len(names), crop, static, listener)
-    words = [verdict_line(document.status, document.reasons)]
-    words += [f"warning ({each.code}): {each.message}" for each in document.reasons]
-    about = _about(stream, at, names, [*words, *notes, *stream.notes], colour)
+    about = _about(stream, at, names, [*warnings_of(document), *notes, *stream.notes], colour)
     made = Merged(tuple(names), at.name, at.epsg, stream.sweeps, stream.points)
     written = 0
     if surfels is not None:

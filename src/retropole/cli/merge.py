@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from ..api.merging import Merged
     from ..base.datatypes import Array
 
+LARGEST_CLOCK = 1e10
+"""Clocks are no further apart, seconds: those that count from 1970 and from a start."""
+
 MERGE_SCHEMA = "retropole/merge/1"
 
 COLOURS = "lidar", "intensity", "height"
@@ -46,6 +49,18 @@ def _named(context: click.Context, option: click.Parameter, given: tuple[str, ..
         if not (name and value) or sum(name == other for other, _ in pairs) > 1:
             raise click.BadParameter(f"{text!r}: expected NAME=VALUE, each LiDAR once")
     return dict(pairs)
+
+
+def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> Any:
+    """Turn ``NAME=SECONDS``, which may be repeated, into a dictionary."""
+    found = _named(context, option, given)
+    try:
+        seconds = {name: float(value) for name, value in found.items()}
+    except ValueError:
+        seconds = {"": float("nan")}
+    if not all(abs(each) < LARGEST_CLOCK for each in seconds.values()):
+        raise click.BadParameter(f"{', '.join(given)}: expected NAME=SECONDS")
+    return seconds
 
 
 @click.command()
@@ -104,6 +119,35 @@ def _named(context: click.Context, option: click.Parameter, given: tuple[str, ..
     help="Make surfels in cells of so many m (0.3), written as .ply, and say how far the surfaces "
     "that two LiDARs see lie apart.",
 )
+@click.option(
+    "--live",
+    "sources",
+    multiple=True,
+    metavar="NAME=SOURCE",
+    callback=_named,
+    help="A LiDAR that records now, by its name in the result; repeat it for each. Sources are "
+    "those of 'retropole watch'. Clouds are published until Ctrl-C.",
+)
+@click.option(
+    "--to-topic",
+    default=None,
+    metavar="TOPIC",
+    help="With --live, the topic to publish on.  [default: /retropole/points, without -o]",
+)
+@click.option(
+    "--clock",
+    "clocks",
+    multiple=True,
+    metavar="NAME=SECONDS",
+    callback=_seconds,
+    help="With --live, how far the clock of a LiDAR is ahead of that of this computer; repeat it "
+    "for each.  [default: as its sweeps come, where that is a second or more]",
+)
+@click.option(
+    "--no-check", is_flag=True, help="With --live, do not check every minute whether LiDARs moved."
+)
+@click.option("--domain", type=Whole(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
+@click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
 def merge(
@@ -111,6 +155,12 @@ def merge(
     recordings: tuple[Path, ...],
     out: Path | None,
     named: dict[str, str],
+    sources: dict[str, str],
+    to_topic: str | None,
+    clocks: dict[str, float],
+    no_check: bool,
+    domain: int | None,
+    interface: str | None,
     as_json: bool,
     quiet: bool,
     frames: Frames | None,
@@ -130,14 +180,37 @@ def merge(
       retropole merge site-result.json -o site.laz --voxel 0.05 --static
       retropole merge out --recording mast-a=a.bag --recording mast-b=b.bag -o day.laz
       retropole merge retropole-out --surfels -o surfels.ply
+      retropole merge out --live target=ros2:/front/points --live source=ros2:/rear/points
 
     \b
     Exit code:
-      0    written
+      0    written; with --live, all recordings that were played have ended
       2    a file or an option is wrong
       3    RESULT was refused: it holds no pose
-      130  interrupted; nothing is written
+      130  interrupted; nothing is written, but with --live all until then
     """
+    if sources:
+        from ..api.live_merging import CHECK_SECONDS, MERGED, LiveWish
+        from .live_merge import merge_until_stopped
+
+        only = [key for key in ("epsg", "colour", "static", "topics") if asked[key]]
+        if named or recordings or frames is not None or as_json or only:
+            raise click.UsageError(
+                "--live takes --to-topic, -o, --frame, --voxel, --crop, --surfels, --clock, "
+                "--no-check, --domain and --interface alone"
+            )
+        wish = LiveWish(
+            topic=to_topic or (None if out else MERGED),
+            out=out,
+            clocks=clocks,
+            every=None if no_check else CHECK_SECONDS,
+            domain=domain,
+            interface=interface,
+            **{key: asked[key] for key in ("frame", "voxel", "crop", "surfels")},
+        )
+        return merge_until_stopped(result, sources, wish, quiet)
+    if to_topic or clocks or no_check or domain is not None or interface:
+        raise click.UsageError("--to-topic, --clock, --no-check and ROS 2 are of --live")
     from ..api.merging import merge as merge_all
 
     if named and recordings:

@@ -141,7 +141,7 @@ def cloud_writer(path: Path, about: About) -> Iterator[Callable[[Points, float],
                 yield write
 
 
-def _columns(points: Points, about: About) -> Columns:
+def columns_of(points: Points, about: About) -> Columns:
     """Give what is known of points by the names that readers know."""
     xyz = points["xyz"] if about.is_large else points["xyz"].astype(np.float32)
     columns: Columns = dict(zip("xyz", xyz.T, strict=True))
@@ -228,7 +228,7 @@ def _counted(
 @contextmanager
 def _pcd(file: BinaryIO, about: About) -> Iterator[Callable[[Points, float], None]]:
     def records(points: Points) -> NDArray[Any]:
-        columns = _columns(points, about)
+        columns = columns_of(points, about)
         if about.colour is not None:
             rgb = about.colour(points).astype(np.uint32)
             columns["rgb"] = rgb[:, 0] << 16 | rgb[:, 1] << 8 | rgb[:, 2]
@@ -245,7 +245,7 @@ def _rgb(columns: Columns, colours: Rgb) -> None:
 @contextmanager
 def _ply(file: BinaryIO, about: About) -> Iterator[Callable[[Points, float], None]]:
     def records(points: Points) -> NDArray[Any]:
-        columns = _columns(points, about)
+        columns = columns_of(points, about)
         if about.colour is not None:
             _rgb(columns, about.colour(points))
         return records_of(columns)
@@ -327,7 +327,7 @@ def _mcap(file: BinaryIO, about: About) -> Iterator[Callable[[Points, float], No
     def write(points: Points, when: float) -> None:
         if len(points):
             topic = topics[int(points["lidar"][0])]
-            write_message(topic, round(when * NANOSECONDS), records_of(_columns(points, about)))
+            write_message(topic, round(when * NANOSECONDS), records_of(columns_of(points, about)))
 
     with cloud_stream(file, frames, metadata) as write_message:
         yield write
@@ -344,6 +344,19 @@ def topics_of_lidars(names: Sequence[str]) -> list[str]:
     return topics
 
 
+def surfel_columns(surfels: Surfels) -> Columns:
+    """Give what is known of surfels, by the names that CloudCompare and others read."""
+    large = np.abs(surfels.centres).max(initial=0.0) > LARGE
+    kind = np.float64 if large else np.float32
+    columns: Columns = dict(zip("xyz", surfels.centres.astype(kind).T, strict=True))
+    columns |= zip(("nx", "ny", "nz"), surfels.normals.astype(np.float32).T, strict=True)
+    for name in ("radius", "thickness", "intensity"):
+        columns[name] = getattr(surfels, name).astype(np.float32)
+    columns["count"] = surfels.count.astype(np.uint32)
+    columns["lidars"] = surfels.lidars.astype(np.uint32)
+    return columns
+
+
 def surfel_file(surfels: Surfels, apart: Array, comments: Sequence[str]) -> bytes:
     """Write surfels as PLY.
 
@@ -357,14 +370,7 @@ def surfel_file(surfels: Surfels, apart: Array, comments: Sequence[str]) -> byte
     comments
         ASCII lines.
     """
-    large = np.abs(surfels.centres).max(initial=0.0) > LARGE
-    kind = np.float64 if large else np.float32
-    columns: Columns = dict(zip("xyz", surfels.centres.astype(kind).T, strict=True))
-    columns |= zip(("nx", "ny", "nz"), surfels.normals.astype(np.float32).T, strict=True)
-    for name in ("radius", "thickness", "intensity"):
-        columns[name] = getattr(surfels, name).astype(np.float32)
-    columns["count"] = surfels.count.astype(np.uint32)
-    columns["lidars"] = surfels.lidars.astype(np.uint32)
+    columns = surfel_columns(surfels)
     columns["distance"] = apart.astype(np.float32)
     colours = by_value(apart, -MOST_APART, MOST_APART, APART_RAMP)
     colours[np.isnan(apart)] = 90
