@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import retropole as rp
 from retropole.api.live_merging import (
     CHECK_SWEEPS,
     SAME_CLOCK,
@@ -16,11 +18,16 @@ from retropole.api.live_merging import (
     Checked,
     LiveLidar,
     LiveMerge,
+    LiveWish,
+    check_live,
+    merging_live,
 )
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
+from retropole.base.errors import Refusal, UsageError
 from retropole.fusion.merging import Points
-from retropole.io import Frame
+from retropole.io import Frame, open_recording, write_pcd
+from tests.api.clouds import calibrated, pair, refused
 
 PERIOD = 0.05
 
@@ -147,3 +154,71 @@ def test_one_that_moved_is_left_out() -> None:
         words += run(merge, 0.5)
     assert words == ["b moved"]
     assert np.unique(given[-1]["lidar"]).tolist() == [0, 2]
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result of a pair, and a recording of each LiDAR beside it."""
+    folder = tmp_path_factory.mktemp("stored")
+    calibrated().save(folder)
+    write_pcd(folder / "a.pcd", pair().target)
+    write_pcd(folder / "b.pcd", pair().source)
+    return folder
+
+
+def test_clouds_of_a_result_are_written_in_the_frame_of_the_target(stored: Path) -> None:
+    sources = {"target": f"replay:{stored / 'a.pcd'}", "source": f"replay:{stored / 'b.pcd'}"}
+    out = stored / "live.mcap"
+    with merging_live(stored, sources, LiveWish(topic=None, out=out, every=None)) as merge:
+        while merge.pace().sweeps["source"] == 0:
+            merge.step()
+    recording = open_recording(out)
+    *_, frame = recording.read(range(recording.count))
+    T = calibrated().T_target_source
+    assert T is not None
+    own = len(pair().target)
+    np.testing.assert_allclose(frame.cloud.xyz[:own], pair().target.xyz, atol=1e-4)
+    np.testing.assert_allclose(frame.cloud.xyz[own:], se3.apply(T, pair().source.xyz), atol=1e-4)
+    assert frame.frame_id == "target"
+
+
+def test_surfels_are_points_of_surfaces(stored: Path) -> None:
+    sources = {"target": f"replay:{stored / 'a.pcd'}"}
+    out = stored / "surfels.mcap"
+    wish = LiveWish(topic=None, out=out, surfels=0.5, every=None)
+    with merging_live(stored, sources, wish) as merge:
+        while not merge.step():
+            pass
+    recording = open_recording(out)
+    frame = next(iter(recording.read(range(1))))
+    assert 10 < len(frame.cloud) < len(pair().target) / 4
+    assert {"nx", "radius", "thickness"} <= frame.cloud.fields.keys()
+
+
+def test_what_cannot_be_is_refused(stored: Path, tmp_path: Path) -> None:
+    one = {"target": f"replay:{stored / 'a.pcd'}"}
+    refused().save(tmp_path)
+    for error, result, sources, wish in (
+        (Refusal, tmp_path, one, LiveWish(topic=None)),
+        (UsageError, stored, {"front": "replay:a.pcd"}, LiveWish(topic=None)),
+        (UsageError, stored, one, LiveWish(topic=None, clocks={"rear": 1.0})),
+        (UsageError, stored, one, LiveWish(topic=None, out=tmp_path / "a.ply")),
+        (UsageError, stored, one, LiveWish(topic=None, frame="map")),
+        (UsageError, stored, one | {"source": one["target"]}, LiveWish(topic=None)),
+    ):
+        with pytest.raises(error), merging_live(result, sources, wish):
+            pass
+
+
+@pytest.mark.full
+def test_a_lidar_that_turned_since_is_found(tmp_path: Path) -> None:
+    seen = rp.simulate("street", 4, sensor_target="VLP-16", sensor_source="VLP-16")
+    result = rp.calibrate(seen.target, seen.source, sensor_target="VLP-16", sensor_source="VLP-16")
+    result.save(tmp_path)
+    turn = se3.from_rt(se3.exp_so3(np.radians([0.0, 0.0, 2.0])), np.zeros(3))
+    for T, moved in ((np.eye(4), ()), (turn, ("source",))):
+        clouds = {"target": seen.target, "source": seen.source.transformed(T)}
+        frames = {name: [Frame(0, cloud, 0.0)] for name, cloud in clouds.items()}
+        found = check_live(tmp_path, frames)
+        assert found.moved == moved, found.words
+        assert found.words.startswith("checked: source moved" if moved else "checked: no LiDAR")

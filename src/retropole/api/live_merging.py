@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context
+from multiprocessing.pool import AsyncResult
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -249,8 +250,10 @@ class LiveMerge:
         self._give, self._crop, self._check, self._every = give, crop, check, every
         self._arrival = Condition()
         self._readers = [_Reader(lidar, self._arrival) for lidar in lidars]
-        self._pool = ProcessPoolExecutor(1, get_context("spawn")) if check else None
-        self._work: Future[Checked] | None = None
+        # Ctrl-C is of the process that ends in order.
+        ignoring = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        self._pool = get_context("spawn").Pool(1, *ignoring) if check else None
+        self._work: AsyncResult[Checked] | None = None
         self._start = self._since = time.time()
         self._due = self._start + min(every, FIRST_CHECK)
         self._about: dict[str, str] = {}
@@ -315,12 +318,12 @@ class LiveMerge:
             recent = {own.lidar.name: list(own.recent) for own in self._readers if own.does_record}
             is_whole = all(len(frames) == CHECK_SWEEPS for frames in recent.values())
             if now >= self._due and len(recent) > 1 and is_whole:
-                self._work = self._pool.submit(self._check, recent)
-        elif self._work.done():
-            self._due, error = now + self._every, self._work.exception()
-            if error is None:
-                self.moved, words = self._work.result()
-            else:
+                self._work = self._pool.apply_async(self._check, (recent,))
+        elif self._work.ready():
+            self._due = now + self._every
+            try:
+                self.moved, words = self._work.get()
+            except (RetropoleError, OSError) as error:
                 words = f"the check failed: {quoting(str(error))}"
             if words != self._about.get("", ""):
                 self._words.append(words)
@@ -348,7 +351,7 @@ class LiveMerge:
             own.join(1.0)
             own.lidar.source.close()
         if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool.terminate()
 
 
 @contextmanager
