@@ -2,10 +2,10 @@
 
     python benchmarks/merge_live.py --lidars 2 4 --minutes 10
 
-So many publishers, processes of their own, send 100,000 points at 10 Hz each by DDS on loopback, and
-a site of such LiDARs is merged. One publisher starts 20 s late, and one is killed after a half and
-starts again 20 s later. Once a minute: clouds a second, how long ago the oldest sweep of a cloud was
-made when it had been published, s, CPU seconds a second, and memory, MB. Then what was said.
+So many publishers, processes of their own, send 100,000 points at 10 Hz each by DDS on loopback,
+and they are merged. One publisher starts 20 s late, and one is killed halfway and starts again 20 s
+later. Once a minute: clouds a second, how long ago the oldest sweep of a cloud was made when the
+cloud had been published, s, CPU seconds a second, and memory, MB. Then what was said.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ import time
 import numpy as np
 
 from retropole.api.live_merging import LiveLidar, LiveMerge
-from retropole.base.datatypes import Array
-from retropole.export.clouds import About, columns_of
+from retropole.export.clouds import columns_of
 from retropole.export.recording import cloud_publisher
 from retropole.fusion.merging import Points
 from retropole.io.fields import USUAL, records_of
@@ -38,14 +37,6 @@ def publisher(k: int, seconds: float) -> subprocess.Popen[bytes]:
         *("--layout", "hesai", "--domain", str(DOMAIN), "--interface", INTERFACE),
     ]
     return subprocess.Popen(command)
-
-
-def about(names: list[str]) -> About:
-    return About(names, "site", (), True, True, True, False, np.zeros(3), True)
-
-
-def poses(count: int) -> list[Array]:
-    return [np.eye(4) for _ in range(count)]
 
 
 def run(count: int, minutes: float) -> None:
