@@ -19,7 +19,7 @@ import time
 import numpy as np
 
 from retropole.api.live_merging import LiveLidar, LiveMerge
-from retropole.export.clouds import columns_of
+from retropole.export.clouds import About, columns_of
 from retropole.export.recording import cloud_publisher
 from retropole.fusion.merging import Points
 from retropole.io.fields import USUAL, records_of
@@ -49,17 +49,14 @@ def run(count: int, minutes: float) -> None:
         interface=INTERFACE,
         wanted=[USUAL] * count,
     )
-    write, known = (
-        cloud_publisher("/merged/points", "site", domain=DOMAIN, interface=INTERFACE),
-        about(names),
-    )
+    write = cloud_publisher("/merged/points", "site", domain=DOMAIN, interface=INTERFACE)
+    known = About(names, "site", (), True, True, True, False, np.zeros(3), True)
 
     def give(points: Points, when: float) -> None:
         write(records_of(columns_of(points, known)), when)
 
-    merge = LiveMerge(
-        [LiveLidar(*each) for each in zip(names, opened, poses(count), strict=True)], give
-    )
+    lidars = [LiveLidar(name, own, np.eye(4)) for name, own in zip(names, opened, strict=True)]
+    merge = LiveMerge(lidars, give)
     start, said = time.monotonic(), list[str]()
     is_late = is_killed = True
     print(
