@@ -314,6 +314,8 @@ def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apar
     size, every = moments.size, moments.keys // LIDARS * LIDARS
     own = moments.keys % LIDARS
     for i, j in combinations(range(len(origins)), 2):
+        if not np.isin(every[own == i], every[own == j]).any():
+            continue
         cells = np.unique(every[(own == i) | (own == j)])
         sums = [_window(moments, cells, k) for k in (i, j)]
         both = (sums[0][:, 0] >= MIN_POINTS) & (sums[1][:, 0] >= MIN_POINTS)

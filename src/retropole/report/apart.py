@@ -17,6 +17,9 @@ from .subject import Subject
 MOST_POINTS = 300_000
 """Points of each recording that are looked at, evenly: it takes 0.1 s."""
 
+FARTHEST = 300.0
+"""No surface is looked at that is farther from its LiDAR, metres: points are too sparse there."""
+
 FEWEST_SURFELS = 20
 """Fewer say nothing: each is off by some millimetres."""
 
@@ -51,6 +54,7 @@ def found_apart(subject: Subject) -> list[Distance]:
             for scan in scans:
                 if scan is not None:
                     rows = every_nth(np.arange(len(scan.cloud)), MOST_POINTS)
+                    rows = rows[se3.lengths(scan.cloud.xyz[rows]) < FARTHEST]
                     yield fused(scan.cloud.select(rows), pose, k)
 
     up, origins = None, np.array([pose[:3, 3] for pose in poses])
