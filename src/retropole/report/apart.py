@@ -17,6 +17,9 @@ from .subject import Subject
 MOST_POINTS = 300_000
 """Points of each recording that are looked at, evenly: it takes 0.1 s."""
 
+FARTHEST = 300.0
+"""No surface is looked at that is farther from its LiDAR, metres: points are too sparse there."""
+
 FEWEST_SURFELS = 20
 """Fewer say nothing: each is off by some millimetres."""
 
@@ -26,6 +29,8 @@ def apart(subject: Subject) -> Html:
     found = [each for each in found_apart(subject) if each.surfels >= FEWEST_SURFELS]
     if not found:
         return EMPTY
+    # Most surfels say most; of many pairs the rest is folded away.
+    found.sort(key=lambda each: -each.surfels)
     rows = [
         [
             "–".join(subject.site.lidars[k].name for k in each.lidars),
@@ -35,8 +40,6 @@ def apart(subject: Subject) -> Html:
         for each in found
     ]
     header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
-    # Most surfels first say most; of many pairs the rest is folded away.
-    rows.sort(key=lambda row: -int(row[4]))
     return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
 
 
@@ -51,17 +54,17 @@ def found_apart(subject: Subject) -> list[Distance]:
             for scan in scans:
                 if scan is not None:
                     rows = every_nth(np.arange(len(scan.cloud)), MOST_POINTS)
+                    rows = rows[se3.lengths(scan.cloud.xyz[rows]) < FARTHEST]
                     yield fused(scan.cloud.select(rows), pose, k)
 
-    clouds = [next((s.cloud for s in scans if s is not None), None) for scans in subject.scans]
-    first = next((k for k, cloud in enumerate(clouds) if cloud is not None), None)
-    if first is None:
+    up, origins = None, np.array([pose[:3, 3] for pose in poses])
+    if subject.site.frame.surveyed:
+        up = np.array([0.0, 0.0, 1.0])
+    for k, scans in enumerate(subject.scans):
+        for scan in scans:
+            if scan is not None:
+                origins[k] = se3.apply(poses[k], scan.cloud.origin[None])[0]
+                up = up_by_ground(scan.cloud, poses[k]) if up is None else up
+    if up is None:
         return []
-    up = np.array([0.0, 0.0, 1.0])
-    if not subject.site.frame.surveyed:
-        up = up_by_ground(clouds[first], poses[first])
-    origins = [
-        pose[:3, 3] if cloud is None else se3.apply(pose, cloud.origin[None])[0]
-        for pose, cloud in zip(poses, clouds, strict=True)
-    ]
-    return distances(surfaces_apart(moments_of(sweeps()), np.array(origins), up))
+    return distances(surfaces_apart(moments_of(sweeps()), origins, up))
