@@ -205,8 +205,7 @@ def _windows(moments: Moments, lidars: int) -> Iterator[tuple[Array, list[Array]
                 found = np.flatnonzero(keys[at] == wanted)
                 total[found] += _shifted(sums[at[found]], np.array(step) * moments.size)
             windows.append(total)
-        middles: Array = (cells_at(cells, moments.anchor) + 0.5) * moments.size
-        yield middles, windows
+        yield np.asarray((cells_at(cells, moments.anchor) + 0.5) * moments.size), windows
 
 
 def _shifted(sums: Array, d: Array) -> Array:
