@@ -54,7 +54,9 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
         (N,) in the order of the cloud.
     """
     points = np.empty(len(cloud), POINT)
-    points["xyz"] = cloud.xyz @ T_frame_lidar[:3, :3].T + T_frame_lidar[:3, 3]
+    rotation, place = T_frame_lidar[:3, :3], T_frame_lidar[:3, 3]
+    for axis in range(3):
+        points["xyz"][:, axis] = cloud.xyz @ rotation[axis] + place[axis]
     points["time"] = np.nan if cloud.time is None else cloud.time
     points["intensity"] = np.nan if cloud.intensity is None else cloud.intensity
     points["ring"] = NO_RING

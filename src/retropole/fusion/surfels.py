@@ -9,7 +9,7 @@ surfels lie apart along the normal is what the calibration, and the LiDARs, are 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import combinations, product
 from typing import Literal, NamedTuple
 
@@ -181,25 +181,40 @@ class _Fit:
     flat: BoolArray
 
 
-def _window(moments: Moments, cells: IntArray, lidar: int) -> Array:
-    """Sums (C, 12) of one LiDAR over cells, given by their keys, and their neighbours."""
-    own = moments.keys % LIDARS == lidar
-    keys, sums = moments.keys[own], moments.sums[own]
-    total = np.zeros((len(cells), 12))
-    if not len(keys):
-        return total
+BLOCK = 2**15
+"""Cells that are looked at at a time: 3 MB of sums for each LiDAR."""
+
+
+def _windows(moments: Moments, lidars: int) -> Iterator[tuple[Array, list[Array]]]:
+    """Go through all cells: their middles (C, 3), and for each LiDAR sums (C, 12) over each cell
+    and its neighbours, about the middle.
+    """
+    every, own = np.unique(moments.keys // LIDARS * LIDARS), moments.keys % LIDARS
+    parts = [(moments.keys[own == k], moments.sums[own == k]) for k in range(lidars)]
     zero = np.zeros(3, np.int64)
-    for step in product((-1, 0, 1), repeat=3):
-        # Keys are linear in the cells.
-        by = int(np.subtract(*(cell_keys(np.array([s]), 1.0, zero) for s in (step, zero)))[0])
-        at = np.minimum(np.searchsorted(keys, cells + by + lidar), len(keys) - 1)
-        found = np.flatnonzero(keys[at] == cells + by + lidar)
-        n, s, p = np.split(sums[at[found], :10], [1, 4], axis=1)
-        d = np.array(step) * moments.size
-        i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-        moved = p + s[:, i] * d[j] + s[:, j] * d[i] + n * (d[i] * d[j])
-        total[found] += np.column_stack([n, s + n * d, moved, sums[at[found], 10:]])
-    return total
+    for start in range(0, len(every), BLOCK):
+        cells = every[start : start + BLOCK]
+        windows = []
+        for k, (keys, sums) in enumerate(parts):
+            total = np.zeros((len(cells), 12))
+            for step in product((-1, 0, 1), repeat=3) if len(keys) else ():
+                # Keys are linear in the cells.
+                by = cell_keys(np.array([step]), 1.0, zero) - cell_keys(np.zeros((1, 3)), 1.0, zero)
+                wanted = cells + by + k
+                at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+                found = np.flatnonzero(keys[at] == wanted)
+                total[found] += _shifted(sums[at[found]], np.array(step) * moments.size)
+            windows.append(total)
+        yield np.asarray((cells_at(cells, moments.anchor) + 0.5) * moments.size), windows
+
+
+def _shifted(sums: Array, d: Array) -> Array:
+    """Count sums (C, 12) from a place that lies ``-d`` from where they are counted from."""
+    moved, n, s = sums.copy(), sums[:, :1], sums[:, 1:4]
+    i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    moved[:, 1:4] += n * d
+    moved[:, 4:10] += s[:, i] * d[j] + s[:, j] * d[i] + n * (d[i] * d[j])
+    return moved
 
 
 def _fit(sums: Array, centres: Array, origins: Array) -> _Fit:
@@ -241,10 +256,6 @@ def _across(spread: Array, rays: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(least, 0.0)))
 
 
-def _middles(cells: IntArray, moments: Moments) -> Array:
-    return np.asarray((cells_at(cells, moments.anchor) + 0.5) * moments.size)
-
-
 def _in_cell(middle: Array, size: float) -> BoolArray:
     """Whether a place (C, 3), from the middle of its cell, is in it: so no surface counts twice."""
     return np.asarray((np.abs(middle) <= size / 2).all(axis=1))
@@ -263,38 +274,45 @@ def surfels_of(moments: Moments, origins: Array) -> Surfels:
     origins
         (L, 3) where the beams of each start, in the frame of the points.
     """
-    cells = np.unique(moments.keys // LIDARS * LIDARS)
-    middles = _middles(cells, moments)
-    windows = [_window(moments, cells, k) for k in range(len(origins))]
+    parts = [
+        part
+        for middles, windows in _windows(moments, len(origins))
+        for part in _surfels(middles, np.array(windows), origins, moments.size)
+    ]
+    empty = [np.zeros((0, 3))] * 2 + [np.zeros(0)] * 3 + [np.zeros(0, np.int64)] * 2
+    return Surfels(*(np.concatenate(each) for each in zip(empty, *parts, strict=True)))
+
+
+def _surfels(
+    middles: Array, windows: Array, origins: Array, size: float
+) -> Iterator[tuple[Array | IntArray, ...]]:
+    """Make surfels of windows (L, C, 12): what `Surfels` holds, one side of the cells at a time."""
+    full = (windows[:, :, 0] >= MIN_POINTS).any(axis=0)
+    middles, windows = middles[full], windows[:, full]
     fits = [_fit(own, middles, at) for own, at in zip(windows, origins, strict=True)]
-    left = np.array([fit.flat for fit in fits]).reshape(len(origins), -1)
-    parts = []
-    rows = np.arange(len(cells))
+    left = np.array([fit.flat for fit in fits])
+    rows = np.arange(len(middles))
     while left.any():
         # In each cell, those that agree with the one that has the most points.
-        most = np.argmax(np.where(left, [fit.count for fit in fits], -1.0), axis=0)
+        most = np.argmax(np.where(left, windows[:, :, 0], -1.0), axis=0)
         of_most = np.array([fit.normal for fit in fits])[most, rows]
         group = left & [np.einsum("ci,ci->c", f.normal, of_most) > SAME_NORMAL for f in fits]
         own = np.flatnonzero(group.any(axis=0))
-        sums = np.einsum("lc,lcj->cj", group[:, own], [window[own] for window in windows])
-        fit = _fit(sums, middles[own], np.asarray(origins)[most[own]])
+        sums = np.einsum("lc,lcj->cj", group[:, own], windows[:, own])
+        fit = _fit(sums, middles[own], origins[most[own]])
         bits = np.array([1 << k for k in range(len(origins))]) @ group[:, own]
-        good = fit.flat & _in_cell(fit.mean, moments.size)
-        parts.append(
-            [
-                (middles[own] + fit.mean)[good],
-                fit.normal[good],
-                # A uniform disc has a quarter of its squared radius as variance along each axis.
-                np.sqrt(2.0 * (fit.values[:, 1] + fit.values[:, 2]))[good],
-                np.sqrt(fit.values[:, 0])[good],
-                fit.intensity[good],
-                fit.count[good].astype(np.int64),
-                bits[good],
-            ]
+        good = fit.flat & _in_cell(fit.mean, size)
+        yield (
+            (middles[own] + fit.mean)[good],
+            fit.normal[good],
+            # A uniform disc has a quarter of its squared radius as variance along each axis.
+            np.sqrt(2.0 * (fit.values[:, 1] + fit.values[:, 2]))[good],
+            np.sqrt(fit.values[:, 0])[good],
+            fit.intensity[good],
+            fit.count[good].astype(np.int64),
+            bits[good],
         )
         left &= ~group
-    empty = [np.zeros((0, 3))] * 2 + [np.zeros(0)] * 3 + [np.zeros(0, np.int64)] * 2
-    return Surfels(*(np.concatenate(each) for each in zip(empty, *parts, strict=True)))
 
 
 def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apart]:
@@ -311,39 +329,45 @@ def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apar
     up
         (3,) unit vector.
     """
-    size, every = moments.size, moments.keys // LIDARS * LIDARS
-    own = moments.keys % LIDARS
-    for i, j in combinations(range(len(origins)), 2):
-        if not np.isin(every[own == i], every[own == j]).any():
-            continue
-        cells = np.unique(every[(own == i) | (own == j)])
-        sums = [_window(moments, cells, k) for k in (i, j)]
-        both = (sums[0][:, 0] >= MIN_POINTS) & (sums[1][:, 0] >= MIN_POINTS)
-        cells = cells[both]
-        middles = _middles(cells, moments)
-        first, second = (
-            _fit(s[both], middles, origins[k]) for s, k in zip(sums, (i, j), strict=True)
-        )
-        between, halfway = second.mean - first.mean, (first.mean + second.mean) / 2
-        _, vectors = np.linalg.eigh(first.spread + second.spread)
-        normal = vectors[:, :, 0]
-        facing = np.einsum("ci,ci->c", normal, first.normal + second.normal)
-        normal = np.where((facing < 0)[:, None], -normal, normal)
-        good = first.flat & second.flat & _in_cell(halfway, size) & (lengths(between) < 1.5 * size)
-        for fit in (first, second):
-            good &= np.einsum("ci,ci->c", normal, fit.normal) > SAME_NORMAL
-        if not good.any():
-            continue
-        centres, normal = (middles + halfway)[good], normal[good]
-        yield Apart(
-            (i, j),
-            centres,
-            normal,
-            np.einsum("ci,ci->c", normal, between[good]),
-            _kinds(centres, normal, min(origins[i] @ up, origins[j] @ up), up),
-            # One surfel for each column of cells along the axis nearest to the normal.
-            size**2 / np.abs(normal).max(axis=1),
-        )
+    parts: dict[tuple[int, int], list[tuple[Array, Array, Array]]] = {}
+    for middles, windows in _windows(moments, len(origins)):
+        rows = [np.flatnonzero(own[:, 0] >= MIN_POINTS) for own in windows]
+        fits = [
+            _fit(own[at], middles[at], origin)
+            for own, at, origin in zip(windows, rows, origins, strict=True)
+        ]
+        for i, j in combinations(range(len(origins)), 2):
+            shared, a, b = np.intersect1d(rows[i], rows[j], return_indices=True)
+            both = fits[i].flat[a] & fits[j].flat[b]
+            first, second = _some(fits[i], a[both]), _some(fits[j], b[both])
+            found = _apart(middles[shared[both]], first, second, moments.size)
+            if len(found[0]):
+                parts.setdefault((i, j), []).append(found)
+    for (i, j), blocks in sorted(parts.items()):
+        centres, normals, off = (np.concatenate(each) for each in zip(*blocks, strict=True))
+        kinds = _kinds(centres, normals, min(origins[i] @ up, origins[j] @ up), up)
+        # One surfel for each column of cells along the axis nearest to the normal.
+        areas = moments.size**2 / np.abs(normals).max(axis=1)
+        yield Apart((i, j), centres, normals, off, kinds, areas)
+
+
+def _some(fit: _Fit, rows: IntArray) -> _Fit:
+    return _Fit(*(getattr(fit, field.name)[rows] for field in fields(fit)))
+
+
+def _apart(middles: Array, first: _Fit, second: _Fit, size: float) -> tuple[Array, Array, Array]:
+    """Compare the planes of two LiDARs in cells (C): centres, normals and distances of those that
+    are of one surface.
+    """
+    between, halfway = second.mean - first.mean, (first.mean + second.mean) / 2
+    normal = np.linalg.eigh(first.spread + second.spread)[1][:, :, 0]
+    facing = np.einsum("ci,ci->c", normal, first.normal + second.normal)
+    normal = np.where((facing < 0)[:, None], -normal, normal)
+    good = _in_cell(halfway, size) & (lengths(between) < 1.5 * size)
+    for fit in (first, second):
+        good &= np.einsum("ci,ci->c", normal, fit.normal) > SAME_NORMAL
+    off = np.einsum("ci,ci->c", normal, between)
+    return (middles + halfway)[good], normal[good], off[good]
 
 
 def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray:
