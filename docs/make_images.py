@@ -24,6 +24,7 @@ import numpy as np
 from PIL import Image
 
 import retropole as rp
+from retropole.api import se3
 from retropole.report.figures import new_figure
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -169,6 +170,43 @@ def draw_street(out: Path, wanted: Collection[str]) -> None:
             photograph(folder / "r" / "report.html", out / "report.png")
 
 
+def draw_merged(path: Path) -> None:
+    """A merged street from above, and how far surfaces lie apart, there and at a pose that is off.
+
+    The pose is turned by 0.1 degrees about an axis between the vertical and the level.
+    """
+    figure = new_figure(12.0, 4.4)
+    with tempfile.TemporaryDirectory() as name:
+        folder, result = Path(name), Path(name) / "r" / "result.json"
+        run("simulate", "street", "--seed", 1, "--sweeps", 5, "--out", folder, "-q")
+        run("calibrate", folder / "lidar0", folder / "lidar1", "--out", folder / "r", "-q")
+        points = ["--voxel", "0.15", "--colour", "lidar"]
+        titles = "both LiDARs", "surfaces apart", "the same, pose turned by 0.1°"
+        for k, (title, more) in enumerate(
+            zip(titles, (points, ["--surfels"], ["--surfels"]), strict=True)
+        ):
+            if k == 2:
+                document = json.loads(result.read_text())
+                T = np.array(document["T_target_source"])
+                turn = se3.exp_so3(np.radians(0.1) * np.array([0.5, 0.5, 0.5**0.5]))
+                T[:3, :3] = turn @ T[:3, :3]
+                result.write_text(json.dumps(document | {"T_target_source": T.tolist()}))
+            run("merge", folder / "r", "-o", folder / "m.ply", *more, "-q")
+            head, _, body = (folder / "m.ply").read_bytes().partition(b"end_header\n")
+            kinds = {"float": "f4", "uchar": "u1", "ushort": "u2", "uint": "u4", "double": "f8"}
+            lines = [line.split() for line in head.decode().splitlines()]
+            rows = np.frombuffer(body, [(w[2], kinds[w[1]]) for w in lines if w[0] == "property"])
+            colour = np.column_stack([rows[c] for c in ("red", "green", "blue")]) / 255
+            axes = figure.add_subplot(
+                1, 3, k + 1, aspect="equal", xlim=(-18, 18), ylim=(-18, 18), title=title
+            )
+            axes.set_facecolor("white" if k == 0 else "#1b2027")
+            axes.scatter(rows["x"], rows["y"], s=0.4 if k == 0 else 2.5, c=colour, lw=0)
+            axes.set(xlabel="m")
+    figure.savefig(path, dpi=80)
+    Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
+
+
 def draw_placement(path: Path) -> None:
     """What the example about placing the poles draws."""
     with tempfile.TemporaryDirectory() as name:
@@ -180,7 +218,7 @@ def draw_placement(path: Path) -> None:
 
 SCENES, OF_STREET = ("corridor", "harbor", "bare"), ("detect", "plan", "report")
 PICTURES = ("bias", *(f"gallery_{scene}" for scene in SCENES), "gallery_car_park", *OF_STREET)
-PICTURES = (*PICTURES, "placement", "placements")
+PICTURES = (*PICTURES, "merge", "placement", "placements")
 
 
 def main() -> None:
@@ -201,6 +239,8 @@ def main() -> None:
         draw_car_park(given.data, out / "gallery_car_park.png")
     if set(OF_STREET) & set(wanted):
         draw_street(out, wanted)
+    if "merge" in wanted:
+        draw_merged(out / "merge.png")
     if "placement" in wanted:
         draw_placement(out / "placement.png")
     if "placements" in wanted:

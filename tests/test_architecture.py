@@ -21,7 +21,7 @@ LAYERS = (
     # The method and its answer.
     *("pipeline", "checking", "result"),
     # Around the method, and what people touch.
-    *("simulation", "planning", "export", "report"),
+    *("simulation", "planning", "fusion", "export", "report"),
     "api",
     *("fleet", "cli", "__main__"),
 )
@@ -39,11 +39,12 @@ DOORS = {
     "cli": {"api", "base", "fleet", "report", "result"},
     # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
     "report": {
-        *("base", "result", "export", "checking"),
+        *("base", "result", "export", "checking", "fusion"),
         *("extraction", "surfaces", "hypotheses", "adjustment"),
     },
-    # A recording is written in the frames that one is read in, a tree in the frames of a site.
-    "export": {"base", "io", "result"},
+    # A recording is written in the frames that one is read in, a tree in the frames of a site, and
+    # what was fused as it was.
+    "export": {"base", "fusion", "io", "result"},
 }
 """Rooms that what stands outermost may import; with time fewer."""
 

@@ -15,8 +15,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import BinaryIO
 
-from .errors import ReadError
+from .errors import ReadError, UsageError
 
 LARGEST_DOCUMENT = 2**24
 """Bytes of a document that holds a transform; a result of ten placements has 2e5."""
@@ -129,6 +130,55 @@ def _write_together(files: Mapping[Path, bytes]) -> None:
         if place not in regular:
             with _named(place), place.open("wb") as device:
                 device.write(data)
+
+
+@contextmanager
+def stream_atomically(path: Path) -> Iterator[BinaryIO]:
+    """Write a file part by part, whole or not at all: for what does not fit into memory.
+
+    As `write_atomically`, but other processes may write into its folder meanwhile.
+
+    Yields
+    ------
+    BinaryIO
+        That can be read and seeked in. The file gets its name when all went well.
+
+    Raises
+    ------
+    UsageError
+        Where it is no file: neither a device nor a pipe goes back to its header.
+    OSError
+        As `write_atomically`.
+    """
+    place = Path(os.path.realpath(path))
+    if not _is_file(place):
+        raise UsageError(f"{path}: is no file, and cannot be written in parts")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with _alone_in(place.parent):
+        _sweep(place)
+    temporary = _temporary(place)
+    try:
+        with _named(place):
+            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+            with os.fdopen(os.open(temporary, flags, 0o600), "w+b") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            _permit_as(place, temporary)
+            with _alone_in(place.parent), _signals_wait():
+                os.replace(temporary, place)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+        unfinished.discard(temporary)
+
+
+def _temporary(place: Path) -> str:
+    """Name a temporary file beside another, which is removed with the run."""
+    name = f".{place.name[:100]}.{secrets.token_hex(4)}{UNFINISHED}"
+    temporary = str(place.parent / name)
+    # Before it is there: a signal may come at any moment.
+    unfinished.add(temporary)
+    return temporary
 
 
 def set_aside(paths: Iterable[Path]) -> list[Path]:
@@ -352,10 +402,7 @@ def _replace(files: Mapping[Path, bytes]) -> None:
     try:
         for place, data in files.items():
             with _named(place):
-                name = f".{place.name[:100]}.{secrets.token_hex(4)}{UNFINISHED}"
-                written[place] = str(place.parent / name)
-                # Before it is there: a signal may come at any moment.
-                unfinished.add(written[place])
+                written[place] = _temporary(place)
                 flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
                 with os.fdopen(os.open(written[place], flags, 0o600), "wb") as file:
                     file.write(data)

@@ -219,6 +219,30 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     return OnWgs84(moved, str(step.description), accuracy if accuracy >= 0 else None)
 
 
+def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
+    """Take places of the site (N, 3) to another projected system: east, north, height as it was.
+
+    By the best operation from datum to datum that PROJ has the data for, as `on_wgs84`.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `geodetic`, and where PROJ has no way.
+    """
+    start, to = frame.epsg, projected(epsg)
+    if start is None:
+        at, crs = np.degrees(geodetic(frame, xyz)), "EPSG:4326"
+        east, north, height = at[:, 1], at[:, 0], at[:, 2]
+    else:
+        (east, north, height), crs = to_frame(frame, xyz).T, projected(start).crs
+    from pyproj import Transformer
+
+    moved = Transformer.from_crs(crs, to.crs, always_xy=True).transform(east, north)
+    if not np.isfinite(moved).all():
+        raise UsageError(f"PROJ has no way from {frame.name} to {to.name} there")
+    return np.column_stack([*moved, height])
+
+
 def pose_in_frame(frame: Frame, T_site_lidar: Array) -> Array:
     """Pose of a LiDAR (4, 4) in the frame's own coordinates, its axes east, north, up there.
 

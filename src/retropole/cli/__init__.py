@@ -26,6 +26,7 @@ COMMANDS = (
     "export",
     "fleet",
     "info",
+    "merge",
     "plan",
     "report",
     "simulate",

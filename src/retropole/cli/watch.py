@@ -198,7 +198,7 @@ def watch(
     )
     latest: list[bytes] = [b"{}"]
     with ExitStack() as stack:
-        stopped = stack.enter_context(_until_signal())
+        stopped = stack.enter_context(until_signal())
         to_publish = ("ok", "warn") if publish_warned else ("ok",) if publish else ()
         if to_publish:
             check_publishing(domain=domain, interface=interface)
@@ -257,7 +257,7 @@ def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:
 
 
 @contextmanager
-def _until_signal() -> Iterator[Stopped]:
+def until_signal() -> Iterator[Stopped]:
     """Let the first Ctrl-C end in order, so that nothing is lost; a second ends at once.
 
     Where a system has no alarms, as Windows, nothing is broken off after the first.

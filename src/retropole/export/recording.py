@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,19 +125,64 @@ def write_transforms(transforms: Sequence[Transform], verdict: str = "") -> byte
 
 def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict: str) -> bytes:
     """Write transforms, then the frames of all tracks in the order of their times."""
+    times = _times({topic: track.frames for topic, track in tracks.items()})
+    file = io.BytesIO()
+    clouds = [
+        (when, topic, frame.cloud)
+        for topic, track in tracks.items()
+        for when, frame in zip(times[topic], track.frames, strict=True)
+    ]
+    first = min((min(own) for own in times.values()), default=0)
+    frames = {topic: track.frame for topic, track in tracks.items()}
+    metadata = {"verdict": verdict} if verdict else {}
+    with cloud_stream(file, frames, metadata, transforms, first) as write:
+        for when, topic, cloud in sorted(clouds, key=itemgetter(0)):
+            write(topic, when, _points(cloud))
+    return file.getvalue()
+
+
+@contextmanager
+def cloud_stream(
+    file: BinaryIO,
+    frames: Mapping[str, str],
+    metadata: Mapping[str, str],
+    transforms: Sequence[Transform] = (),
+    first: int = 0,
+) -> Iterator[Callable[[str, int, NDArray[Any]], None]]:
+    """Write an MCAP file message by message.
+
+    Parameters
+    ----------
+    file
+        Where to.
+    frames
+        The frame of the clouds on each topic.
+    metadata
+        By name, under ``retropole``; none where it is empty.
+    transforms, first
+        What is written on ``/tf_static``, at which time, ns.
+
+    Yields
+    ------
+    Callable
+        Writes a record of each point, by its topic and its time, ns.
+
+    Raises
+    ------
+    MissingExtraError
+        Where mcap or rosbags is not installed.
+    """
     try:
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise MissingExtraError("ros", "writing MCAP files") from None
     store = get_typestore(Stores.ROS2_HUMBLE)
-    times = _times({topic: track.frames for topic, track in tracks.items()})
-    file = io.BytesIO()
     writer: Any = Writer(file)
     writer.start(profile="ros2", library="retropole")
-    if verdict:
-        writer.add_metadata("retropole", {"verdict": verdict})
-    kinds = [CLOUDS] * bool(tracks) + [TRANSFORMS] * bool(transforms)
+    if metadata:
+        writer.add_metadata("retropole", dict(metadata))
+    kinds = [CLOUDS] * bool(frames) + [TRANSFORMS] * bool(transforms)
     schemas = {
         kind: writer.register_schema(
             kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
@@ -152,21 +198,16 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
         data = bytes(store.serialize_cdr(message, kind))
         writer.add_message(number, when, data, when)
 
-    first = min((min(own) for own in times.values()), default=0)
     if transforms:
         poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
         add(poses, TRANSFORMS, first, transform_message(transforms, first, store))
-    numbers = {topic: channel(topic, CLOUDS) for topic in tracks}
-    clouds = [
-        (when, topic, frame.cloud)
-        for topic, track in tracks.items()
-        for when, frame in zip(times[topic], track.frames, strict=True)
-    ]
-    for when, topic, cloud in sorted(clouds, key=itemgetter(0)):
-        message = _cloud_message(cloud, tracks[topic].frame, when, store)
-        add(numbers[topic], CLOUDS, when, message)
+    numbers = {topic: channel(topic, CLOUDS) for topic in frames}
+
+    def write(topic: str, when: int, points: NDArray[Any]) -> None:
+        add(numbers[topic], CLOUDS, when, _cloud_message(points, frames[topic], when, store))
+
+    yield write
     writer.finish()
-    return file.getvalue()
 
 
 def _times(clouds: Mapping[str, Sequence[Frame]]) -> dict[str, list[int]]:
@@ -201,9 +242,8 @@ def transform_message(transforms: Sequence[Transform], when: int, store: Any) ->
     return store.types[TRANSFORMS](messages)
 
 
-def _cloud_message(cloud: PointCloud, frame: str, when: int, store: Any) -> Any:
+def _cloud_message(points: NDArray[Any], frame: str, when: int, store: Any) -> Any:
     """Write x, y, z and what else is known of each point; one row, without padding."""
-    points = _points(cloud)
     numbers = {kind: number for number, kind in DATATYPES.items()}
     fields = [
         store.types["sensor_msgs/msg/PointField"](
@@ -303,3 +343,43 @@ def publish(
     writer = DataWriter(own, Topic(own, f"rt{TRANSFORM_TOPIC}", message_type(TRANSFORMS)), qos=qos)
     writer.write(message_of(TRANSFORMS, bytes(store.serialize_cdr(message, TRANSFORMS))))
     return Published(writer)
+
+
+def cloud_publisher(
+    topic: str, frame: str, *, domain: int | None = None, interface: str | None = None
+) -> Callable[[NDArray[Any], float], None]:
+    """Publish clouds on a topic, reliably; who is slow gets the newest alone.
+
+    Parameters
+    ----------
+    topic, frame
+        As ROS names them: ``/merged/points``, and the frame of the points.
+    domain, interface
+        As `io.live.dds.DdsSource` takes them.
+
+    Returns
+    -------
+    Callable
+        Publishes a record of each point, and when they were measured, Unix seconds.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `publish`.
+    """
+    own = participant(domain_or_default(domain), interface)
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    qos = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(1))
+    topic = f"/{topic.strip('/')}"
+    writer = DataWriter(own, Topic(own, f"rt{topic}", message_type(CLOUDS)), qos=qos)
+
+    def write(points: NDArray[Any], when: float) -> None:
+        message = _cloud_message(points, frame, round(when * NANOSECONDS), store)
+        writer.write(message_of(CLOUDS, bytes(store.serialize_cdr(message, CLOUDS))))
+
+    return write

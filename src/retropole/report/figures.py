@@ -15,16 +15,16 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, Pole, every_nth
 from ..base.errors import MissingExtraError
+from ..base.palette import BLUE as BLUE
+from ..base.palette import COLORS as COLORS
+from ..base.palette import GREEN as GREEN
+from ..base.palette import GREY as GREY
+from ..base.palette import ORANGE as ORANGE
+from ..base.palette import RED as RED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-GREY, BLUE, ORANGE, RED, GREEN = "#9aa0a6", "#0072b2", "#e69f00", "#d55e00", "#009e73"
-"""Okabe and Ito's colours, which colour-blind readers tell apart."""
-
-COLORS = (BLUE, ORANGE, "#cc79a7", RED, "#56b4e9", "#000000", "#b8a800", "#666666")
-"""Of the LiDARs; more begin again. Green is that of the poles."""
 
 MAX_FIGURE_POINTS = 40_000
 """Points of a cloud that are drawn."""

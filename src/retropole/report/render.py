@@ -10,6 +10,7 @@ from ..base.quantities import counted
 from ..result import ResultDoc
 from ..result.site import LIDARS, SiteDoc, found_document, input_names
 from . import listings
+from .apart import apart
 from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
 from .listings import (
@@ -100,6 +101,7 @@ def render_report(
         next_steps(subject),
         hypotheses(subject.pair),
         certainty(subject),
+        apart(subject),
         sways(subject),
         # What was found comes first where it is all there is.
         found if refused else EMPTY,

@@ -98,7 +98,7 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     cloud
         Returned as it is where no point is there twice.
     """
-    keys = _keys(cloud.xyz)
+    keys = keys_of(cloud.xyz)
     if cloud.frame is not None:
         repeated = _repeated(keys, cloud.frame)
         if repeated.any():
@@ -142,7 +142,7 @@ def check_recordings(placements: Sequence[Placement]) -> None:
     # Equal points have equal hashes: a sample by the hash is one of the same points of all clouds.
     fewest = min((len(xyz) for _, _, xyz in scans), default=0)
     most = np.uint64(np.iinfo(np.uint64).max // max(fewest // SAMPLE, 1))
-    each = [(k, lidar, _sampled(_keys(xyz), most)) for k, lidar, xyz in scans]
+    each = [(k, lidar, _sampled(keys_of(xyz), most)) for k, lidar, xyz in scans]
     for (k, first, of_first), (n, second, of_second) in combinations(each, 2):
         shared = max(_shared(of_first, of_second), _shared(of_second, of_first))
         if shared <= MAX_SHARED:
@@ -179,8 +179,8 @@ def _shared(part: Keys, whole: Keys) -> float:
     return float(np.mean(whole[place] == part))
 
 
-def _keys(xyz: Array) -> Keys:
-    """(N,) one number for each point, by its bits: unequal ones hardly ever have the same."""
+def keys_of(xyz: Array) -> Keys:
+    """(N,) one number for each row, by its bits: unequal ones hardly ever have the same."""
     key = np.zeros(len(xyz), dtype=np.uint64)
     for column in xyz.T:
         # No zero is negative then.
@@ -255,12 +255,21 @@ def _is_static(cloud: PointCloud, frame: IntArray, frames: int) -> BoolArray:
     rays = cloud.xyz - cloud.origin
     ranges = se3.lengths(rays)
     cells = cells_of(rays)
-    nearest = nearest_by_frame(cells, ranges, frame, frames)
-    # What half of the frames saw there, the nearer half.
+    usual = usual_ranges(nearest_by_frame(cells, ranges, frame, frames))
+    return np.asarray(usual[cells] <= ranges + range_margin(ranges))
+
+
+def usual_ranges(nearest: Array) -> Array:
+    """What half of the frames saw in each cell, the nearer half, (E, A) metres.
+
+    Parameters
+    ----------
+    nearest
+        (frames, E, A) least range of each frame; infinite where it saw nothing. It is sorted.
+    """
     nearest.sort(axis=0)
     half = np.maximum((np.isfinite(nearest).sum(axis=0) - 1) // 2, 0)
-    usual = np.take_along_axis(nearest, half[None], axis=0)[0]
-    return np.asarray(usual[cells] <= ranges + range_margin(ranges))
+    return np.asarray(np.take_along_axis(nearest, half[None], axis=0)[0])
 
 
 def check_still(name: str, cloud: PointCloud) -> None:

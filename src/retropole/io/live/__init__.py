@@ -163,21 +163,22 @@ def open_sources(
     senders: Collection[str] = (),
     wanted: Sequence[Wanted] = (USUAL, USUAL),
 ) -> list[Source]:
-    """Open the sources of target and source, as `source_of` takes them; both or none.
+    """Open a source for each LiDAR, as `source_of` takes them; all or none.
 
     What is wanted is for each of its own.
 
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        As `source_of`; where both are the same; and where senders are named, and none sends
+        As `source_of`; where two are the same; and where senders are named, and none sends
         packets.
     """
     makers = tuple(f"{maker}:" for maker in (*MAKERS, "ouster"))
     if senders and not any(text.startswith(makers) for text in texts):
         raise UsageError("--from names who sends packets: give velodyne:PORT or ouster:PORT:FILE")
-    if len(set(texts)) < len(texts):
-        raise UsageError(f"both LiDARs are {texts[0]}: name two sources")
+    for text in set(texts):
+        if texts.count(text) > 1:
+            raise UsageError(f"both LiDARs are {text}: name two sources")
     opened: list[Source] = []
     try:
         for text, own in zip(texts, wanted, strict=True):

@@ -1,0 +1,1 @@
+"""Clouds of several LiDARs in one frame, and the surfaces that they see."""

@@ -1,0 +1,70 @@
+"""How far apart the surfaces lie that two LiDARs see, under the poses of the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import every_nth
+from ..fusion.merging import LIDARS, Points, fused
+from ..fusion.surfels import Distance, distances, moments_of, surfaces_apart, up_by_ground
+from .listings import Listing, columns
+from .page import EMPTY, Html, fill, listed
+from .subject import Subject
+
+MOST_POINTS = 300_000
+"""Points of each recording that are looked at, evenly: it takes 0.1 s."""
+
+FARTHEST = 300.0
+"""No surface is looked at that is farther from its LiDAR, metres: points are too sparse there."""
+
+FEWEST_SURFELS = 20
+"""Fewer say nothing: each is off by some millimetres."""
+
+
+def apart(subject: Subject) -> Html:
+    """Say how far surfaces lie apart; nothing where no two LiDARs see any, or none has a pose."""
+    found = [each for each in found_apart(subject) if each.surfels >= FEWEST_SURFELS]
+    if not found:
+        return EMPTY
+    # Most surfels say most; of many pairs the rest is folded away.
+    found.sort(key=lambda each: -each.surfels)
+    rows = [
+        [
+            "–".join(subject.site.lidars[k].name for k in each.lidars),
+            *(each.kind, f"{1000 * each.median_m:.1f}", f"{1000 * each.median_signed_m:+.1f}"),
+            *(each.surfels, f"{each.area_m2:.1f}"),
+        ]
+        for each in found
+    ]
+    header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
+    return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
+
+
+def found_apart(subject: Subject) -> list[Distance]:
+    """Compare the surfaces of all LiDARs of a subject in its frame."""
+    if not subject.answered or not subject.scans or len(subject.scans) > LIDARS:
+        return []
+    poses = [np.array(each.T_site_lidar) for each in subject.site.lidars]
+
+    def sweeps() -> Iterator[Points]:
+        for k, (pose, scans) in enumerate(zip(poses, subject.scans, strict=True)):
+            for scan in scans:
+                if scan is not None:
+                    rows = every_nth(np.arange(len(scan.cloud)), MOST_POINTS)
+                    rows = rows[se3.lengths(scan.cloud.xyz[rows]) < FARTHEST]
+                    yield fused(scan.cloud.select(rows), pose, k)
+
+    up, origins = None, np.array([pose[:3, 3] for pose in poses])
+    if subject.site.frame.surveyed:
+        up = np.array([0.0, 0.0, 1.0])
+    for k, scans in enumerate(subject.scans):
+        for scan in scans:
+            if scan is not None:
+                origins[k] = se3.apply(poses[k], scan.cloud.origin[None])[0]
+                up = up_by_ground(scan.cloud, poses[k]) if up is None else up
+    if up is None:
+        return []
+    return distances(surfaces_apart(moments_of(sweeps()), origins, up))
