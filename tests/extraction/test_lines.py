@@ -21,6 +21,7 @@ from retropole.extraction.lines import (
     clusters,
     distance_and_place,
     fit_line,
+    fit_lines,
     in_canonical_order,
     on_surface,
     principal_line,
@@ -143,6 +144,33 @@ def test_fit_does_not_depend_on_the_guess(tilt: float) -> None:
     right = fit_line(cloud, index, FOOT, UP, RADIUS)
     np.testing.assert_array_equal(line.index, right.index)
     assert abs(line.direction @ right.direction) == pytest.approx(1, abs=1e-9)
+
+
+def test_each_guess_gives_what_it_gives_alone() -> None:
+    """Two poles, what touches one of them, and guesses near to one, to the other and to none."""
+    touching = offset(0, 0.1, np.linspace(0.2, 0.8, 10))
+    other = on_pole() + 1.5 * Y + 2.5 * UP * (np.arange(32)[:, None] > 28)
+    xyz = np.concatenate([on_pole(), touching, other])
+    cloud, index = PointCloud(xyz, np.ones(len(xyz))), np.arange(len(xyz))
+    leaning = UP + 0.15 * Y
+    leaning /= np.linalg.norm(leaning)
+    guesses = [
+        (FOOT, UP),
+        (FOOT + 1.5 * Y, UP),
+        (FOOT - 3.0 * Y, UP),
+        (FOOT, leaning),
+        (FOOT + 0.75 * Y, Y),
+    ]
+    together = fit_lines(cloud, index, guesses, RADIUS)
+    for guess, line in zip(guesses, together, strict=True):
+        alone = fit_line(cloud, index, *guess, RADIUS)
+        np.testing.assert_array_equal(line.index, alone.index)
+        np.testing.assert_allclose(line.along, alone.along, atol=1e-12)
+        assert line.rms == pytest.approx(alone.rms, abs=1e-12)
+        distance, _ = distance_and_place(xyz[line.index], line.point, line.direction)
+        assert np.all(distance <= line.tube)
+    # The first has what touches it, the second ends at a gap, and by the third is nothing.
+    assert [len(line.index) for line in together[:3]] == [42, 29, 0]
 
 
 def test_fit_leaves_out_what_lies_beside() -> None:

@@ -7,16 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import fft
+from scipy.spatial import cKDTree
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, Match, Placement, PointCloud, Pole
 from retropole.base.errors import UsageError
 from retropole.hypotheses import one_pole as about
 from retropole.hypotheses.evidence import scenes_of
-from retropole.hypotheses.one_pole import ANGLES, CELL_ABOUT_POLE, LAYERS, SLIDE, matches_about
+from retropole.hypotheses.icp_refinement import registered
+from retropole.hypotheses.one_pole import (
+    ANGLES,
+    CELL_ABOUT_POLE,
+    LAYERS,
+    SETTLES,
+    SLIDE,
+    matches_about,
+)
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair
+from retropole.surfaces.consistency import Standing
+from retropole.surfaces.registration import prepare, voxel_downsample
 from retropole.surfaces.scans import find_poles
+from retropole.surfaces.visibility import SCORING_VOXEL, range_image
 from tests.hypotheses.conftest import simulated_with_one_pole
 
 WOOD = np.random.default_rng(0).uniform([-20, -20, -3], [20, 20, 8], (3000, 3))
@@ -42,6 +54,40 @@ def assert_near(T: Array | None, T_true: Array, degrees: float = 0.3, metres: fl
     off = se3.difference(T, T_true)
     assert np.degrees(off.rotation) < degrees
     assert off.translation < metres
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 60.0, 90.0, 165.0, 180.0, 270.0, 345.0])
+def test_the_highest_peak_over_the_ground_is_where_the_points_are(turn_deg: float) -> None:
+    """Whichever of the four quarter turns it is in."""
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-20, -20, 0.4], [20, 20, 6.0], (3000, 3))
+    T = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, np.radians(turn_deg)])), np.array([3.0, -4, 0]))
+    origin = np.array([0.0, 0.0, 2.0])
+    seen = []
+    for pose in (np.eye(4), T):
+        own = se3.apply(se3.inverse(pose), points)
+        image = range_image(PointCloud(own, origin=origin))
+        number = np.zeros(len(own), dtype=np.int64)
+        up = np.array([0.0, 0.0, 1.0])
+        seen.append(Standing(own, number, cKDTree(own), image, np.zeros(3), up))
+    best, second, *_ = about._ground_peaks(seen[0], seen[1])
+    assert_near(best.T, T, degrees=0.01, metres=0.01)
+    assert best.height > 2.0 * second.height
+
+
+def test_a_registration_that_moves_too_far_ends(one_pole: SimulatedPair) -> None:
+    """It comes to where it would without a limit, or, from too far away, to nothing."""
+    target, source = one_pole.target.xyz, one_pole.source.xyz
+    surface = prepare(target, SCORING_VOXEL)
+    tree, points = cKDTree(surface.xyz), voxel_downsample(source, SCORING_VOXEL)
+    T = one_pole.T_target_source
+    off = se3.retract(T, np.array([0.0, 0.0, np.radians(1.5), 0.2, 0.0, 0.0]))
+    free, held = (registered(surface, tree, points, off, near=n) for n in (None, SETTLES))
+    assert_near(free, T)
+    assert free is not None
+    assert_near(held, free, degrees=0.01, metres=0.001)
+    narrow = se3.PoseDifference(float(np.radians(0.5)), 1.0)
+    assert registered(surface, tree, points, off, near=narrow) is None
 
 
 @pytest.mark.full

@@ -223,6 +223,5 @@ def inverse_of(information: Array) -> Array:
     half, _ = lapack.dpotri(root, overwrite_c=True)
     if failed or not np.isfinite(half).all():
         return np.asarray(np.linalg.inv(information))
-    below = np.tril_indices(len(half), -1)
-    half[below] = half.T[below]
-    return np.asarray(half)
+    # Below the diagonal are zeros.
+    return np.asarray(half + np.triu(half, 1).T)

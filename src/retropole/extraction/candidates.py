@@ -38,9 +38,10 @@ from .lines import (
     MOST,
     SEARCH_ROOM,
     TUBE,
+    Guess,
     Line,
     clusters,
-    fit_line,
+    fit_lines,
     in_canonical_order,
     propose_lines,
 )
@@ -145,10 +146,6 @@ class Sought(NamedTuple):
     shell: tuple[float, float]
 
 
-Guess = tuple[Array, Array]
-"""Point (3,) and unit direction (3,) of a line."""
-
-
 class Fitted(NamedTuple):
     """A line that may be a pole, and how many bright returns are close beside it."""
 
@@ -198,9 +195,9 @@ def with_candidates(
                 if len(part) < len(cluster):
                     # Of a pole beside a plate, a part may count as surface.
                     left, guess = cluster[free[cluster]], (line.point, line.direction)
-                    whole = _slim_or_wide(cloud, near, left, free, guess, sought)
-                    if whole is not None and len(whole.line.index) > len(line.index):
-                        best = whole.line
+                    for whole in _slim_or_wide(cloud, near, left, free, [guess], sought):
+                        if len(whole.line.index) > len(line.index):
+                            best = whole.line
                 free[best.index] = False
                 found.append(pole_on(cloud, best))
     found = without_repeats([*found, *detection.candidates], len(cloud))
@@ -261,13 +258,10 @@ def _lines_in(
             break
         left = in_canonical_order(cloud.xyz, left)
         tube = sought.radius + SEARCH_ROOM
-        fits = (
-            _slim_or_wide(cloud, near, left, free, guess, sought)
-            for guess in propose_lines(
-                cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, MOST_PROPOSALS
-            )
+        guesses = propose_lines(
+            cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, MOST_PROPOSALS
         )
-        candidates = [fitted for fitted in fits if fitted is not None]
+        candidates = _slim_or_wide(cloud, near, left, free, guesses, sought)
         if not candidates:
             break
         # As proposals are: a line of a vest and of half the pole has more returns than the pole.
@@ -280,21 +274,45 @@ def _lines_in(
 
 
 def _slim_or_wide(
-    cloud: PointCloud, near: IntArray, left: IntArray, free: BoolArray, guess: Guess, sought: Sought
-) -> Fitted | None:
-    """Fit a line in a slim tube, and where that is no pole, in a wide one; None if neither is.
+    cloud: PointCloud,
+    near: IntArray,
+    left: IntArray,
+    free: BoolArray,
+    guesses: Sequence[Guess],
+    sought: Sought,
+) -> list[Fitted]:
+    """Fit lines in slim tubes, and those that are no pole in wide ones; leave out what neither is.
 
     A plate or a vest reaches into the wide one, and turns the line.
     """
+    found: dict[int, Fitted] = {}
     for room in (SEARCH_ROOM, TUBE):
-        line = _from_afar(cloud, fit_line(cloud, left, *guess, sought.radius, sought.beams, room))
-        if shape_failure(cloud, line, sought.fewest, sought.shortest) is not None:
-            continue
-        around = surroundings_of(cloud, near, free, line)
-        clinging = around.is_retro & around.beside & (around.distance < _reach(sought.radius))
-        if _may_be_pole(around, clinging, sought.radius):
-            return Fitted(line, int(np.count_nonzero(clinging)))
-    return None
+        rest = [k for k in range(len(guesses)) if k not in found]
+        own = [guesses[k] for k in rest]
+        lines = fit_lines(cloud, left, own, sought.radius, sought.beams, room)
+        # Many guesses lead to the same line.
+        known: dict[tuple[bytes, ...], Fitted | None] = {}
+        for k, line in zip(rest, lines, strict=True):
+            same = line.index.tobytes(), line.point.tobytes(), line.direction.tobytes()
+            if same not in known:
+                known[same] = _fitted(cloud, near, free, _from_afar(cloud, line), sought)
+            fitted = known[same]
+            if fitted is not None:
+                found[k] = fitted
+    return [found[k] for k in sorted(found)]
+
+
+def _fitted(
+    cloud: PointCloud, near: IntArray, free: BoolArray, line: Line, sought: Sought
+) -> Fitted | None:
+    """Count what is bright beside a line that may be a pole; None where it may not."""
+    if shape_failure(cloud, line, sought.fewest, sought.shortest) is not None:
+        return None
+    around = surroundings_of(cloud, near, free, line)
+    clinging = around.is_retro & around.beside & (around.distance < _reach(sought.radius))
+    if not _may_be_pole(around, clinging, sought.radius):
+        return None
+    return Fitted(line, int(np.count_nonzero(clinging)))
 
 
 def _from_afar(cloud: PointCloud, line: Line) -> Line:

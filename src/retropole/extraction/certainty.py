@@ -11,7 +11,7 @@ import numpy as np
 from ..base.datatypes import PointCloud
 from .acceptance_shape import Failure
 from .lines import HALF, RING_GAP, Line, distance_and_place
-from .surroundings import PIECES, worn_by_a_body
+from .surroundings import piece_of, worn_by_a_body
 
 MAX_SURE_RMS = 0.03
 """Largest scatter of the returns of a confirmed pole about their line, metres: 12 mm of a cylinder
@@ -66,9 +66,9 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
     or a pole that crosses widens a few pieces only.
     """
     distance, along = distance_and_place(cloud.xyz[line.index], line.point, line.direction)
-    edges = np.linspace(along.min(), along.max(), PIECES + 1)
-    count = np.histogram(along, edges)[0]
-    square = np.histogram(along, edges, weights=distance**2)[0]
+    piece = piece_of(along, along.min(), along.max())
+    count = np.bincount(piece)
+    square = np.bincount(piece, distance**2)
     middle = float(np.median(square[count > 0] / count[count > 0]))
     return min(line.rms, float(np.sqrt(middle)))
 

@@ -8,6 +8,7 @@ docs/detection.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -183,6 +184,10 @@ spacing of the table of sensors, Pandar64 with 1/6°, is 0.0145 m at 5 m. Sensit
 poles lost, 2 of them recorded posts; at 0.021: 1 more found, 1 fewer false."""
 
 
+Guess = tuple[Array, Array]
+"""Point (3,) and unit direction (3,) of a line."""
+
+
 @dataclass(frozen=True, eq=False)
 class Line:
     """A line fitted to some points of a cloud.
@@ -262,7 +267,7 @@ def propose_lines(
     tube: float,
     shell: tuple[float, float],
     most: int = PROPOSALS,
-) -> list[tuple[Array, Array]]:
+) -> list[Guess]:
     """Propose lines through pairs of points, the best first and each only once.
 
     A line's score is the number of points within ``tube`` of it less the number in the ``shell``
@@ -367,7 +372,19 @@ def fit_line(
     beams: Beams = UNKNOWN,
     room: float = TUBE,
 ) -> Line:
-    """Fit a line to those of some candidate points that are about a first guess.
+    """Fit a line from one first guess, a point (3,) and a unit direction (3,); see `fit_lines`."""
+    return fit_lines(cloud, candidates, [(point, direction)], radius, beams, room)[0]
+
+
+def fit_lines(
+    cloud: PointCloud,
+    candidates: IntArray,
+    guesses: Sequence[Guess],
+    radius: float,
+    beams: Beams = UNKNOWN,
+    room: float = TUBE,
+) -> list[Line]:
+    """Fit lines to those of some candidate points that are about each first guess, all at once.
 
     Points farther off than the others scatter are left out, and so is what a gap longer than `LINK`
     separates from most of them.
@@ -377,9 +394,9 @@ def fit_line(
     cloud
         Where the points are from.
     candidates
-        (N,) index of the points that may lie on the line.
-    point, direction
-        (3,) point and (3,) unit direction of the first guess.
+        (N,) index of the points that may lie on a line.
+    guesses
+        Point (3,) and unit direction (3,) of each.
     radius
         Of the pole, metres.
     beams
@@ -389,28 +406,53 @@ def fit_line(
 
     Returns
     -------
-    Line
-        Without points where none is near the guess.
+    list of Line
+        One for each guess, without points where none is near it.
     """
+    if not guesses:
+        return []
     xyz = cloud.xyz[candidates]
-    tube = radius + room
-    inside = np.zeros(len(candidates), dtype=bool)
+    points, directions = (np.array(each, dtype=float) for each in zip(*guesses, strict=True))
+    tubes = np.full(len(points), radius + room)
+    before = np.zeros((len(points), len(xyz)), dtype=bool)
+    left = np.arange(len(points))
     for _ in range(FIT_ROUNDS):
-        distance, along = distance_and_place(xyz, point, direction)
-        before, inside = inside, _in_one_piece(distance <= tube, along)
-        if np.count_nonzero(inside) < MIN_LINE_POINTS or np.array_equal(before, inside):
+        distance, along = _distances_and_places(xyz, points[left], directions[left])
+        inside = _in_one_piece(distance <= tubes[left, None], along)
+        moves = (inside != before[left]).any(axis=1)
+        moves &= np.count_nonzero(inside, axis=1) >= MIN_LINE_POINTS
+        left, inside, distance = left[moves], inside[moves], distance[moves]
+        if not len(left):
             break
+        before[left] = inside
         # Neighbours that touch the pole are many near it but few along it: the median holds.
-        sigma = MAD_TO_SIGMA * _median(distance[inside])
-        tube = radius + min(room, FIT_ROOM + FIT_SIGMAS * sigma)
-        point, direction = principal_line(xyz[inside])
-    distance, along = distance_and_place(xyz, point, direction)
-    inside = _in_one_piece(distance <= tube, along)
-    index, along, distance = candidates[inside], along[inside], distance[inside]
+        sigma = MAD_TO_SIGMA * _medians(distance, inside)
+        tubes[left] = radius + np.minimum(room, FIT_ROOM + FIT_SIGMAS * sigma)
+        points[left], directions[left] = _principal_lines(xyz, inside)
+    distance, along = _distances_and_places(xyz, points, directions)
+    inside = _in_one_piece(distance <= tubes[:, None], along)
+    return [
+        _line_of(cloud, candidates[on], one[on], off[on], guess, float(tube), radius, beams)
+        for on, one, off, *guess, tube in zip(
+            inside, along, distance, points, directions, tubes, strict=True
+        )
+    ]
+
+
+def _line_of(
+    cloud: PointCloud,
+    index: IntArray,
+    along: Array,
+    distance: Array,
+    axis: Sequence[Array],
+    tube: float,
+    radius: float,
+    beams: Beams,
+) -> Line:
+    """Measure the points of a line about its axis, a point (3,) and a direction (3,)."""
+    point, direction = axis
     if len(index) == 0:
         return Line(index, along, point, direction, 0.0, 0.0, 0, tube)
-    rms = float(np.sqrt(np.mean(distance**2)))
-    rings = _rings_hit(cloud, index, along)
     away = float(np.linalg.norm(point - cloud.origin))
     return Line(
         index,
@@ -418,8 +460,8 @@ def fit_line(
         point,
         direction,
         float(np.ptp(along)),
-        rms,
-        rings,
+        float(np.sqrt(np.mean(distance**2))),
+        _rings_hit(cloud, index, along),
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
         thicker=RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0),
@@ -427,30 +469,66 @@ def fit_line(
     )
 
 
+def _distances_and_places(xyz: Array, points: Array, directions: Array) -> tuple[Array, Array]:
+    """(G, N) each of points (N, 3) from lines through points (G, 3) with directions (G, 3)."""
+    square, along = np.zeros((2, len(points), len(xyz)))
+    for column, at, way in zip(xyz.T, points.T, directions.T, strict=True):
+        offset = column - at[:, None]
+        along += offset * way[:, None]
+        square += np.square(offset, out=offset)
+    square -= along * along
+    return np.sqrt(np.maximum(square, 0.0, out=square), out=square), along
+
+
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
-    """Keep the piece with the most of the points inside, where gaps longer than `LINK` part it."""
-    index = np.flatnonzero(inside)
-    if len(index) < 2 or np.ptp(along[index]) <= LINK:
+    """Keep of each row (G, N) the piece with most of the points inside, where gaps longer than
+    `LINK` part them."""
+    row, column = np.nonzero(inside)
+    if not len(row):
         return inside
-    order = index[np.argsort(along[index], kind="stable")]
-    places = along[order]
-    ends = _ends_of_pieces(places, LINK)
-    largest = int(np.argmax(np.diff(ends)))
+    places = along[row, column]
+    order = np.lexsort((places, row))
+    row, column, places = row[order], column[order], places[order]
+    begins = np.r_[True, (row[1:] != row[:-1]) | (places[1:] - places[:-1] > LINK)]
+    if np.count_nonzero(begins) == np.count_nonzero(np.diff(row)) + 1:
+        return inside
+    piece = np.cumsum(begins) - 1
+    size, of = np.bincount(piece), row[begins]
+    # The first of the largest pieces of each row.
+    ranked = np.lexsort((-size, of))
+    largest = np.zeros(len(size), dtype=bool)
+    largest[ranked[np.r_[True, np.diff(of[ranked]) > 0]]] = True
     kept = np.zeros_like(inside)
-    kept[order[ends[largest] : ends[largest + 1]]] = True
+    taken = largest[piece]
+    kept[row[taken], column[taken]] = True
     return kept
+
+
+def _medians(values: Array, inside: BoolArray) -> Array:
+    """(G,) median of those values of each row (G, N) that are inside; one at least is."""
+    row, column = np.nonzero(inside)
+    ordered = values[row, column]
+    ordered = ordered[np.lexsort((ordered, row))]
+    count = np.count_nonzero(inside, axis=1)
+    first, half = np.cumsum(count) - count, count // 2
+    return np.asarray(ordered[first + half] + ordered[first + count - half - 1]) / 2.0
+
+
+def _principal_lines(xyz: Array, inside: BoolArray) -> tuple[Array, Array]:
+    """`principal_line` of those points (N, 3) that are inside, for each row (G, N) of them."""
+    row, column = np.nonzero(inside)
+    count = np.count_nonzero(inside, axis=1)
+    first, points = np.cumsum(count) - count, xyz[column]
+    centres = np.add.reduceat(points, first) / count[:, None]
+    offset = points - centres[row]
+    scatter = np.add.reduceat(offset[:, :, None] * offset[:, None, :], first)
+    return centres, np.linalg.eigh(scatter)[1][:, :, 2]
 
 
 def _ends_of_pieces(places: Array, gap: float) -> IntArray:
     """(P + 1,) where the pieces of sorted places begin that longer gaps part, and the last ends."""
     cuts = np.flatnonzero(places[1:] - places[:-1] > gap) + 1
     return np.concatenate([[0], cuts, [len(places)]])
-
-
-def _median(values: Array) -> float:
-    """Median of some values (N,), few, in a tenth of the time of np.median."""
-    ordered, half = np.sort(values), len(values) // 2
-    return float(ordered[half] + ordered[-half - 1]) / 2.0
 
 
 def _rings_hit(cloud: PointCloud, index: IntArray, along: Array) -> int:

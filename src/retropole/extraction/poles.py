@@ -52,6 +52,7 @@ from .lines import (
     Line,
     clusters,
     fit_line,
+    fit_lines,
     in_canonical_order,
     on_surface,
     propose_lines,
@@ -268,8 +269,8 @@ def _best_line(
     tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
     best: Line | None = None
     first: tuple[Line, Failure] | None = None
-    for point, direction in propose_lines(cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell):
-        line = fit_line(cloud, left, point, direction, radius, beams)
+    guesses = propose_lines(cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell)
+    for line in fit_lines(cloud, left, guesses, radius, beams):
         failure = shape_failure(cloud, line)
         if failure is None:
             # All that lies on it: a pole that something hides in part is two clusters.

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, Hypothesis, Match, PointCloud, Pole
+from ..base.datatypes import Array, Hypothesis, Match, PointCloud, Pole, kept
 from ..surfaces.registration import (
     MIN_CLOUD_POINTS,
     Surface,
@@ -37,6 +37,10 @@ ICP_REACH = 3.0
 """Source points farther from the target at the start take no part, metres. What is farther than the
 first of these distances and 2 m can only come into it where the pose moves by more than poles
 allow, and looking for the neighbours of such points is what takes the time of a registration."""
+
+ICP_STEPS, STEPS_AT_ONCE = 30, 5
+"""Steps of one registration, and after how many of them is asked whether it has moved too far: most
+that do have by the tenth."""
 
 MOST_REFINED = 4
 """So many hypotheses may settle, the best first: each takes three registrations. In those 12 scenes
@@ -72,19 +76,32 @@ def refine_by_icp(
     Refusal
         ``too_few_points`` where the target is too small to register.
     """
-    surface = prepare(target.xyz, SCORING_VOXEL)
-    tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
+    surface, tree = prepared(target)
+    points = voxel_downsample(source.xyz, SCORING_VOXEL)
     at = np.array([pole.point for pole in source_poles])
-    kept: list[Match] = []
+    found: list[Match] = []
     for k, match in enumerate(hypothesis.match for hypothesis in hypotheses):
         if match.exact and k < MOST_REFINED:
             T = registered(surface, tree, points, match.T_target_source)
             count = sum(len(source_poles[j].xyz) for _, j in match.pairs)
             if T is not None and rms_after(match, T, count) <= EXACT_RMS:
                 match = replace(match, T_target_source=T, icp_refined=True)
-        if not any(match.exact and other.exact and same_pose(match, other, at) for other in kept):
-            kept.append(match)
-    return kept
+        if not any(match.exact and other.exact and same_pose(match, other, at) for other in found):
+            found.append(match)
+    return found
+
+
+@kept
+def prepared(cloud: PointCloud) -> tuple[Surface, cKDTree]:
+    """Prepare a cloud as the target of registrations, with the tree of its points.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_points`` where it is too small to register.
+    """
+    surface = prepare(cloud.xyz, SCORING_VOXEL)
+    return surface, tree_of(surface.xyz)
 
 
 def registered(
@@ -107,7 +124,7 @@ def registered(
     T
         The start.
     near
-        How far each of the registrations may move `at` from the start; None lets it go anywhere.
+        How far the registrations may move `at` from the start; None lets them go anywhere.
     at
         (3,) a point of the source, metres; None takes its origin.
 
@@ -123,12 +140,23 @@ def registered(
         return None
     surface, inliers, start = surface_of(close), 0, T
     point = np.zeros((1, 3)) if at is None else at[None]
+    at_once = ICP_STEPS if near is None else STEPS_AT_ONCE
     for distance in ICP_DISTANCES:
-        end = register(target, surface, T, method="GICP", max_correspondence_distance=distance)
-        T, inliers = end.T_target_source, end.inliers
-        moved = se3.difference_at(T, start, point)
-        if near and (moved.rotation > near.rotation or moved.translation > near.translation):
-            return None
+        for _ in range(0, ICP_STEPS, at_once):
+            end = register(
+                target,
+                surface,
+                T,
+                method="GICP",
+                max_correspondence_distance=distance,
+                max_iterations=at_once,
+            )
+            T, inliers = end.T_target_source, end.inliers
+            moved = se3.difference_at(T, start, point)
+            if near and (moved.rotation > near.rotation or moved.translation > near.translation):
+                return None
+            if end.converged:
+                break
     return T if inliers >= MIN_CLOUD_POINTS else None
 
 

@@ -136,7 +136,8 @@ class _Search:
     ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
     and the choice that the search starts from keep alive. `known` has one of each LiDAR's poses
     that are the same, `numbers` which of them each is, and `reached` what the LiDARs counted when
-    their poses were last the same: whoever comes there with no more finds nothing new.
+    their poses were last the same: whoever comes there with no more finds nothing new. `still` has
+    the most that LiDARs without a pose can add.
     """
 
     pairs: dict[tuple[int, int], Pair]
@@ -149,6 +150,7 @@ class _Search:
     known: dict[int, Array] = field(default_factory=dict)
     numbers: dict[int, int] = field(default_factory=dict)
     reached: dict[frozenset[tuple[int, int]], float] = field(default_factory=dict)
+    still: dict[frozenset[int], float] = field(default_factory=dict)
     steps: int = 0
     best: float = -np.inf
     found: list[Choice] = field(default_factory=list)
@@ -252,8 +254,11 @@ class _Search:
 
     def _most(self, left: Sequence[int]) -> float:
         """Most that all that is left can still add."""
-        waiting = set(left)
-        return sum(self.most[pair] for pair in self.pairs if not waiting.isdisjoint(pair))
+        waiting = frozenset(left)
+        if waiting not in self.still:
+            touched = (pair for pair in self.pairs if not waiting.isdisjoint(pair))
+            self.still[waiting] = sum(self.most[pair] for pair in touched)
+        return self.still[waiting]
 
 
 def weight_of(pair: Pair, hypothesis: Hypothesis) -> float:

@@ -13,23 +13,24 @@ cross-correlation over the ground, summed over the heights. The best few settle 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from ..base import se3
-from ..base.datatypes import Array, Match, Placement, Pole, Scan
+from ..base.datatypes import Array, Match, Placement, PointCloud, Pole, Scan, kept
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import Standing, is_ground_on_ground
-from ..surfaces.registration import prepare, voxel_downsample
-from ..surfaces.visibility import SCORING_VOXEL, tree_of
+from ..surfaces.registration import voxel_downsample
+from ..surfaces.visibility import SCORING_VOXEL
 from .candidate_confirmation import FACING_SIDES
 from .correspondence import EXTENSION_RMS, extended, same_pose
-from .icp_refinement import registered
+from .icp_refinement import prepared, registered
 
 CELL_ABOUT_POLE, ANGLES = 0.5, 360
 """Depth and height of a cell, metres, and cells about the pole: 0.5 m wide at 30 m."""
@@ -107,22 +108,45 @@ def matches_about(
     if not peaks:
         return []
     least = {way[0].is_flipped: LOW * way[0].height for way in ways if way}
-    clouds = averaged(target.cloud), averaged(source.cloud)
-    surface = prepare(clouds[0].xyz, SCORING_VOXEL)
-    tree, points = tree_of(surface.xyz), voxel_downsample(clouds[1].xyz, SCORING_VOXEL)
+    settled = _settling(placement)
     at = np.array([pole.point for pole in source.poles])
     apart = FACING_SIDES * radius
     found: list[Match] = []
     for peak in peaks:
         is_low = peak.height < least[peak.is_flipped]
         pole = at[peak.pair[1]]
-        T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES, at=pole)
+        T = None if is_low else settled(peak.T, pole)
         match = None if T is None else match_under(target.poles, source.poles, T, apart)
         if match is None or peak.pair not in match.pairs or not match.exact:
             match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
         if not any(same_pose(match, other, at) for other in found):
             found.append(match)
     return found
+
+
+@kept
+def _ends(_: PointCloud) -> WeakKeyDictionary[PointCloud, dict[bytes, Array | None]]:
+    """Where registrations of each source with a target ended, by where they started."""
+    return WeakKeyDictionary()
+
+
+def _settling(placement: Placement) -> Callable[[Array, Array], Array | None]:
+    """Give what registers the scenes from a pose (4, 4), within `SETTLES` of a point (3,) of it.
+
+    Searches with other poles start at much the same poses, and each registers once.
+    """
+    target, source = (scan.cloud for scan in placement.scans)
+    surface, tree = prepared(averaged(target))
+    points = voxel_downsample(averaged(source).xyz, SCORING_VOXEL)
+    ends = _ends(target).setdefault(source, {})
+
+    def settled(T: Array, at: Array) -> Array | None:
+        start = T.tobytes() + at.tobytes()
+        if start not in ends:
+            ends[start] = registered(surface, tree, points, T, near=SETTLES, at=at)
+        return ends[start]
+
+    return settled
 
 
 def match_under(
@@ -274,16 +298,14 @@ def matches_from_above(
         In the order of how much of the place coincides: where the scenes and the poles lie on each
         other, `exact`; without any pair, and not `exact`, where they do not.
     """
-    target, source = (averaged(scan.cloud) for scan in placement.scans)
     poles = placement.target.poles, placement.source.poles
-    surface = prepare(target.xyz, SCORING_VOXEL)
-    tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
+    settled, origin = _settling(placement), np.zeros(3)
     found: list[tuple[float, Match]] = []
     for standing in product(*grounds):
         peaks = _ground_peaks(*standing)
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
-            T = None if is_low else registered(surface, tree, points, peak.T, near=SETTLES)
+            T = None if is_low else settled(peak.T, origin)
             match = _laid(peak.T)
             if T is not None and is_ground_on_ground(*standing, T):
                 # Where no pole lies on one it is compared with as it settled, at its best.
@@ -305,19 +327,31 @@ def _ground_peaks(target: Standing, source: Standing) -> list[GroundPeak]:
     """Find the rotations and shifts at which most cells coincide, the best first."""
     levels = _level(target), _level(source)
     above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
-    over = spread(fft.rfft2(_cells(above[0])), (CELLS, CELLS))
+    quarters = [_about_z(k * np.pi / 2) for k in range(4)]
+    # A quarter turn lays cells on cells: rather than the source, the target is turned back by it.
+    half = [
+        spread(fft.rfft2(_cells(above[0] @ quarter[:3, :3])), (CELLS, CELLS))
+        for quarter in quarters[:2]
+    ]
+    over = [*half, *np.conj(half)]
     found = []
-    for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
-        R = se3.exp_so3(np.array([0.0, 0.0, turn]))
-        cells = np.conj(fft.rfft2(_cells(above[1] @ R.T)))
-        total = fft.irfft2(np.einsum("hij,hij->ij", over, cells), s=(CELLS, CELLS))
-        for k in np.argpartition(total, -PER_TURN, axis=None)[-PER_TURN:]:
-            # Shifts of more than half of the cells are those the other way.
-            shift = (np.array(np.unravel_index(k, total.shape)) + CELLS // 2) % CELLS - CELLS // 2
-            T = se3.from_rt(R, np.r_[CELL * shift, 0.0])
-            found.append(GroundPeak(se3.inverse(levels[0]) @ T @ levels[1], float(total.flat[k])))
+    for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
+        R = _about_z(turn)
+        cells = np.conj(fft.rfft2(_cells(above[1] @ R[:3, :3].T)))
+        for quarter, other in zip(quarters, over, strict=True):
+            total = fft.irfft2((other * cells).sum(axis=0), s=(CELLS, CELLS))
+            for k in np.argpartition(total, -PER_TURN, axis=None)[-PER_TURN:]:
+                # Shifts of more than half of the cells are those the other way.
+                shift = (np.array(np.unravel_index(k, total.shape)) + CELLS // 2) % CELLS
+                step = se3.from_rt(np.eye(3), np.r_[CELL * (shift - CELLS // 2), 0.0])
+                T = se3.inverse(levels[0]) @ quarter @ step @ R @ levels[1]
+                found.append(GroundPeak(T, float(total.flat[k])))
     found.sort(key=lambda peak: -peak.height)
     return list(_apart(found))
+
+
+def _about_z(turn: float) -> Array:
+    return se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3))
 
 
 def _apart(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
