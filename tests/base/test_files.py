@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from retropole.base import files
-from retropole.base.errors import ReadError
+from retropole.base.errors import ReadError, UsageError
 from retropole.base.files import (
     LARGEST_DOCUMENT,
     RUNNING,
@@ -252,3 +252,16 @@ def test_what_is_no_file_is_said_and_not_opened(tmp_path: Path) -> None:
     for name, kind in (("pipe", "a named pipe"), ("null", "a device"), (".", "a folder")):
         with pytest.raises(ReadError, match=f"is {kind}, expected a file"):
             check_is_file(tmp_path / name)
+
+
+def test_a_stream_is_whole_or_not_there_and_needs_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a"
+    with files.stream_atomically(path) as file:
+        file.write(b"....end")
+        file.seek(0)
+        file.write(b"head")
+        assert not path.exists()
+    assert path.read_bytes() == b"headend"
+    assert [*path.parent.iterdir()] == [path]
+    with pytest.raises(UsageError, match="is no file"), files.stream_atomically(Path(os.devnull)):
+        pass

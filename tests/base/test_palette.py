@@ -11,4 +11,4 @@ def test_no_two_lidars_have_colours_that_are_alike() -> None:
     rgb = {name: np.array([int(name[k : k + 2], 16) for k in (1, 3, 5)]) for name in COLORS}
     assert GREEN not in COLORS
     for a, b in combinations(rgb.values(), 2):
-        assert np.abs(a - b).max() >= 60
+        assert np.abs(a - b).max() >= 40
