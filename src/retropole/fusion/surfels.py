@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import UsageError
+from ..base.quantities import counted
 from ..base.se3 import lengths
 from ..surfaces.consistency import ground_normal
 from ..surfaces.patches import MAX_FLATNESS, MIN_ACROSS, MIN_SPREAD
@@ -426,6 +427,6 @@ def in_words(found: Sequence[Distance], names: Sequence[str]) -> list[str]:
     for each in found:
         lines.setdefault(each.lidars, []).append(
             f"{each.kind} {1000 * each.median_m:.1f} mm apart ({1000 * each.median_signed_m:+.1f} "
-            f"signed; {each.surfels} surfels, {each.area_m2:.1f} m²)"
+            f"signed; {counted(each.surfels, 'surfel')}, {each.area_m2:.1f} m²)"
         )
     return [f"{names[i]}–{names[j]}: {', '.join(words)}" for (i, j), words in lines.items()]
