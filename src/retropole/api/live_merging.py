@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import TimeoutError, get_context
 from multiprocessing.pool import AsyncResult
 from pathlib import Path
 from statistics import median
@@ -59,6 +59,9 @@ CLOCK_SWEEPS = 20
 
 CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
 """Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
+
+LONGEST_CHECK = 300.0
+"""A check that takes longer has lost its process, s: one of ten LiDARs takes a tenth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,16 +322,16 @@ class LiveMerge:
             is_whole = all(len(frames) == CHECK_SWEEPS for frames in recent.values())
             if now >= self._due and len(recent) > 1 and is_whole:
                 self._work = self._pool.apply_async(self._check, (recent,))
-        elif self._work.ready():
-            self._due = now + self._every
+                self._due = now
+        elif self._work.ready() or now - self._due > LONGEST_CHECK:
             try:
-                self.moved, words = self._work.get()
-            except (RetropoleError, OSError) as error:
-                words = f"the check failed: {quoting(str(error))}"
+                self.moved, words = self._work.get(0.0)
+            except (RetropoleError, OSError, TimeoutError) as error:
+                words = f"the check failed: {quoting(str(error)) or 'it did not end'}"
+            self._work, self._due = None, now + self._every
             if words != self._about.get("", ""):
                 self._words.append(words)
                 self._about[""] = words
-            self._work = None
 
     def new_words(self) -> list[str]:
         """Give what is to be said since this was last called; each once for as long as it holds."""

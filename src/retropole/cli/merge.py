@@ -86,6 +86,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
 @click.option(
     "--frame",
     default="",
+    show_default=False,
     help="Frame of the coordinates: target, source, the name of a LiDAR, site or map.  [default: "
     "target; of a site map in .las and .laz where it has one, else site]",
 )
@@ -126,7 +127,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     metavar="NAME=SOURCE",
     callback=_named,
     help="A LiDAR that records now, by its name in the result; repeat it for each. Sources are "
-    "those of 'retropole watch'. Clouds are published until Ctrl-C.",
+    "those that 'retropole watch --help' lists. Clouds are published until Ctrl-C.",
 )
 @click.option(
     "--to-topic",
