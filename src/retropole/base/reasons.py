@@ -73,6 +73,8 @@ Code = Literal[
     "nowhere_seen",
     "not_linked",
     "pose_contradicted",
+    # level
+    "too_little_ground",
     # check
     "recordings_of_result",
     "carrier_moved",

@@ -1,0 +1,466 @@
+"""Roll, pitch and height of LiDARs over the ground, and their covariance.
+
+The plane of the ground is, by definition, the one that fits its surface best (least squares of the
+height, by area) within a disc about the foot of the LiDARs, and the surface is continued where
+none sees it: below a LiDAR there is always a blind cone. Heights z of the ground in cells, of each
+LiDAR its own, are one linear Gaussian model::
+
+    z = a + b x + c y + g(x, y) − D e − J δ + noise
+
+with the errors e of the LiDARs (`base.systematic`), those δ of their poses, and the shape g of the
+ground, a random field of Matérn's kind (ν = 3/2: it may have kinks, as the crown of a road). Its
+size and length and the noise of cells are averaged over by their likelihood. The plane of the disc
+is a linear function of a, b, c and g, so its mean and covariance are those of a regression (Rasmussen
+and Williams 2006, 2.7), with what g may be where nothing is seen.
+
+The poses are left as they were given, so that the LiDARs stay to each other as they were
+calibrated; the covariance is that of this estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.errors import Refusal
+from ..base.systematic import (
+    DEVICE_KINDS,
+    MIN_ERROR_SIGMA,
+    RING_KINDS,
+    band_of,
+    by_error,
+)
+from ..base.uncertainty import FLOOR_ROTATION, FLOOR_TRANSLATION
+from .surface import Ground, Level, Viewer, find_ground, level_axes, little
+
+DISC = 10.0
+"""Radius of the disc that the plane is for, metres: what most LiDARs on vehicles see of it is half."""
+
+CELLS = 10
+"""Cells to a radius of the disc."""
+
+MOST_CELLS, TRIED_CELLS = 900, 300
+"""Cells that are used, and those by which size and length of the shape are found."""
+
+LENGTHS = (0.15, 0.4, 1.0, 2.5)
+"""Lengths of the shape that are tried, as parts of the radius."""
+
+SHAPES = (0.0005, 0.002, 0.008, 0.03, 0.12)
+"""Its sizes, 1 σ in metres: of a hall's floor to a road with verges."""
+
+NOISES = (0.001, 0.003, 0.01)
+"""1 σ of the mean height of a cell, metres, beside the noise of ranges: of asphalt to grass."""
+
+RANGE_NOISE = 0.02
+"""1 σ of a range, metres, the most that manufacturers state."""
+
+PLANE_SIGMA = (1.0, 0.3, 0.3)
+"""1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
+
+MIN_WEIGHT = 0.01
+"""Sizes and lengths less likely than this part of the likeliest are left out."""
+
+MIN_AREA, MIN_SPREAD = 8.0, 0.5
+"""Least ground that must be seen, m², and its root mean square distance from a line, metres: that
+of a strip 1.7 m wide."""
+
+MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
+"""What is not known better, rad and m, is no answer."""
+
+JACOBIAN_STEP = 1e-6
+"""Of central differences, metres and rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Mean returns of the ground in cells, of each LiDAR its own.
+
+    Attributes
+    ----------
+    lidar
+        (n,) which LiDAR's.
+    at
+        (n, 3) in rough axes, metres.
+    variance
+        (n,) by the noise of ranges, m².
+    by_errors, by_poses
+        (n, E) and (n, 6 L) derivative of the heights by the errors of all LiDARs, and their poses.
+    errors
+        (E,) 1 σ of each error.
+    """
+
+    lidar: IntArray
+    at: Array
+    variance: Array
+    by_errors: Array
+    by_poses: Array
+    errors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LidarLevel:
+    """One LiDAR over the ground.
+
+    Attributes
+    ----------
+    name
+        What it is called.
+    T_ground_lidar
+        (4, 4) pose in the frame of the ground.
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the ground. What the definition of the frame
+        fixes has no variance.
+    roll, pitch, height
+        Of the rotation (`se3.rpy_from_rotation`), rad, and of its origin over the plane, metres.
+    roll_pitch_height
+        (3, 3) their covariance.
+    """
+
+    name: str
+    T_ground_lidar: Array
+    covariance: Array
+    roll: float
+    pitch: float
+    height: float
+    roll_pitch_height: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Leveled:
+    """The ground, and the LiDARs over it.
+
+    Attributes
+    ----------
+    T_ground_frame
+        (4, 4) from the frame that all were given in: z the normal of the ground, the origin at the
+        foot of the perpendicular from that frame's origin, x its x axis along the ground.
+    lidars
+        In their order.
+    plane, covariance
+        (3,) height, metres, and slopes of the plane against the rough axes; (3, 3).
+    radius, area, spread, others, ceiling
+        As in `surface.Ground`.
+    bend, bend_sigma
+        How far the ground's edge lies below its middle, along the direction in which it is bent
+        most, metres, within the disc; negative where it is hollow.
+    roughness
+        Root mean square of the cells about the plane, metres.
+    cells
+        (n, 3) in rough axes, and (n,) their heights over the plane, metres.
+    """
+
+    T_ground_frame: Array
+    lidars: tuple[LidarLevel, ...]
+    plane: Array
+    covariance: Array
+    radius: float
+    area: float
+    spread: float
+    others: tuple[Level, ...]
+    ceiling: float | None
+    bend: float
+    bend_sigma: float
+    roughness: float
+    cells: Array
+    residuals: Array
+
+
+def level(
+    viewers: Sequence[Viewer], poses: Array | None = None, radius: float = DISC
+) -> Leveled:
+    """Find roll, pitch and height of LiDARs over the ground.
+
+    Parameters
+    ----------
+    viewers
+        The LiDARs that see the ground, in one frame, in which each has its pose.
+    poses
+        (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame; None
+        where they are exact, as that of a single LiDAR.
+    radius
+        Of the disc that the plane is for, metres.
+
+    Raises
+    ------
+    Refusal
+        ``too_little_ground`` where less than `MIN_AREA` is seen, or a strip, or so far away that
+        nothing is known of the ground below.
+    """
+    count = 6 * len(viewers)
+    joint = np.zeros((count, count)) if poses is None else poses
+    ground = find_ground(viewers, radius)
+    if ground.area < MIN_AREA or ground.spread < MIN_SPREAD:
+        raise little(ground.area, ground.spread, ground.radius)
+    found = plane_of(cells_on(ground, viewers), joint, ground.radius)
+    plane, covariance = found.mean[:3], found.covariance
+    tilt, height = np.sqrt(np.diag(covariance)[1:3].max()), np.sqrt(covariance[0, 0])
+    if tilt > MAX_TILT_SIGMA or height > MAX_HEIGHT_SIGMA:
+        raise Refusal(
+            "too_little_ground",
+            f"the {ground.area:.0f} m² of ground that are seen leave its tilt open by "
+            f"± {np.degrees(tilt):.2g}° and its height by ± {height:.2g} m within "
+            f"{ground.radius:.0f} m (1 σ)",
+            {"area_m2": ground.area, "tilt_rad": float(tilt), "height_m": float(height)},
+        )
+    rough = ground.T_rough_frame
+    states = [np.r_[0:3, 3 + 6 * k : 9 + 6 * k] for k in range(len(viewers))]
+    lidars = tuple(
+        _over(plane, rough, viewer, covariance[np.ix_(own, own)])
+        for viewer, own in zip(viewers, states, strict=True)
+    )
+    off = found.at[:, 2] - plane[0] - found.at[:, :2] @ plane[1:]
+    return Leveled(
+        ground_frame(plane, rough),
+        lidars,
+        plane,
+        covariance[:3, :3],
+        *(ground.radius, ground.area, ground.spread, ground.others, ground.ceiling),
+        *_bend(found.mean[3:], found.shape, ground.radius),
+        float(np.sqrt(np.mean(off**2))),
+        found.at,
+        off,
+    )
+
+
+def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
+    """Average the returns on the ground in cells, with the derivatives of their heights."""
+    side = ground.radius / CELLS
+    up = ground.T_rough_frame[2, :3]
+    while True:
+        parts = [
+            _own_cells(viewer, index, ground.T_rough_frame, side)
+            for viewer, index in zip(viewers, ground.points, strict=True)
+        ]
+        if sum(len(part.means) for part in parts) <= MOST_CELLS:
+            break
+        side *= 1.2
+    blocks, sigmas, by_poses, at, variance = [], [], [], [], []
+    for k, (viewer, part) in enumerate(zip(viewers, parts, strict=True)):
+        by, sigma = _by_errors(viewer, part, viewer.T[:3, :3].T @ up)
+        blocks.append(by)
+        sigmas.append(sigma)
+        arm = part.means @ viewer.T[:3, :3].T
+        by_pose = np.zeros((len(arm), 6 * len(viewers)))
+        by_pose[:, 6 * k : 6 * k + 3] = -np.cross(arm, up)
+        by_pose[:, 6 * k + 3 : 6 * k + 6] = -up
+        by_poses.append(by_pose)
+        at.append(se3.apply(ground.T_rough_frame @ viewer.T, part.means))
+        steep = (part.means - viewer.cloud.origin) @ (viewer.T[:3, :3].T @ up)
+        steep /= np.maximum(se3.lengths(part.means - viewer.cloud.origin), 1e-9)
+        variance.append((RANGE_NOISE * steep) ** 2 / part.count)
+    table = np.zeros((sum(map(len, blocks)), sum(map(len, sigmas))))
+    row = column = 0
+    for block in blocks:
+        table[row : row + len(block), column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    lidar = np.repeat(np.arange(len(parts)), [len(part.means) for part in parts])
+    return Cells(
+        lidar,
+        np.concatenate(at),
+        np.concatenate(variance),
+        table,
+        np.concatenate(by_poses),
+        np.concatenate(sigmas),
+    )
+
+
+class _OwnCells(NamedTuple):
+    """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), bands (B,), and (n, B) shares."""
+
+    means: Array
+    count: Array
+    share: Array
+
+
+def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
+    xyz = viewer.cloud.xyz[index]
+    at = np.floor(se3.apply(rough @ viewer.T, xyz)[:, :2] / side).astype(np.int64)
+    _, cell = np.unique(at, axis=0, return_inverse=True)
+    cell, n = cell.ravel(), int(cell.max(initial=-1)) + 1
+    count = np.bincount(cell, minlength=n).astype(float)
+    means = np.stack([np.bincount(cell, c, minlength=n) for c in xyz.T], axis=1) / count[:, None]
+    rays = xyz - viewer.cloud.origin
+    rays /= np.maximum(se3.lengths(rays), 1e-9)[:, None]
+    bands, band = np.unique(band_of(rays, viewer.cloud.axis), return_inverse=True)
+    share = np.zeros((n, len(bands)))
+    np.add.at(share, (cell, band.ravel()), 1.0)
+    return _OwnCells(means, count, share / count[:, None])
+
+
+def _by_errors(viewer: Viewer, part: _OwnCells, up: Array) -> tuple[Array, Array]:
+    """Derivative (n, E) of measured heights by the errors of one LiDAR, and 1 σ (E,) of these."""
+    axis, toward = viewer.cloud.axis, part.means - viewer.cloud.origin
+    ranges = np.maximum(se3.lengths(toward), 1e-9)
+    rays = toward / ranges[:, None]
+    around = np.cross(axis, rays)
+    across = np.maximum(se3.lengths(around), 1e-9)
+    cosine = rays @ up
+    tangent = np.sqrt(1 - np.minimum(cosine**2, 1)) / np.maximum(np.abs(cosine), 1e-3)
+    device, ring = by_error(
+        cosine,
+        ranges * (around @ up),
+        ranges / across * (np.cross(rays, around) @ up),
+        *(rays, axis, ranges, tangent),
+        tape=False,
+    )
+    of_rings = (ring[:, :, None] * part.share[:, None, :]).reshape(len(ring), -1)
+    sigmas = [getattr(viewer.sizes, kind.field) for kind in DEVICE_KINDS]
+    for kind in RING_KINDS:
+        sigmas += [getattr(viewer.sizes, kind.field)] * part.share.shape[1]
+    # `by_error` is of the true point by the errors of the measured one.
+    return -np.concatenate([device, of_rings], axis=1), np.maximum(sigmas, MIN_ERROR_SIGMA)
+
+
+class Plane(NamedTuple):
+    """Posterior of the plane and the bend of the disc.
+
+    Attributes
+    ----------
+    mean
+        (6,) height, slopes in x and y, and the terms x², xy, y² of the shape.
+    covariance
+        (3 + 6 L, …) of the errors of the first three and of the poses as they were given.
+    shape
+        (3, 3) covariance of the last three.
+    at
+        (n, 3) the cells.
+    """
+
+    mean: Array
+    covariance: Array
+    shape: Array
+    at: Array
+
+
+def plane_of(cells: Cells, poses: Array, radius: float) -> Plane:
+    """Find the plane of the disc from the cells; `poses` (6 L, 6 L) as `level` takes it."""
+    x, y, z = cells.at.T
+    planes = np.stack([np.ones_like(x), x, y], axis=1)
+    scaled = np.c_[planes * PLANE_SIGMA, cells.by_errors * cells.errors]
+    known = scaled @ scaled.T + cells.by_poses @ poses @ cells.by_poses.T
+    order = np.random.default_rng(0).permutation(len(x))[:TRIED_CELLS]
+    grid = np.array(list(product(LENGTHS, SHAPES, NOISES)))
+    part = np.ix_(order, order)
+    fits = np.array(
+        [
+            _log_likelihood(z[order], S)
+            for S in _covariances(cells.at[order], known[part], cells.variance[order], grid, radius)
+        ]
+    )
+    weights = np.exp(fits - fits.max())
+    likely = weights > MIN_WEIGHT
+    grid, weights = grid[likely], weights[likely] / weights[likely].sum()
+    disc = _disc(radius)
+    over = _functionals(disc)
+    prior = np.zeros((6, 3))
+    prior[:3] = np.diag(np.square(PLANE_SIGMA))
+    means, inner, with_poses = [], [], []
+    for (length, size, _), S in zip(
+        grid, _covariances(cells.at, known, cells.variance, grid, radius), strict=True
+    ):
+        kernel = _matern(length * radius)
+        to_cells = prior @ planes.T + size**2 * over @ kernel(disc, cells.at[:, :2])
+        gain = cho_solve(cho_factor(S, lower=True, check_finite=False), to_cells.T).T
+        before = size**2 * over @ kernel(disc, disc) @ over.T
+        before[:3, :3] += prior[:3]
+        means.append(gain @ z)
+        inner.append(before - gain @ to_cells.T)
+        with_poses.append(-gain[:3] @ cells.by_poses @ poses)
+    mean = np.average(means, axis=0, weights=weights)
+    off = np.array(means) - mean
+    spread = np.average(inner, axis=0, weights=weights)
+    spread += np.einsum("k,ki,kj->ij", weights, off, off)
+    floor = np.array([FLOOR_TRANSLATION, FLOOR_ROTATION, FLOOR_ROTATION])
+    joint = np.average(with_poses, axis=0, weights=weights)
+    covariance = np.block([[spread[:3, :3] + np.diag(floor**2), joint], [joint.T, poses]])
+    return Plane(mean, (covariance + covariance.T) / 2, spread[3:, 3:], cells.at)
+
+
+def _covariances(at: Array, known: Array, variance: Array, grid: Array, radius: float):  # type: ignore[no-untyped-def]
+    """Yield the covariance (n, n) of the heights for each length, size and noise (K, 3)."""
+    shapes = {length: _matern(length * radius)(at[:, :2], at[:, :2]) for length in set(grid[:, 0])}
+    for length, size, noise in grid:
+        yield known + size**2 * shapes[length] + np.diag(variance + noise**2)
+
+
+def _log_likelihood(z: Array, S: Array) -> float:
+    lower = cho_factor(S, lower=True, check_finite=False)
+    return float(-z @ cho_solve(lower, z) / 2 - np.log(np.diag(lower[0])).sum())
+
+
+def _matern(length: float) -> Callable[[Array, Array], Array]:
+    """Correlation of the shape between points (N, 2) and (M, 2)."""
+
+    def correlation(a: Array, b: Array) -> Array:
+        apart = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1]) * (np.sqrt(3) / length)
+        return np.asarray((1 + apart) * np.exp(-apart))
+
+    return correlation
+
+
+def _disc(radius: float) -> Array:
+    """(D, 2) middles of the cells of the disc."""
+    steps = (np.arange(-CELLS, CELLS) + 0.5) * radius / CELLS
+    x, y = (each.ravel() for each in np.meshgrid(steps, steps, indexing="ij"))
+    return np.stack([x, y], axis=1)[np.hypot(x, y) < radius]
+
+
+def _functionals(disc: Array) -> Array:
+    """(6, D) the best plane's height and slopes, and the best paraboloid's x², xy and y²."""
+    x, y = disc.T
+    plane = np.stack([np.ones_like(x), x, y], axis=1)
+    bent = np.c_[plane, x * x, x * y, y * y]
+    return np.concatenate([np.linalg.pinv(plane), np.linalg.pinv(bent)[3:]])
+
+
+def _bend(terms: Array, covariance: Array, radius: float) -> tuple[float, float]:
+    """How far the edge of the disc lies below its middle, metres, where most, and 1 σ."""
+    values, vectors = np.linalg.eigh(np.array([[terms[0], terms[1] / 2], [terms[1] / 2, terms[2]]]))
+    v = vectors[:, np.argmax(np.abs(values))]
+    along = -(radius**2) * np.array([v[0] ** 2, v[0] * v[1], v[1] ** 2])
+    return float(along @ terms), float(np.sqrt(along @ covariance @ along))
+
+
+def ground_frame(plane: Array, T_rough_frame: Array) -> Array:
+    """(4, 4) frame of the ground from the frame of all, for a plane (3,) in rough axes."""
+    up = T_rough_frame[:3, :3].T @ np.array([-plane[1], -plane[2], 1.0])
+    up /= np.linalg.norm(up)
+    on = se3.apply(se3.inverse(T_rough_frame), np.array([[0.0, 0.0, plane[0]]]))[0]
+    R = level_axes(up)
+    return se3.from_rt(R, -R @ ((on @ up) * up))
+
+
+def _over(plane: Array, rough: Array, viewer: Viewer, covariance: Array) -> LidarLevel:
+    """Where a LiDAR is over a plane; the covariance (9, 9) is of the plane and its pose."""
+
+    def pose(state: Array) -> Array:
+        return ground_frame(plane + state[:3], rough) @ se3.retract(viewer.T, state[3:])
+
+    def angles(T: Array) -> Array:
+        return np.r_[se3.rpy_from_rotation(T[:3, :3])[:2], T[2, 3]]
+
+    T = pose(np.zeros(9))
+    moved = [(pose(step), pose(-step)) for step in JACOBIAN_STEP * np.eye(9)]
+    J = np.stack([se3.local(b, a) for a, b in moved], axis=1) / (2 * JACOBIAN_STEP)
+    own = np.stack([_turn(angles(a) - angles(b)) for a, b in moved], axis=1) / (2 * JACOBIAN_STEP)
+    whole = J @ covariance @ J.T
+    # Differences leave a rounding where the definition fixes the frame.
+    fixed = np.diag(whole) < 1e-18
+    whole[fixed] = whole[:, fixed] = 0.0
+    roll, pitch, height = angles(T)
+    return LidarLevel(
+        viewer.name, T, whole, float(roll), float(pitch), float(height), own @ covariance @ own.T
+    )
+
+
+def _turn(difference: Array) -> Array:
+    """Bring a difference of roll, pitch and height to the near side of the half turn."""
+    roll = (difference[0] + np.pi) % (2 * np.pi) - np.pi
+    return np.r_[roll, difference[1:]]
