@@ -75,6 +75,7 @@ Code = Literal[
     "pose_contradicted",
     # level
     "too_little_ground",
+    "two_grounds",
     # check
     "recordings_of_result",
     "carrier_moved",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -43,14 +44,36 @@ REACH = 2
 MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
 
+MIN_RETURNS = 3
+"""Fewer returns show no square of ground: one may lie on the face of a kerb."""
+
+EDGE, SIDE = 0.05, 3
+"""Where the ground on both sides of a square, so many squares of each, continues to heights there
+that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at 45°,
+a change of the slope by 10 %, 0.04 m."""
+
+APART, DIFFERENT = 4, 0.06
+"""Pieces that are within so many squares of each other are different levels where their heights
+there differ by more, metres, in the middle."""
+
 SAME_LEVEL = 0.06
 """A piece is of a level where the middle of its heights is so near its surface, metres."""
 
-BEND = 0.004
-"""1 σ of half the curvature of a level, 1/m, in each of three ways: camber of 4 % over 5 m."""
-
 MOST_LEVELS = 6
 """So many of the largest pieces are tried for a beginning of the ground."""
+
+KERB = 0.05, 0.5
+"""A level so much higher or lower, metres, may be the ground as well: a road beside a pavement."""
+
+KERB_AREA = 8.0
+"""… where so much of it is seen, m²."""
+
+UNSURE = 0.5
+"""… and it fills this part of the view that the ground fills, or the ground is not seen on all
+sides of the foot."""
+
+AROUND = 3.0
+"""A level that lies about the foot in one piece counts so many times: a road, not the pavements."""
 
 MIN_CLEAR = 0.1
 """LiDARs are at least so high above the ground, metres."""
@@ -116,7 +139,7 @@ class Ground:
     radius
         Of the disc that the plane is for, metres.
     area
-        Of the squares of ground that are seen within twice the radius, m².
+        Of the squares of ground that are seen in the disc, m².
     spread
         Least root mean square distance of these from a line through their middle, metres.
     others
@@ -134,7 +157,9 @@ class Ground:
     ceiling: float | None
 
 
-def find_ground(viewers: Sequence[Viewer], radius: float) -> Ground:
+def find_ground(
+    viewers: Sequence[Viewer], radius: float, axes: tuple[Array, float | None] | None = None
+) -> Ground:
     """Find the ground below LiDARs.
 
     Parameters
@@ -143,14 +168,18 @@ def find_ground(viewers: Sequence[Viewer], radius: float) -> Ground:
         The LiDARs, in one frame; their clouds are averages of sweeps (`averaged`).
     radius
         Of the disc below each that is of interest, metres.
+    axes
+        (4, 4) rough axes and the height of a ceiling, where they are known.
 
     Raises
     ------
     Refusal
-        ``too_little_ground`` where nothing level is seen below them.
+        ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two levels
+        are, and nothing tells which of them is below.
     """
     origins = np.stack([viewer.origin for viewer in viewers])
-    rough, ceiling = _rough_axes(viewers)
+    rough, ceiling = _rough_axes(viewers) if axes is None else axes
+    rough = rough.copy()
     feet = se3.apply(rough, origins)
     rough[:2, 3] -= feet[:, :2].mean(axis=0)
     feet = se3.apply(rough, origins)
@@ -161,23 +190,25 @@ def find_ground(viewers: Sequence[Viewer], radius: float) -> Ground:
     below = everything[:, 2] < feet[:, 2].min() - MIN_CLEAR
     if not below.any():
         raise little(0.0, 0.0, radius)
-    low, high, _, corner = cells_of(everything[below], CELL)
+    low, high, count, corner = cells_of(everything[below], CELL)
     with np.errstate(invalid="ignore"):
-        middle, flat = (low + high) / 2, high - low < FLAT
-    rows = np.stack(np.nonzero(flat), axis=1)
-    at = np.c_[corner + (rows + 0.5) * CELL, middle[flat]]
-    pieces = _pieces(flat, middle)
-    on, others = _levels(at, pieces, radius)
+        middle = np.where((high - low < FLAT) & (count >= MIN_RETURNS), (low + high) / 2, np.nan)
+    middle[_at_edges(middle)] = np.nan
+    rows = np.stack(np.nonzero(np.isfinite(middle)), axis=1)
+    at = np.c_[corner + (rows + 0.5) * CELL, middle[np.isfinite(middle)]]
+    on, others = _levels(at, middle, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
-    mask = np.zeros_like(flat)
+    mask = np.zeros(middle.shape, dtype=bool)
     mask[tuple(rows[on].T)] = True
     kept = tuple(
         k[_on_cells(p[k], mask, middle, corner)] for p, k in zip(points, near, strict=True)
     )
-    ground = at[on]
-    spread = np.sqrt(np.linalg.eigvalsh(np.atleast_2d(np.cov(ground[:, :2].T)))[0])
-    area = float(np.count_nonzero(on)) * CELL**2
+    ground = at[on & (np.hypot(at[:, 0], at[:, 1]) < radius)]
+    spread = 0.0
+    if len(ground) > 1:
+        spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
+    area = len(ground) * CELL**2
     return Ground(rough, kept, radius, area, float(spread), others, ceiling)
 
 
@@ -185,7 +216,7 @@ def little(area: float, spread: float, radius: float) -> Refusal:
     """Say that too little ground is seen: m², metres."""
     return Refusal(
         "too_little_ground",
-        f"{area:.1f} m² of ground are seen within {2 * radius:.0f} m, {spread:.1f} m wide (root "
+        f"{area:.1f} m² of ground are seen within {radius:.0f} m, {spread:.1f} m wide (root "
         "mean square across the narrowest direction)",
         {"area_m2": area, "spread_m": spread, "radius_m": radius},
     )
@@ -255,65 +286,155 @@ def cells_of(points: Array, side: float) -> tuple[Array, Array, IntArray, Array]
     return low, high, counts, corner
 
 
-def _pieces(flat: BoolArray, middle: Array) -> IntArray:
-    """Number of the piece that each flat cell is of, in the order of `np.nonzero`."""
-    number = np.full(flat.shape, -1)
-    number[flat] = np.arange(np.count_nonzero(flat))
-    steps = [
-        (i, j) for i in range(REACH + 1) for j in range(-REACH, REACH + 1) if i > 0 or j > 0
-    ]
-    links = []
-    for i, j in steps:
-        n, m = flat.shape
-        a = (slice(0, max(n - i, 0)), slice(max(-j, 0), m - max(j, 0)))
-        b = (slice(i, n), slice(max(j, 0), m - max(-j, 0)))
-        limit = STEP + SLOPE * CELL * np.hypot(i, j)
+def _shifted(grid: Array, i: int, j: int) -> Array:
+    """(n, m) for each cell what is i and j cells on; NaN outside."""
+    n, m = grid.shape
+    out = np.full_like(grid, np.nan)
+    if abs(i) < n and abs(j) < m:
+        rows, columns = slice(max(-i, 0), n - max(i, 0)), slice(max(-j, 0), m - max(j, 0))
+        out[rows, columns] = grid[max(i, 0) : n + min(i, 0), max(j, 0) : m + min(j, 0)]
+    return out
+
+
+def _at_edges(heights: Array) -> BoolArray:
+    """(n, m) at which cells the ground on both sides does not continue to the same height."""
+    edge = np.zeros(heights.shape, dtype=bool)
+    for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
+
+        def beside(k: int, i: int = i, j: int = j) -> Array:
+            three = np.stack(
+                [_shifted(heights, k * i - across * j, k * j + across * i) for across in (-1, 0, 1)]
+            )
+            known = np.isfinite(three)
+            total = np.where(known, three, 0.0).sum(axis=0)
+            return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+
+        far = SIDE if i * j == 0 else SIDE - 1
+        ahead = np.stack([beside(k) for k in range(1, far + 1)])
+        behind = np.stack([beside(-k) for k in range(1, far + 1)])
+        slope = (ahead[-1] - ahead[0] + behind[0] - behind[-1]) / (2 * (far - 1))
+        step = ahead.mean(axis=0) - behind.mean(axis=0) - slope * (far + 1)
         with np.errstate(invalid="ignore"):
-            near = flat[a] & flat[b] & (np.abs(middle[a] - middle[b]) < limit)
-        links.append(np.stack([number[a][near], number[b][near]]))
-    pairs, count = np.concatenate(links, axis=1), int(np.count_nonzero(flat))
-    graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(count, count))
+            edge |= np.abs(step) > EDGE
+    return edge
+
+
+def _pairs(heights: Array, reach: int) -> tuple[IntArray, IntArray, Array]:
+    """Numbers of the two cells (K,) of each pair within a reach, and their distance, cells.
+
+    Cells with a height are numbered in the order of `np.nonzero`.
+    """
+    number = np.full(heights.shape, np.nan)
+    known = np.isfinite(heights)
+    number[known] = np.arange(np.count_nonzero(known))
+    steps = [(i, j) for i in range(reach + 1) for j in range(-reach, reach + 1) if i or j > 0]
+    first, second, apart = [], [], []
+    for i, j in steps:
+        there = _shifted(number, i, j)
+        both = known & np.isfinite(there)
+        first.append(number[both].astype(np.int64))
+        second.append(there[both].astype(np.int64))
+        apart.append(np.full(len(first[-1]), np.hypot(i, j)))
+    return np.concatenate(first), np.concatenate(second), np.concatenate(apart)
+
+
+def _pieces(heights: Array) -> IntArray:
+    """Number of the piece that each cell with a height is of, in the order of `np.nonzero`."""
+    z = heights[np.isfinite(heights)]
+    a, b, apart = _pairs(heights, REACH)
+    linked = np.abs(z[a] - z[b]) < STEP + SLOPE * CELL * apart
+    links = np.ones(np.count_nonzero(linked)), (a[linked], b[linked])
+    graph = coo_matrix(links, shape=(len(z), len(z)))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _levels(at: Array, pieces: IntArray, radius: float) -> tuple[BoolArray, tuple[Level, ...]]:
-    """Which flat cells (N, 3) are ground, and the levels beside it."""
+def _conflicts(heights: Array, pieces: IntArray) -> BoolArray:
+    """(P, P) which pieces are beside each other with a step between them."""
+    z = heights[np.isfinite(heights)]
+    a, b, _ = _pairs(heights, APART)
+    differ = pieces[a] != pieces[b]
+    one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
+    count = int(pieces.max(initial=-1)) + 1
+    key, off = one * count + other, np.abs(z[a] - z[b])[differ]
+    order = np.lexsort((off, key))
+    found, first, size = np.unique(key[order], return_index=True, return_counts=True)
+    table = np.zeros((count, count), dtype=bool)
+    stepped = found[off[order][first + size // 2] > DIFFERENT]
+    table[stepped // count, stepped % count] = True
+    return table | table.T
+
+
+class _Grown(NamedTuple):
+    """A level: which cells (N,) are of it, its heights everywhere, and how much view it fills."""
+
+    on: BoolArray
+    heights: Array
+    weight: float
+
+
+def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[Level, ...]]:
+    """Which cells (N, 3) are ground, and the levels beside it, from their heights in a grid."""
+    pieces = _pieces(heights)
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
     heavy = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
-    best, total, surface = np.zeros(len(at), dtype=bool), 0.0, np.zeros(len(at))
+    conflicts, found = _conflicts(heights, pieces), list[_Grown]()
     for begin in np.argsort(-heavy)[:MOST_LEVELS]:
-        if not heavy[begin]:
-            break
-        on, heights = _grown(at, pieces, int(begin), size)
-        if weight[on].sum() > total:
-            best, total, surface = on, weight[on].sum(), heights
-    rest = np.flatnonzero(~best & (size[pieces] >= MIN_PIECE))
-    off = at[rest, 2] - surface[rest]
-    # Of what is a step high or a few: what stands there has tops of all heights.
+        if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
+            continue
+        on, surface = _grown(at, pieces, int(begin), heavy, conflicts)
+        around = _is_around(at[pieces == begin, :2])
+        found.append(_Grown(on, surface, weight[on].sum() * (AROUND if around else 1.0)))
+    if not found:
+        return np.zeros(len(at), dtype=bool), ()
+    found.sort(key=lambda level: -level.weight)
+    best = found[0]
     others = []
-    for number in np.unique(pieces[rest]):
-        own = pieces[rest] == number
-        others.append(Level(float(np.median(off[own])), float(np.count_nonzero(own)) * CELL**2))
-    return best, tuple(sorted(others, key=lambda level: -level.area))
+    for level in found[1:]:
+        own = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
+        height = float(np.median(at[own, 2] - best.heights[own]))
+        others.append(Level(height, float(np.count_nonzero(own)) * CELL**2))
+    certain = _is_around(at[best.on, :2])
+    for level, other in zip(found[1:], others, strict=True):
+        is_as_large = level.weight > UNSURE * best.weight
+        if KERB[0] < abs(other.height) < KERB[1] and other.area >= KERB_AREA:
+            if certain and not is_as_large:
+                continue
+            raise Refusal(
+                "two_grounds",
+                f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
+                f"{other.area:.0f} m²: which of them is below the LiDARs is not seen",
+                {"height_m": other.height, "area_m2": other.area},
+            )
+    return best.on, tuple(sorted(others, key=lambda level: -level.area))
 
 
-def _grown(at: Array, pieces: IntArray, begin: int, size: IntArray) -> tuple[BoolArray, Array]:
+def _is_around(at: Array) -> bool:
+    """Whether places (N, 2) lie on all sides of the middle: no gap of half a turn between them."""
+    bearings = np.sort(np.arctan2(at[:, 1], at[:, 0]))
+    gaps = np.diff(np.r_[bearings, bearings[:1] + 2 * np.pi])
+    return bool(gaps.max(initial=0.0) < np.pi)
+
+
+def _grown(
+    at: Array, pieces: IntArray, begin: int, heavy: Array, conflicts: BoolArray
+) -> tuple[BoolArray, Array]:
     """Which cells are of the level that a piece is of, and its heights everywhere."""
     x, y, z = at.T
     table = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    prior = FLAT / np.array([1e3, 1e3, 1e3, BEND, BEND, BEND])
-    on = pieces == begin
-    for _ in range(3):
+    ridge = np.diag([1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+    taken, on = [begin], pieces == begin
+    for number in [int(k) for k in np.argsort(-heavy) if heavy[k] and k != begin]:
+        if conflicts[number, taken].any():
+            continue
         rows = table[on]
-        fit = np.linalg.solve(rows.T @ rows + np.diag(prior**2), rows.T @ z[on])
-        off = z - table @ fit
-        order = np.lexsort((off, pieces))
-        first = np.searchsorted(pieces[order], np.arange(len(size)))
-        median = off[order][first + size // 2]
-        own = (np.abs(median) < SAME_LEVEL) & (size >= MIN_PIECE)
-        own[begin] = True
-        on = own[pieces]
+        fit = np.linalg.solve(rows.T @ rows + ridge, rows.T @ z[on])
+        own = pieces == number
+        if abs(np.median(z[own] - table[own] @ fit)) < SAME_LEVEL:
+            taken.append(number)
+            on = on | own
+    rows = table[on]
+    fit = np.linalg.solve(rows.T @ rows + ridge, rows.T @ z[on])
     return on, table @ fit
 
 
