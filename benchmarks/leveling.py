@@ -33,7 +33,7 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.base.systematic import sizes_of
-from retropole.ground.level import DISC, level
+from retropole.ground.level import level
 from retropole.ground.surface import viewer_of
 from retropole.simulation import FIELD, Rectangle, Surface, draw_device, scan
 from retropole.simulation.scenes import (
@@ -152,7 +152,7 @@ def truth(normal: Array, point: Array, T_world_lidar: Array, x: Array) -> Array:
     return np.array([roll, pitch, (T_world_lidar[:3, 3] - point) @ normal])
 
 
-def run(seed: int, disc: float) -> Found:
+def run(seed: int, disc: float | None) -> Found:
     """Draw a place by a seed, and level its LiDARs."""
     rng = np.random.default_rng(seed)
     kind = list(KINDS)[seed % len(KINDS)]
@@ -234,7 +234,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="0:200")
-    parser.add_argument("--disc-m", type=float, default=DISC)
+    parser.add_argument("--disc-m", type=float)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--show", action="store_true", help="those outside, and refusals")
     given = parser.parse_args()

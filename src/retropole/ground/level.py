@@ -58,8 +58,9 @@ SHAPES = (0.0005, 0.002, 0.008, 0.03, 0.12)
 NOISES = (0.001, 0.003, 0.01)
 """1 σ of the mean height of a cell, metres, beside the noise of ranges: of asphalt to grass."""
 
-RANGE_NOISE = 0.02
-"""1 σ of a range, metres, the most that manufacturers state."""
+LEAST_FALL = 0.02
+"""Beams fall by this part of their length at least, where they are counted by where they meet the
+plane: farther away the ground may rise to meet them."""
 
 PLANE_SIGMA = (1.0, 0.3, 0.3)
 """1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
@@ -67,9 +68,13 @@ PLANE_SIGMA = (1.0, 0.3, 0.3)
 MIN_WEIGHT = 0.01
 """Sizes and lengths less likely than this part of the likeliest are left out."""
 
-MIN_AREA, MIN_SPREAD = 8.0, 0.5
-"""Least ground that must be seen, m², and its root mean square distance from a line, metres: that
-of a strip 1.7 m wide."""
+MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.15
+"""Least ground that must be seen in the disc, m², and its root mean square distance from a line, in
+metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
+
+WIDER = (1.0, 1.5, 2.25, 3.4)
+"""Where too little of the disc is seen, discs so many times as large are taken: from a mast 6 m high
+a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
 """What is not known better, rad and m, is no answer."""
@@ -177,7 +182,7 @@ class Leveled:
 
 
 def level(
-    viewers: Sequence[Viewer], poses: Array | None = None, radius: float = DISC
+    viewers: Sequence[Viewer], poses: Array | None = None, radius: float | None = None
 ) -> Leveled:
     """Find roll, pitch and height of LiDARs over the ground.
 
@@ -189,20 +194,18 @@ def level(
         (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame; None
         where they are exact, as that of a single LiDAR.
     radius
-        Of the disc that the plane is for, metres.
+        Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
 
     Raises
     ------
     Refusal
         ``too_little_ground`` where less than `MIN_AREA` is seen, or a strip, or so far away that
-        nothing is known of the ground below.
+        nothing is known of the ground below; ``two_grounds`` as `find_ground`.
     """
     count = 6 * len(viewers)
     joint = np.zeros((count, count)) if poses is None else poses
-    ground = find_ground(viewers, radius)
+    ground, radius = _enough(viewers, [DISC * k for k in WIDER] if radius is None else [radius])
     for left in reversed(range(ROUNDS)):
-        if ground.area < MIN_AREA or ground.spread < MIN_SPREAD:
-            raise little(ground.area, ground.spread, ground.radius)
         found = plane_of(cells_on(ground, viewers), joint, ground.radius)
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
@@ -239,6 +242,24 @@ def level(
     )
 
 
+def _enough(viewers: Sequence[Viewer], radii: Sequence[float]) -> tuple[Ground, float]:
+    """Take the first disc of which enough is seen, and its radius as given, metres."""
+    refusal = None
+    for radius in radii:
+        try:
+            ground = find_ground(viewers, radius)
+        except Refusal as refused:
+            if refused.code != "too_little_ground":
+                raise
+            refusal = refusal or refused
+            continue
+        if ground.area >= MIN_AREA and ground.spread >= max(MIN_SPREAD, MIN_PART * ground.radius):
+            return ground, radius
+        refusal = refusal or little(ground.area, ground.spread, ground.radius)
+    assert refusal is not None
+    raise refusal
+
+
 def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
     """Average the returns on the ground in cells, with the derivatives of their heights."""
     side = ground.radius / CELLS
@@ -262,9 +283,11 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
         by_pose[:, 6 * k + 3 : 6 * k + 6] = -up
         by_poses.append(by_pose)
         at.append(se3.apply(ground.T_rough_frame @ viewer.T, part.means))
-        steep = (part.means - viewer.cloud.origin) @ (viewer.T[:3, :3].T @ up)
-        steep /= np.maximum(se3.lengths(part.means - viewer.cloud.origin), 1e-9)
-        variance.append((RANGE_NOISE * steep) ** 2 / part.count)
+        # Returns scatter by the range, as their beams do, and as they are dimmer.
+        square = np.sum((part.means - viewer.cloud.origin) ** 2, axis=1)
+        share = np.average(part.scatter, weights=part.count) if len(square) else 0.0
+        share /= max(np.average(square, weights=part.count) if len(square) else 1.0, 1e-9)
+        variance.append(share * square / part.count)
     table = np.zeros((sum(map(len, blocks)), sum(map(len, sigmas))))
     row = column = 0
     for block in blocks:
@@ -282,16 +305,23 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
 
 
 class _OwnCells(NamedTuple):
-    """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), bands (B,), and (n, B) shares."""
+    """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), the mean square of their heights
+    about the mean (n,), m², and (n, B) shares of the bands."""
 
     means: Array
     count: Array
+    scatter: Array
     share: Array
 
 
 def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
     xyz = viewer.cloud.xyz[index]
-    at = np.floor(se3.apply(rough @ viewer.T, xyz)[:, :2] / side).astype(np.int64)
+    # By where the beams meet the plane: by the points, noise would choose the cell.
+    T = rough @ viewer.T
+    start, beams = se3.apply(T, viewer.cloud.origin[None])[0], (xyz - viewer.cloud.origin) @ T[:3, :3].T
+    fall = np.minimum(beams[:, 2], -LEAST_FALL * se3.lengths(beams))
+    met = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
+    at = np.floor(met / side).astype(np.int64)
     _, cell = np.unique(at, axis=0, return_inverse=True)
     cell, n = cell.ravel(), int(cell.max(initial=-1)) + 1
     count = np.bincount(cell, minlength=n).astype(float)
@@ -301,7 +331,9 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     bands, band = np.unique(band_of(rays, viewer.cloud.axis), return_inverse=True)
     share = np.zeros((n, len(bands)))
     np.add.at(share, (cell, band.ravel()), 1.0)
-    return _OwnCells(means, count, share / count[:, None])
+    off = (xyz - means[cell]) @ T[2, :3]
+    scatter = np.bincount(cell, off**2, minlength=n) / count
+    return _OwnCells(means, count, scatter, share / count[:, None])
 
 
 def _by_errors(viewer: Viewer, part: _OwnCells, up: Array) -> tuple[Array, Array]:
@@ -357,7 +389,7 @@ def plane_of(cells: Cells, poses: Array, radius: float) -> Plane:
     scaled = np.c_[planes * PLANE_SIGMA, cells.by_errors * cells.errors]
     known = scaled @ scaled.T + cells.by_poses @ poses @ cells.by_poses.T
     # The shape of the ground near the foot is that of what is hidden below.
-    order = np.argsort(np.hypot(x, y), kind="stable")[:TRIED_CELLS]
+    order = np.random.default_rng(0).permutation(len(x))[:TRIED_CELLS]
     grid = np.array(list(product(LENGTHS, SHAPES, NOISES)))
     part = np.ix_(order, order)
     fits = np.array(

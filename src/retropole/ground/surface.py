@@ -59,6 +59,13 @@ there differ by more, metres, in the middle."""
 SAME_LEVEL = 0.06
 """A piece is of a level where the middle of its heights is so near its surface, metres."""
 
+RIDGE = 10.0
+"""Weight with which a level is held parallel to the rough axes, cells times m²."""
+
+PARTED, PARTING_ROUNDS = 0.2, 20
+"""Two levels are told apart in one piece where both together are this thin, root mean square, as a
+part of the step between them; and rounds of parting it."""
+
 MOST_LEVELS = 6
 """So many of the largest pieces are tried for a beginning of the ground."""
 
@@ -199,11 +206,8 @@ def find_ground(
     on, others = _levels(at, middle, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
-    mask = np.zeros(middle.shape, dtype=bool)
-    mask[tuple(rows[on].T)] = True
-    kept = tuple(
-        k[_on_cells(p[k], mask, middle, corner)] for p, k in zip(points, near, strict=True)
-    )
+    middle[tuple(rows[~on].T)] = np.nan
+    kept = tuple(k[_on_cells(p[k], middle, corner)] for p, k in zip(points, near, strict=True))
     ground = at[on & (np.hypot(at[:, 0], at[:, 1]) < radius)]
     spread = 0.0
     if len(ground) > 1:
@@ -365,16 +369,21 @@ def _conflicts(heights: Array, pieces: IntArray) -> BoolArray:
 
 
 class _Grown(NamedTuple):
-    """A level: which cells (N,) are of it, its heights everywhere, and how much view it fills."""
+    """A level: its cells (N,), its heights everywhere, how much view it fills, and whether it is on
+    all sides of the foot."""
 
     on: BoolArray
     heights: Array
     weight: float
+    is_around: bool
 
 
 def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[Level, ...]]:
     """Which cells (N, 3) are ground, and the levels beside it, from their heights in a grid."""
     pieces = _pieces(heights)
+    for number in np.flatnonzero(np.bincount(pieces, minlength=1) > 2 * KERB_AREA / CELL**2):
+        own = np.flatnonzero(pieces == number)
+        pieces[own[_parted(at[own])]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
     heavy = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
@@ -383,23 +392,19 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
         if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
             continue
         on, surface = _grown(at, pieces, int(begin), heavy, conflicts)
-        around = _is_around(at[pieces == begin, :2])
-        found.append(_Grown(on, surface, weight[on].sum() * (AROUND if around else 1.0)))
+        found.append(_Grown(on, surface, weight[on].sum(), _is_around(at[on, :2])))
     if not found:
         return np.zeros(len(at), dtype=bool), ()
-    found.sort(key=lambda level: -level.weight)
+    found.sort(key=lambda level: -level.weight * (AROUND if level.is_around else 1.0))
     best = found[0]
     others = []
     for level in found[1:]:
         own = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
         height = float(np.median(at[own, 2] - best.heights[own]))
         others.append(Level(height, float(np.count_nonzero(own)) * CELL**2))
-    certain = _is_around(at[best.on, :2])
     for level, other in zip(found[1:], others, strict=True):
-        is_as_large = level.weight > UNSURE * best.weight
-        if KERB[0] < abs(other.height) < KERB[1] and other.area >= KERB_AREA:
-            if certain and not is_as_large:
-                continue
+        doubtful = not best.is_around or level.is_around or level.weight > UNSURE * best.weight
+        if KERB[0] < abs(other.height) < KERB[1] and other.area >= KERB_AREA and doubtful:
             raise Refusal(
                 "two_grounds",
                 f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
@@ -420,31 +425,59 @@ def _grown(
     at: Array, pieces: IntArray, begin: int, heavy: Array, conflicts: BoolArray
 ) -> tuple[BoolArray, Array]:
     """Which cells are of the level that a piece is of, and its heights everywhere."""
-    x, y, z = at.T
-    table = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    ridge = np.diag([1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+    table = np.c_[np.ones(len(at)), at[:, :2]]
     taken, on = [begin], pieces == begin
+
+    def surface() -> Array:
+        rows = table[on]
+        ridge = np.diag([1e-6, RIDGE, RIDGE])
+        return np.asarray(table @ np.linalg.solve(rows.T @ rows + ridge, rows.T @ at[on, 2]))
+
     for number in [int(k) for k in np.argsort(-heavy) if heavy[k] and k != begin]:
+        own = pieces == number
         if conflicts[number, taken].any():
             continue
-        rows = table[on]
-        fit = np.linalg.solve(rows.T @ rows + ridge, rows.T @ z[on])
-        own = pieces == number
-        if abs(np.median(z[own] - table[own] @ fit)) < SAME_LEVEL:
+        if abs(np.median(at[own, 2] - surface()[own])) < SAME_LEVEL:
             taken.append(number)
             on = on | own
-    rows = table[on]
-    fit = np.linalg.solve(rows.T @ rows + ridge, rows.T @ z[on])
-    return on, table @ fit
+    return on, surface()
 
 
-def _on_cells(points: Array, mask: BoolArray, middle: Array, corner: Array) -> BoolArray:
-    """Which points (N, 3) lie in cells of ground, near its height there."""
+def _parted(at: Array) -> BoolArray:
+    """Which cells (N, 3) are the upper of two parallel levels; none where they are not two.
+
+    Where rings are far apart, one that climbs along the face of a kerb links road and pavement.
+    """
+    table, upper = np.c_[np.ones(len(at)), at[:, :2]], at[:, 2] > np.median(at[:, 2])
+    if len(at) < 2 * KERB_AREA / CELL**2:
+        return np.zeros(len(at), dtype=bool)
+    for _ in range(PARTING_ROUNDS):
+        fit = np.linalg.lstsq(np.c_[table, upper], at[:, 2], rcond=None)[0]
+        over = at[:, 2] - table @ fit[:3]
+        found = np.abs(over - fit[3]) < np.abs(over)
+        if (found == upper).all():
+            break
+        upper = found
+    thick = np.sqrt(np.mean((over - fit[3] * upper) ** 2))
+    if abs(fit[3]) < SAME_LEVEL or thick > PARTED * abs(fit[3]) or not 0.1 < upper.mean() < 0.9:
+        return np.zeros(len(at), dtype=bool)
+    return upper
+
+
+def _on_cells(points: Array, heights: Array, corner: Array) -> BoolArray:
+    """Which points (N, 3) lie on ground of heights (n, m), or beside a cell of it, near its height.
+
+    Noise along the beams puts returns into the next cell: without them the others would be biased.
+    """
+    near = np.stack([_shifted(heights, i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    known = np.isfinite(near)
+    total = np.where(known, near, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    wide = np.where(np.isfinite(heights), heights, np.where(known.any(axis=0), total, np.nan))
     at = np.floor((points[:, :2] - corner) / CELL).astype(np.int64)
-    inside = np.all((at >= 0) & (at < mask.shape), axis=1)
+    inside = np.all((at >= 0) & (at < wide.shape), axis=1)
     on = np.zeros(len(points), dtype=bool)
-    i, j = at[inside].T
-    on[inside] = mask[i, j] & (np.abs(points[inside, 2] - middle[i, j]) < FLAT)
+    with np.errstate(invalid="ignore"):
+        on[inside] = np.abs(points[inside, 2] - wide[tuple(at[inside].T)]) < FLAT
     return on
 
 
