@@ -122,15 +122,21 @@ def heights(surfaces: Sequence[Surface], at: Array) -> Array:
     return found
 
 
-def true_plane(surfaces: Sequence[Surface], origin: Array, radius: float) -> tuple[Array, Array]:
-    """Normal (3,) and a point (3,) of the plane that fits the ground best about the foot."""
+def true_plane(
+    surfaces: Sequence[Surface], origin: Array, radius: float, lidar: Array | None = None
+) -> tuple[Array, Array]:
+    """Normal (3,) and a point (3,) of the plane that fits the ground best about a foot.
+
+    Of two levels it is that below the LiDAR.
+    """
+    lidar = origin if lidar is None else lidar
     steps = (np.arange(-60, 60) + 0.5) * radius / 60
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     disc = np.stack([x, y], axis=1)[np.hypot(x, y) < radius]
     foot, normal = origin[:2], np.array([0.0, 0.0, 1.0])
     for _ in range(3):
         z = heights(surfaces, foot + disc)
-        below = heights(surfaces, foot[None])[0]
+        below = heights(surfaces, lidar[None, :2])[0]
         own = np.isfinite(z)
         if np.unique(np.round(z[own], 6)).size == 2:
             # Level ground on two levels, as at a kerb.
@@ -199,8 +205,13 @@ def run(seed: int, disc: float | None) -> Found:
     except Refusal as refusal:
         found.refused = refusal.message
         return found
+    # About the foot of the LiDARs, or about what is seen where that is on one side alone.
     origin = np.mean([T[:3, 3] for T in poses], axis=0)
-    normal, point = true_plane(place.surfaces, origin, answer.radius)
+    about_foot = np.linalg.norm(answer.centre) == 0
+    middle = se3.apply(poses[0], answer.middle[None])[0]
+    normal, point = true_plane(
+        place.surfaces, origin if about_foot else middle, answer.radius, origin
+    )
     for own, T in zip(answer.lidars, poses, strict=True):
         off = np.array([own.roll, own.pitch, own.height])
         off -= truth(normal, point, T, poses[0][:3, 0])
@@ -235,10 +246,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="0:200")
     parser.add_argument("--disc-m", type=float)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--show", action="store_true", help="those outside, and refusals")
     given = parser.parse_args()
-    seeds = range(*map(int, given.seeds.split(":")))
+    seeds = [
+        seed
+        for seed in range(*map(int, given.seeds.split(":")))
+        if list(KINDS)[seed % len(KINDS)] in given.kinds
+    ]
     with (
         threadpool_limits(1),
         ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool,

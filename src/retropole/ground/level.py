@@ -8,8 +8,10 @@ LiDAR its own, are one linear Gaussian model::
     z = a + b x + c y + g(x, y) − D e − J δ + noise
 
 with the errors e of the LiDARs (`base.systematic`), those δ of their poses, and the shape g of the
-ground, a random field of Matérn's kind (ν = 3/2: it may have kinks, as the crown of a road). Its
-size and length and the noise of cells are averaged over by their likelihood. The plane of the disc
+ground: a profile that is the same all along a road, and what differs from place to place. Both are
+random fields of Matérn's kind (ν = 3/2: they may have kinks, as the crown of a road). Sizes and
+lengths, the direction of the road and the noise of cells are found, and averaged over, by their
+likelihood. The plane of the disc
 is a linear function of a, b, c and g, so its mean and covariance are those of a regression (Rasmussen
 and Williams 2006, 2.7), with what g may be where nothing is seen.
 
@@ -49,11 +51,19 @@ CELLS = 10
 MOST_CELLS, TRIED_CELLS = 900, 300
 """Cells that are used, and those by which size and length of the shape are found."""
 
-LENGTHS = (0.15, 0.4, 1.0, 2.5)
-"""Lengths of the shape that are tried, as parts of the radius."""
+PROFILES = ((0.0, 1.0), *product((0.01, 0.05, 0.2), (0.15, 0.5, 1.5)))
+"""Sizes of the profile, 1 σ in metres, and its lengths as parts of the radius, that are tried: none,
+and from a worn road to one between verges."""
 
-SHAPES = (0.0005, 0.002, 0.008, 0.03, 0.12)
-"""Its sizes, 1 σ in metres: of a hall's floor to a road with verges."""
+SHAPES = tuple(product((0.0005, 0.003, 0.015), (0.3, 1.0)))
+"""The same of what differs from place to place: from a hall's floor to a meadow."""
+
+USUAL = (0.05, 0.5, 0.003, 0.3, 0.003)
+"""Of profile, shape and noise, where the direction of the road is looked for."""
+
+DIRECTIONS, TURNS = 18, (4.0, 1.5, 0.5)
+"""Directions of the road that are tried, over half a turn, and by how much the best is turned to
+both sides then, degrees: over 10 m, 0.5° are 9 cm."""
 
 NOISES = (0.001, 0.003, 0.01)
 """1 σ of the mean height of a cell, metres, beside the noise of ranges: of asphalt to grass."""
@@ -154,21 +164,24 @@ class Leveled:
         In their order.
     plane, covariance
         (3,) height, metres, and slopes of the plane against the rough axes; (3, 3).
-    radius, area, spread, others, ceiling
+    centre, radius, area, spread, others, ceiling
         As in `surface.Ground`.
     bend, bend_sigma
         How far the ground's edge lies below its middle, along the direction in which it is bent
         most, metres, within the disc; negative where it is hollow.
     roughness
         Root mean square of the cells about the plane, metres.
-    cells
+    cells, residuals
         (n, 3) in rough axes, and (n,) their heights over the plane, metres.
+    middle
+        (3,) of the disc, on the plane, in the frame that all were given in.
     """
 
     T_ground_frame: Array
     lidars: tuple[LidarLevel, ...]
     plane: Array
     covariance: Array
+    centre: Array
     radius: float
     area: float
     spread: float
@@ -179,6 +192,7 @@ class Leveled:
     roughness: float
     cells: Array
     residuals: Array
+    middle: Array
 
 
 def level(
@@ -206,7 +220,7 @@ def level(
     joint = np.zeros((count, count)) if poses is None else poses
     ground, radius = _enough(viewers, [DISC * k for k in WIDER] if radius is None else [radius])
     for left in reversed(range(ROUNDS)):
-        found = plane_of(cells_on(ground, viewers), joint, ground.radius)
+        found = plane_of(cells_on(ground, viewers), joint, ground.centre, ground.radius)
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
         if not left or np.hypot(*plane[1:]) < SETTLED:
@@ -234,11 +248,12 @@ def level(
         lidars,
         plane,
         covariance[:3, :3],
-        *(ground.radius, ground.area, ground.spread, ground.others, ground.ceiling),
+        *(ground.centre, ground.radius, ground.area, ground.spread, ground.others, ground.ceiling),
         *_bend(found.mean[3:], found.shape, ground.radius),
         float(np.sqrt(np.mean(off**2))),
         found.at,
         off,
+        se3.apply(se3.inverse(rough), np.r_[ground.centre, np.r_[1, ground.centre] @ plane][None])[0],
     )
 
 
@@ -382,37 +397,31 @@ class Plane(NamedTuple):
     at: Array
 
 
-def plane_of(cells: Cells, poses: Array, radius: float) -> Plane:
-    """Find the plane of the disc from the cells; `poses` (6 L, 6 L) as `level` takes it."""
+def plane_of(cells: Cells, poses: Array, centre: Array, radius: float) -> Plane:
+    """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it."""
     x, y, z = cells.at.T
     planes = np.stack([np.ones_like(x), x, y], axis=1)
     scaled = np.c_[planes * PLANE_SIGMA, cells.by_errors * cells.errors]
     known = scaled @ scaled.T + cells.by_poses @ poses @ cells.by_poses.T
-    # The shape of the ground near the foot is that of what is hidden below.
     order = np.random.default_rng(0).permutation(len(x))[:TRIED_CELLS]
-    grid = np.array(list(product(LENGTHS, SHAPES, NOISES)))
-    part = np.ix_(order, order)
-    fits = np.array(
-        [
-            _log_likelihood(z[order], S)
-            for S in _covariances(cells.at[order], known[part], cells.variance[order], grid, radius)
-        ]
-    )
+    some = cells.at[order, :2], z[order], known[np.ix_(order, order)], cells.variance[order]
+    road = _road(*some, radius)
+    grid = np.array([(*p, *g, n) for p, g, n in product(PROFILES, SHAPES, NOISES)])
+    fits = np.array([_log_likelihood(some, each, road, radius) for each in grid])
     weights = np.exp(fits - fits.max())
     likely = weights > MIN_WEIGHT
     grid, weights = grid[likely], weights[likely] / weights[likely].sum()
-    disc = _disc(radius)
+    disc = centre + _disc(radius)
     over = _functionals(disc)
     prior = np.zeros((6, 3))
     prior[:3] = np.diag(np.square(PLANE_SIGMA))
     means, inner, with_poses = [], [], []
-    for (length, size, _), S in zip(
-        grid, _covariances(cells.at, known, cells.variance, grid, radius), strict=True
-    ):
-        kernel = _matern(length * radius)
-        to_cells = prior @ planes.T + size**2 * over @ kernel(disc, cells.at[:, :2])
+    for each in grid:
+        S = known + _shape(cells.at[:, :2], cells.at[:, :2], each, road, radius)
+        S[np.diag_indices_from(S)] += cells.variance + each[4] ** 2
+        to_cells = prior @ planes.T + over @ _shape(disc, cells.at[:, :2], each, road, radius)
         gain = cho_solve(cho_factor(S, lower=True, check_finite=False), to_cells.T).T
-        before = size**2 * over @ kernel(disc, disc) @ over.T
+        before = over @ _shape(disc, disc, each, road, radius) @ over.T
         before[:3, :3] += prior[:3]
         means.append(gain @ z)
         inner.append(before - gain @ to_cells.T)
@@ -427,26 +436,48 @@ def plane_of(cells: Cells, poses: Array, radius: float) -> Plane:
     return Plane(mean, (covariance + covariance.T) / 2, spread[3:, 3:], cells.at)
 
 
-def _covariances(at: Array, known: Array, variance: Array, grid: Array, radius: float):  # type: ignore[no-untyped-def]
-    """Yield the covariance (n, n) of the heights for each length, size and noise (K, 3)."""
-    shapes = {length: _matern(length * radius)(at[:, :2], at[:, :2]) for length in set(grid[:, 0])}
-    for length, size, noise in grid:
-        yield known + size**2 * shapes[length] + np.diag(variance + noise**2)
+_Some = tuple[Array, Array, Array, Array]
+"""Places (n, 2), heights (n,), their covariance (n, n) by all but the shape, and (n,) by noise."""
 
 
-def _log_likelihood(z: Array, S: Array) -> float:
+def _log_likelihood(some: _Some, each: Array, road: float, radius: float) -> float:
+    """Of a profile's size and length, a shape's, and noise (5,), but for a constant."""
+    at, z, known, variance = some
+    S = known + _shape(at, at, each, road, radius)
+    S[np.diag_indices_from(S)] += variance + each[4] ** 2
     lower = cho_factor(S, lower=True, check_finite=False)
     return float(-z @ cho_solve(lower, z) / 2 - np.log(np.diag(lower[0])).sum())
 
 
-def _matern(length: float) -> Callable[[Array, Array], Array]:
-    """Correlation of the shape between points (N, 2) and (M, 2)."""
+def _road(at: Array, z: Array, known: Array, variance: Array, radius: float) -> float:
+    """Find the direction across the road, rad."""
+    some, usual = (at, z, known, variance), np.array(USUAL)
+    tried = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    for turn in (0.0, *np.radians(TURNS)):
+        if turn:
+            tried = best + np.array([-turn, 0.0, turn])
+        fits = [_log_likelihood(some, usual, float(road), radius) for road in tried]
+        best = float(tried[int(np.argmax(fits))])
+    return best
 
-    def correlation(a: Array, b: Array) -> Array:
-        apart = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1]) * (np.sqrt(3) / length)
-        return np.asarray((1 + apart) * np.exp(-apart))
 
-    return correlation
+def _shape(a: Array, b: Array, each: Array, road: float, radius: float) -> Array:
+    """Covariance of the shape between places (N, 2) and (M, 2)."""
+    profile, across, size, length = each[:4]
+    found = size**2 * _matern(
+        np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1]) / (length * radius)
+    )
+    if profile:
+        axis = np.array([np.cos(road), np.sin(road)])
+        apart = np.abs((a @ axis)[:, None] - b @ axis)
+        found += profile**2 * _matern(apart / (across * radius))
+    return found
+
+
+def _matern(apart: Array) -> Array:
+    """Correlation at a distance, in lengths."""
+    scaled = np.sqrt(3) * apart
+    return np.asarray((1 + scaled) * np.exp(-scaled))
 
 
 def _disc(radius: float) -> Array:

@@ -73,11 +73,11 @@ KERB = 0.05, 0.5
 """A level so much higher or lower, metres, may be the ground as well: a road beside a pavement."""
 
 KERB_AREA = 8.0
-"""… where so much of it is seen, m²."""
+"""… where so much of it is seen, m²,"""
 
-UNSURE = 0.5
-"""… and it fills this part of the view that the ground fills, or the ground is not seen on all
-sides of the foot."""
+NEAREST, NEARER = 0.05, 0.6
+"""… and the ground is not on all sides of the foot at this part of the distance of that level, of
+which so much is nearer."""
 
 AROUND = 3.0
 """A level that lies about the foot in one piece counts so many times: a road, not the pavements."""
@@ -143,8 +143,9 @@ class Ground:
         (4, 4) rough axes: z up, the origin on the ground in the middle below the LiDARs.
     points
         Of each LiDAR the index of its returns on the ground.
-    radius
-        Of the disc that the plane is for, metres.
+    centre, radius
+        (2,) of the disc that the plane is for, rough axes, and its radius, metres: about the foot of
+        the LiDARs; where none sees ground on all sides of it, about the middle of what is seen.
     area
         Of the squares of ground that are seen in the disc, m².
     spread
@@ -157,6 +158,7 @@ class Ground:
 
     T_rough_frame: Array
     points: tuple[IntArray, ...]
+    centre: Array
     radius: float
     area: float
     spread: float
@@ -208,12 +210,13 @@ def find_ground(
         raise little(0.0, 0.0, radius)
     middle[tuple(rows[~on].T)] = np.nan
     kept = tuple(k[_on_cells(p[k], middle, corner)] for p, k in zip(points, near, strict=True))
-    ground = at[on & (np.hypot(at[:, 0], at[:, 1]) < radius)]
+    centre = np.zeros(2) if _is_around(at[on, :2]) else at[on, :2].mean(axis=0)
+    ground = at[on & (se3.lengths(at - np.r_[centre, 0.0]) < radius)]
     spread = 0.0
     if len(ground) > 1:
         spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
     area = len(ground) * CELL**2
-    return Ground(rough, kept, radius, area, float(spread), others, ceiling)
+    return Ground(rough, kept, centre, radius, area, float(spread), others, ceiling)
 
 
 def little(area: float, spread: float, radius: float) -> Refusal:
@@ -402,8 +405,10 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
         own = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
         height = float(np.median(at[own, 2] - best.heights[own]))
         others.append(Level(height, float(np.count_nonzero(own)) * CELL**2))
+    distance = np.hypot(at[:, 0], at[:, 1])
     for level, other in zip(found[1:], others, strict=True):
-        doubtful = not best.is_around or level.is_around or level.weight > UNSURE * best.weight
+        reach = np.quantile(distance[level.on], NEAREST)
+        doubtful = not _is_around(at[best.on & (distance < NEARER * reach), :2])
         if KERB[0] < abs(other.height) < KERB[1] and other.area >= KERB_AREA and doubtful:
             raise Refusal(
                 "two_grounds",
