@@ -69,10 +69,11 @@ part of the step between them; and rounds of parting it."""
 MOST_LEVELS = 6
 """So many of the largest pieces are tried for a beginning of the ground."""
 
-KERB = 0.05, 0.5
-"""A level so much higher or lower, metres, may be the ground as well: a road beside a pavement."""
+KERB, PARALLEL = (0.05, 0.5), 0.04
+"""A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
+well, a road beside a pavement,"""
 
-KERB_AREA = 8.0
+KERB_AREA = 10.0
 """… where so much of it is seen, m²,"""
 
 NEAREST, NEARER = 0.05, 0.6
@@ -409,7 +410,9 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
     for level, other in zip(found[1:], others, strict=True):
         reach = np.quantile(distance[level.on], NEAREST)
         doubtful = not _is_around(at[best.on & (distance < NEARER * reach), :2])
-        if KERB[0] < abs(other.height) < KERB[1] and other.area >= KERB_AREA and doubtful:
+        off = (at[:, 2] - best.heights)[level.on & ~best.on]
+        is_kerb = KERB[0] < abs(other.height) < KERB[1] and len(off) >= KERB_AREA / CELL**2
+        if is_kerb and np.std(off) < PARALLEL and doubtful:
             raise Refusal(
                 "two_grounds",
                 f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
@@ -423,7 +426,7 @@ def _is_around(at: Array) -> bool:
     """Whether places (N, 2) lie on all sides of the middle: no gap of half a turn between them."""
     bearings = np.sort(np.arctan2(at[:, 1], at[:, 0]))
     gaps = np.diff(np.r_[bearings, bearings[:1] + 2 * np.pi])
-    return bool(gaps.max(initial=0.0) < np.pi)
+    return len(at) > 2 and bool(gaps.max() < np.pi)
 
 
 def _grown(
