@@ -122,21 +122,18 @@ def heights(surfaces: Sequence[Surface], at: Array) -> Array:
     return found
 
 
-def true_plane(
-    surfaces: Sequence[Surface], origin: Array, radius: float, lidar: Array | None = None
-) -> tuple[Array, Array]:
+def true_plane(surfaces: Sequence[Surface], origin: Array, radius: float) -> tuple[Array, Array]:
     """Normal (3,) and a point (3,) of the plane that fits the ground best about a foot.
 
-    Of two levels it is that below the LiDAR.
+    Of two levels it is that below the origin (3,).
     """
-    lidar = origin if lidar is None else lidar
     steps = (np.arange(-60, 60) + 0.5) * radius / 60
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     disc = np.stack([x, y], axis=1)[np.hypot(x, y) < radius]
     foot, normal = origin[:2], np.array([0.0, 0.0, 1.0])
     for _ in range(3):
         z = heights(surfaces, foot + disc)
-        below = heights(surfaces, lidar[None, :2])[0]
+        below = heights(surfaces, origin[None, :2])[0]
         own = np.isfinite(z)
         if np.unique(np.round(z[own], 6)).size == 2:
             # Level ground on two levels, as at a kerb.
@@ -209,9 +206,7 @@ def run(seed: int, disc: float | None) -> Found:
     origin = np.mean([T[:3, 3] for T in poses], axis=0)
     about_foot = np.linalg.norm(answer.centre) == 0
     middle = se3.apply(poses[0], answer.middle[None])[0]
-    normal, point = true_plane(
-        place.surfaces, origin if about_foot else middle, answer.radius, origin
-    )
+    normal, point = true_plane(place.surfaces, origin if about_foot else middle, answer.radius)
     for own, T in zip(answer.lidars, poses, strict=True):
         off = np.array([own.roll, own.pitch, own.height])
         off -= truth(normal, point, T, poses[0][:3, 0])
@@ -276,8 +271,15 @@ def main() -> None:
                 print(each.seed, each.kind, each.sensor, each.refused)
             for e, s, m in zip(each.errors, each.sigmas, each.mahalanobis, strict=True):
                 if m > CHI2_95:
-                    print(each.seed, each.kind, each.sensor, f"{m:.1f}", *np.round(e / s, 1),
-                          f"{1000 * e[2]:.0f} mm", np.round(np.degrees(e[:2]), 3))
+                    print(
+                        each.seed,
+                        each.kind,
+                        each.sensor,
+                        f"{m:.1f}",
+                        *np.round(e / s, 1),
+                        f"{1000 * e[2]:.0f} mm",
+                        np.round(np.degrees(e[:2]), 3),
+                    )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from ..base.errors import UsageError
 from ..base.files import path_in_text
 from ..base.sensors import sensor_or_auto
 from ..base.systematic import sizes_of
-from ..ground.level import LidarLevel, Leveled, level
+from ..ground.level import Leveled, LidarLevel, level
 from ..ground.surface import Viewer, viewer_of
 from ..result import ResultDoc, any_result_file, refusal_of
 from ..result.level import LevelDoc, level_document

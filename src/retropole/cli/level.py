@@ -126,7 +126,8 @@ def describe(document: LevelDoc) -> str:
     about = "the foot of the LiDARs" if document.about_foot else "what is seen, to one side of them"
     lines += [
         f"ground: {document.area_m2:.0f} m² seen of a disc of {document.disc_radius_m:.0f} m about "
-        f"{about}; its edge is {1000 * document.bend_m:.0f} ± {1000 * document.bend_sigma_m:.0f} mm "
+        f"{about}; its edge is {1000 * document.bend_m:.0f} ± "
+        f"{1000 * document.bend_sigma_m:.0f} mm "
         f"lower than its middle where it is bent most; roughness {error(document.roughness_m)}"
     ]
     lines += [
@@ -135,8 +136,8 @@ def describe(document: LevelDoc) -> str:
     ]
     if document.ceiling_m is not None:
         lines.append(
-            f"a plane {document.ceiling_m:.2f} m above is taken for a ceiling; of a LiDAR that hangs "
-            "head down it is the ground"
+            f"a plane {document.ceiling_m:.2f} m above is taken for a ceiling; of a LiDAR that "
+            "hangs head down it is the ground"
         )
     for lidar in document.lidars:
         if lidar.T_base_footprint_lidar is not None:

@@ -11,9 +11,9 @@ with the errors e of the LiDARs (`base.systematic`), those δ of their poses, an
 ground: a profile that is the same all along a road, and what differs from place to place. Both are
 random fields of Matérn's kind (ν = 3/2: they may have kinks, as the crown of a road). Sizes and
 lengths, the direction of the road and the noise of cells are found, and averaged over, by their
-likelihood. The plane of the disc
-is a linear function of a, b, c and g, so its mean and covariance are those of a regression (Rasmussen
-and Williams 2006, 2.7), with what g may be where nothing is seen.
+likelihood. The plane of the disc is a linear function of a, b, c and g, so its mean and covariance
+are those of a regression (Rasmussen and Williams 2006, 2.7), with what g may be where nothing is
+seen.
 
 The poses are left as they were given, so that the LiDARs stay to each other as they were
 calibrated; the covariance is that of this estimate.
@@ -21,7 +21,7 @@ calibrated; the covariance is that of this estimate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -43,7 +43,7 @@ from ..base.uncertainty import FLOOR_ROTATION, FLOOR_TRANSLATION
 from .surface import Ground, Level, Viewer, find_ground, level_axes, little
 
 DISC = 10.0
-"""Radius of the disc that the plane is for, metres: what most LiDARs on vehicles see of it is half."""
+"""Radius of the disc that the plane is for, metres: LiDARs on vehicles see about half of it."""
 
 CELLS = 10
 """Cells to a radius of the disc."""
@@ -52,7 +52,7 @@ MOST_CELLS, TRIED_CELLS = 900, 300
 """Cells that are used, and those by which size and length of the shape are found."""
 
 PROFILES = ((0.0, 1.0), *product((0.01, 0.05, 0.2), (0.15, 0.5, 1.5)))
-"""Sizes of the profile, 1 σ in metres, and its lengths as parts of the radius, that are tried: none,
+"""Sizes of the profile, 1 σ in metres, and lengths as parts of the radius, that are tried: none,
 and from a worn road to one between verges."""
 
 SHAPES = tuple(product((0.0005, 0.003, 0.015), (0.3, 1.0)))
@@ -83,7 +83,7 @@ MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.15
 metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
 
 WIDER = (1.0, 1.5, 2.25, 3.4)
-"""Where too little of the disc is seen, discs so many times as large are taken: from a mast 6 m high
+"""Where too little of the disc is seen, discs so many times as large are taken: 6 m high on a mast
 a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
@@ -205,8 +205,8 @@ def level(
     viewers
         The LiDARs that see the ground, in one frame, in which each has its pose.
     poses
-        (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame; None
-        where they are exact, as that of a single LiDAR.
+        (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame;
+        None where they are exact, as that of a single LiDAR.
     radius
         Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
 
@@ -243,6 +243,7 @@ def level(
         for viewer, own in zip(viewers, states, strict=True)
     )
     off = found.at[:, 2] - plane[0] - found.at[:, :2] @ plane[1:]
+    middle = np.r_[ground.centre, np.r_[1.0, ground.centre] @ plane]
     return Leveled(
         ground_frame(plane, rough),
         lidars,
@@ -253,7 +254,7 @@ def level(
         float(np.sqrt(np.mean(off**2))),
         found.at,
         off,
-        se3.apply(se3.inverse(rough), np.r_[ground.centre, np.r_[1, ground.centre] @ plane][None])[0],
+        se3.apply(se3.inverse(rough), middle[None])[0],
     )
 
 
@@ -333,7 +334,10 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     xyz = viewer.cloud.xyz[index]
     # By where the beams meet the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
-    start, beams = se3.apply(T, viewer.cloud.origin[None])[0], (xyz - viewer.cloud.origin) @ T[:3, :3].T
+    start, beams = (
+        se3.apply(T, viewer.cloud.origin[None])[0],
+        (xyz - viewer.cloud.origin) @ T[:3, :3].T,
+    )
     fall = np.minimum(beams[:, 2], -LEAST_FALL * se3.lengths(beams))
     met = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
     at = np.floor(met / side).astype(np.int64)
@@ -452,7 +456,7 @@ def _log_likelihood(some: _Some, each: Array, road: float, radius: float) -> flo
 def _road(at: Array, z: Array, known: Array, variance: Array, radius: float) -> float:
     """Find the direction across the road, rad."""
     some, usual = (at, z, known, variance), np.array(USUAL)
-    tried = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    tried, best = np.arange(DIRECTIONS) * np.pi / DIRECTIONS, 0.0
     for turn in (0.0, *np.radians(TURNS)):
         if turn:
             tried = best + np.array([-turn, 0.0, turn])

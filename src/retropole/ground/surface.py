@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -49,8 +50,11 @@ MIN_RETURNS = 3
 
 EDGE, SIDE = 0.05, 3
 """Where the ground on both sides of a square, so many squares of each, continues to heights there
-that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at 45°,
-a change of the slope by 10 %, 0.04 m."""
+that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at
+45°, a change of the slope by 10 %, 0.04 m."""
+
+CLOSED = 3
+"""Gaps of up to twice so many squares in the line of a step are closed: few rings show all of it."""
 
 APART, DIFFERENT = 4, 0.06
 """Pieces that are within so many squares of each other are different levels where their heights
@@ -324,7 +328,7 @@ def _at_edges(heights: Array) -> BoolArray:
         step = ahead.mean(axis=0) - behind.mean(axis=0) - slope * (far + 1)
         with np.errstate(invalid="ignore"):
             edge |= np.abs(step) > EDGE
-    return edge
+    return np.asarray(ndimage.binary_closing(edge, np.ones((3, 3)), iterations=CLOSED))
 
 
 def _pairs(heights: Array, reach: int) -> tuple[IntArray, IntArray, Array]:
@@ -391,7 +395,11 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
     heavy = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
-    conflicts, found = _conflicts(heights, pieces), list[_Grown]()
+    # The rough axes may lean along a step.
+    _, lean = _grown(at, pieces, int(np.argmax(heavy)), 0 * heavy, np.zeros((0, 0), dtype=bool))
+    straight = heights.copy()
+    straight[np.isfinite(heights)] -= lean
+    conflicts, found = _conflicts(straight, pieces), list[_Grown]()
     for begin in np.argsort(-heavy)[:MOST_LEVELS]:
         if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
             continue
@@ -442,9 +450,9 @@ def _grown(
         return np.asarray(table @ np.linalg.solve(rows.T @ rows + ridge, rows.T @ at[on, 2]))
 
     for number in [int(k) for k in np.argsort(-heavy) if heavy[k] and k != begin]:
-        own = pieces == number
         if conflicts[number, taken].any():
             continue
+        own = pieces == number
         if abs(np.median(at[own, 2] - surface()[own])) < SAME_LEVEL:
             taken.append(number)
             on = on | own

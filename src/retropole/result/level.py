@@ -1,9 +1,9 @@
 """Roll, pitch and height of LiDARs over the ground as a JSON document of its own.
 
-Schema ``retropole/level/1``: metres and radians, matrices row by row. The frame ``ground`` has z along the
-normal of the ground, its origin at the foot of the perpendicular from the origin of the target's (or
-the site's) frame, and x along that frame's x axis, laid along the ground. ``base_footprint`` (REP 120)
-is a frame on the ground too, whose x, y and yaw are those of the vehicle.
+Schema ``retropole/level/1``: metres and radians, matrices row by row. The frame ``ground`` has z
+along the normal of the ground, its origin at the foot of the perpendicular from the origin of the
+target's (or the site's) frame, and x along that frame's x axis, laid along the ground. A vehicle's
+``base_footprint`` (REP 120) is on the ground too; its x, y and yaw are the vehicle's.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import msgspec
 
 from ..base.bounded import Covariance, Number, PartCovariance, Pose, Size, Text
 from ..base.datatypes import Array
-from ..ground.level import LidarLevel, Leveled
+from ..ground.level import Leveled, LidarLevel
 from ..ground.surface import Level
 from . import COVARIANCE_ORDER, InputDoc, document_of, made_now
 
@@ -27,9 +27,9 @@ LEVEL_COVARIANCE_FRAME = "ground axes: R_true = Exp(phi) R, t_true = t + delta; 
 class LidarLevelDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """One LiDAR over the ground.
 
-    `covariance` is of `T_ground_lidar`, over the document's `covariance_order`; what the definition of the frame
-    fixes has no variance. `roll_pitch_height` is (3, 3), rad and m. `T_base_footprint_lidar` and its
-    covariance are null where the vehicle's axes were not given.
+    `covariance` is of `T_ground_lidar`, over the document's `covariance_order`; what the definition
+    of the frame fixes has no variance. `roll_pitch_height` is (3, 3), rad and m. The pose in
+    ``base_footprint`` and its covariance are null where the vehicle's axes were not given.
     """
 
     name: Text
