@@ -19,7 +19,7 @@ from ..ground.level import Leveled, LidarLevel, level
 from ..ground.surface import Viewer, viewer_of
 from ..result import ResultDoc, any_result_file, refusal_of
 from ..result.level import LevelDoc, level_document
-from ..result.site import as_site
+from ..result.site import SiteDoc, as_site
 from ..surfaces.scans import find_poles
 from .inputs import SILENT, Listener, input_documents, read_input
 from .stored import decode_any, find_recordings, loaded, with_sensors_from
@@ -122,13 +122,14 @@ def level_result(
     )
 
 
-def _joint(document: ResultDoc | object, used: Sequence[int]) -> Array:
+def _joint(document: ResultDoc | SiteDoc, used: Sequence[int]) -> Array:
     """(6 L, 6 L) covariance of the poses of LiDARs in the frame of a result."""
     if isinstance(document, ResultDoc):
         joint = np.zeros((12, 12))
         joint[6:, 6:] = np.asarray(document.covariance)
     else:
-        joint = np.asarray(document.joint_covariance, dtype=float)  # type: ignore[attr-defined]
+        assert document.joint_covariance is not None
+        joint = document.joint_covariance
     rows = np.concatenate([np.arange(6 * k, 6 * k + 6) for k in used])
     return np.asarray(joint[np.ix_(rows, rows)])
 

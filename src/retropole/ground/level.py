@@ -48,7 +48,7 @@ DISC = 10.0
 CELLS = 10
 """Cells to a radius of the disc."""
 
-MOST_CELLS, TRIED_CELLS = 900, 300
+MOST_CELLS, TRIED_CELLS = 600, 250
 """Cells that are used, and those by which size and length of the shape are found."""
 
 PROFILES = ((0.0, 1.0), *product((0.01, 0.05, 0.2), (0.15, 0.5, 1.5)))
@@ -75,7 +75,7 @@ plane: farther away the ground may rise to meet them."""
 PLANE_SIGMA = (1.0, 0.3, 0.3)
 """1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
 
-MIN_WEIGHT = 0.01
+MIN_WEIGHT = 0.03
 """Sizes and lengths less likely than this part of the likeliest are left out."""
 
 MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.15
@@ -301,9 +301,9 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
         at.append(se3.apply(ground.T_rough_frame @ viewer.T, part.means))
         # Returns scatter by the range, as their beams do, and as they are dimmer.
         square = np.sum((part.means - viewer.cloud.origin) ** 2, axis=1)
-        share = np.average(part.scatter, weights=part.count) if len(square) else 0.0
-        share /= max(np.average(square, weights=part.count) if len(square) else 1.0, 1e-9)
-        variance.append(share * square / part.count)
+        share = np.average(part.scatter, weights=part.returns) if len(square) else 0.0
+        share /= max(np.average(square, weights=part.returns) if len(square) else 1.0, 1e-9)
+        variance.append(share * square / part.returns)
     table = np.zeros((sum(map(len, blocks)), sum(map(len, sigmas))))
     row = column = 0
     for block in blocks:
@@ -325,7 +325,7 @@ class _OwnCells(NamedTuple):
     about the mean (n,), m², and (n, B) shares of the bands."""
 
     means: Array
-    count: Array
+    returns: Array
     scatter: Array
     share: Array
 
@@ -456,7 +456,8 @@ def _log_likelihood(some: _Some, each: Array, road: float, radius: float) -> flo
 def _road(at: Array, z: Array, known: Array, variance: Array, radius: float) -> float:
     """Find the direction across the road, rad."""
     some, usual = (at, z, known, variance), np.array(USUAL)
-    tried, best = np.arange(DIRECTIONS) * np.pi / DIRECTIONS, 0.0
+    tried: Array = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    best = 0.0
     for turn in (0.0, *np.radians(TURNS)):
         if turn:
             tried = best + np.array([-turn, 0.0, turn])
@@ -475,7 +476,7 @@ def _shape(a: Array, b: Array, each: Array, road: float, radius: float) -> Array
         axis = np.array([np.cos(road), np.sin(road)])
         apart = np.abs((a @ axis)[:, None] - b @ axis)
         found += profile**2 * _matern(apart / (across * radius))
-    return found
+    return np.asarray(found)
 
 
 def _matern(apart: Array) -> Array:
@@ -488,7 +489,7 @@ def _disc(radius: float) -> Array:
     """(D, 2) middles of the cells of the disc."""
     steps = (np.arange(-CELLS, CELLS) + 0.5) * radius / CELLS
     x, y = (each.ravel() for each in np.meshgrid(steps, steps, indexing="ij"))
-    return np.stack([x, y], axis=1)[np.hypot(x, y) < radius]
+    return np.asarray(np.stack([x, y], axis=1)[np.hypot(x, y) < radius])
 
 
 def _functionals(disc: Array) -> Array:
@@ -496,7 +497,7 @@ def _functionals(disc: Array) -> Array:
     x, y = disc.T
     plane = np.stack([np.ones_like(x), x, y], axis=1)
     bent = np.c_[plane, x * x, x * y, y * y]
-    return np.concatenate([np.linalg.pinv(plane), np.linalg.pinv(bent)[3:]])
+    return np.asarray(np.concatenate([np.linalg.pinv(plane), np.linalg.pinv(bent)[3:]]))
 
 
 def _bend(terms: Array, covariance: Array, radius: float) -> tuple[float, float]:
@@ -542,4 +543,4 @@ def _over(plane: Array, rough: Array, viewer: Viewer, covariance: Array) -> Lida
 def _turn(difference: Array) -> Array:
     """Bring a difference of roll, pitch and height to the near side of the half turn."""
     roll = (difference[0] + np.pi) % (2 * np.pi) - np.pi
-    return np.r_[roll, difference[1:]]
+    return np.asarray(np.r_[roll, difference[1:]])

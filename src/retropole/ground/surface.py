@@ -54,7 +54,7 @@ that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ri
 45°, a change of the slope by 10 %, 0.04 m."""
 
 CLOSED = 3
-"""Gaps of up to twice so many squares in the line of a step are closed: few rings show all of it."""
+"""Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole."""
 
 APART, DIFFERENT = 4, 0.06
 """Pieces that are within so many squares of each other are different levels where their heights
@@ -119,7 +119,7 @@ class Viewer:
     @property
     def origin(self) -> Array:
         """(3,) where its beams start, in the frame of all."""
-        return se3.apply(self.T, self.cloud.origin[None])[0]
+        return np.asarray(se3.apply(self.T, self.cloud.origin[None])[0])
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ class Ground:
     points
         Of each LiDAR the index of its returns on the ground.
     centre, radius
-        (2,) of the disc that the plane is for, rough axes, and its radius, metres: about the foot of
-        the LiDARs; where none sees ground on all sides of it, about the middle of what is seen.
+        (2,) of the disc that the plane is for, rough axes, and its radius, metres: about the foot
+        of the LiDARs; where none sees ground on all sides of it, about the middle of what is seen.
     area
         Of the squares of ground that are seen in the disc, m².
     spread
@@ -188,8 +188,8 @@ def find_ground(
     Raises
     ------
     Refusal
-        ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two levels
-        are, and nothing tells which of them is below.
+        ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two
+        levels are, and nothing tells which of them is below.
     """
     origins = np.stack([viewer.origin for viewer in viewers])
     rough, ceiling = _rough_axes(viewers) if axes is None else axes
@@ -394,16 +394,16 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
         pieces[own[_parted(at[own])]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
-    heavy = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
+    heavy: Array = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
     # The rough axes may lean along a step.
-    _, lean = _grown(at, pieces, int(np.argmax(heavy)), 0 * heavy, np.zeros((0, 0), dtype=bool))
+    _, lean = _grown(at, pieces, int(np.argmax(heavy)), 0.0 * heavy, np.zeros((0, 0), dtype=bool))
     straight = heights.copy()
     straight[np.isfinite(heights)] -= lean
     conflicts, found = _conflicts(straight, pieces), list[_Grown]()
-    for begin in np.argsort(-heavy)[:MOST_LEVELS]:
+    for begin in np.argsort(-heavy)[:MOST_LEVELS].tolist():
         if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
             continue
-        on, surface = _grown(at, pieces, int(begin), heavy, conflicts)
+        on, surface = _grown(at, pieces, begin, heavy, conflicts)
         found.append(_Grown(on, surface, weight[on].sum(), _is_around(at[on, :2])))
     if not found:
         return np.zeros(len(at), dtype=bool), ()
