@@ -13,12 +13,12 @@ from retropole.ground.level import Cells, cells_on, ground_frame, level, plane_o
 from retropole.ground.surface import find_ground, level_axes
 from tests.ground.grounds import pose, rings, viewer
 
-AT = rings(30)
+AT = rings(12, far=14.0)
 FLAT = np.zeros(len(AT))
 
 
 def test_the_pose_over_level_ground_is_found() -> None:
-    for roll, pitch, height in ((3.0, -5.0, 1.7), (-12.0, 8.0, 4.0), (178.0, 4.0, 2.0)):
+    for roll, pitch, height in ((-12.0, 8.0, 2.5), (178.0, 4.0, 2.0)):
         (found,) = level([viewer(AT, FLAT, pose(height, roll, pitch, 40.0))]).lidars
         got = [*np.degrees([found.roll, found.pitch]), found.height]
         assert np.allclose(got, [roll, pitch, height], atol=1e-3)
@@ -73,32 +73,34 @@ def test_derivatives_are_those_of_the_heights() -> None:
     assert cells.by_poses.shape == (len(cells.at), 6)
 
 
+@pytest.mark.full
 def test_the_covariance_is_that_of_drawn_errors() -> None:
     one = viewer(AT, FLAT, pose(2.0))
     ground = find_ground([one], 10.0)
     cells = cells_on(ground, [one])
     none = np.zeros((6, 6))
     rng, off = np.random.default_rng(3), []
-    for _ in range(60):
+    for _ in range(40):
         drawn = cells.by_errors @ (cells.errors * rng.normal(size=len(cells.errors)))
         at = cells.at.copy()
         at[:, 2] += drawn + rng.normal(0, 0.001, len(at))
         plane = plane_of(replace(cells, at=at), none, np.zeros(2), 10.0)
         off.append(np.linalg.solve(np.linalg.cholesky(plane.covariance[:3, :3]), plane.mean[:3]))
     square = np.square(off).mean()
-    # 180 squares of a normal error have a mean of 1 ± 0.11.
+    # 120 squares of a normal error have a mean of 1 ± 0.13.
     assert 0.5 < square < 1.4
 
 
 def test_a_ridge_is_averaged_over_the_disc() -> None:
-    (found,) = level([viewer(AT, -0.04 * np.abs(AT[:, 1]), pose(2.0))]).lidars
+    at = rings(24)
+    (found,) = level([viewer(at, -0.04 * np.abs(at[:, 1]), pose(2.0))]).lidars
     # The mean of |y| over a disc of radius 10 m is 40 / 3π.
     assert found.height == pytest.approx(2.0 + 0.04 * 40 / (3 * np.pi), abs=0.006)
     assert abs(np.degrees(found.roll)) < 0.03
 
 
 def test_strips_and_far_patches_are_refused() -> None:
-    strip = AT[np.abs(AT[:, 1]) < 0.6]
+    strip = AT[np.abs(AT[:, 1]) < 0.5]
     with pytest.raises(Refusal) as refusal:
         level([viewer(strip, np.zeros(len(strip)), pose(2.0))])
     assert refusal.value.code == "too_little_ground"

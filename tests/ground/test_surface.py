@@ -17,14 +17,14 @@ def test_a_road_is_parted_from_its_pavement() -> None:
     ground = find_ground([viewer(at, z, pose(2.0, 3.0))], 10.0)
     taken = on_road[ground.points[0]]
     assert taken.mean() > 0.995
-    assert ground.others[0].height == pytest.approx(0.12, abs=0.02)
+    assert ground.others[0].height == pytest.approx(0.12, abs=0.03)
     assert len(taken) > 0.7 * np.count_nonzero(on_road & (np.hypot(*at.T) < 20))
 
 
 def test_a_camber_is_one_ground() -> None:
     at = rings(60)
     ground = find_ground([viewer(at, -0.04 * np.abs(at[:, 1]), pose(2.0))], 10.0)
-    assert len(ground.points[0]) > 0.95 * np.count_nonzero(np.hypot(*at.T) < 20)
+    assert len(ground.points[0]) > 0.9 * np.count_nonzero(np.hypot(*at.T) < 20)
 
 
 def test_roofs_and_walls_are_none() -> None:

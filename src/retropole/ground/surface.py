@@ -53,8 +53,9 @@ EDGE, SIDE = 0.05, 3
 that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at
 45°, a change of the slope by 10 %, 0.04 m."""
 
-CLOSED = 3
-"""Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole."""
+CLOSED = 1
+"""Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole.
+Two kerbs 3 m apart stay two."""
 
 APART, DIFFERENT = 4, 0.06
 """Pieces that are within so many squares of each other are different levels where their heights
@@ -84,8 +85,8 @@ NEAREST, NEARER = 0.05, 0.6
 """… and the ground is not on all sides of the foot at this part of the distance of that level, of
 which so much is nearer."""
 
-AROUND = 3.0
-"""A level that lies about the foot in one piece counts so many times: a road, not the pavements."""
+REACHES = np.linspace(0.1, 2.0, 20)
+"""Distances within which a level may lie on all sides of the foot, as parts of the radius."""
 
 MIN_CLEAR = 0.1
 """LiDARs are at least so high above the ground, metres."""
@@ -377,13 +378,13 @@ def _conflicts(heights: Array, pieces: IntArray) -> BoolArray:
 
 
 class _Grown(NamedTuple):
-    """A level: its cells (N,), its heights everywhere, how much view it fills, and whether it is on
-    all sides of the foot."""
+    """A level: its cells (N,), its heights everywhere, how much view it fills, and within how many
+    metres it is on all sides of the foot."""
 
     on: BoolArray
     heights: Array
     weight: float
-    is_around: bool
+    around: float
 
 
 def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[Level, ...]]:
@@ -400,24 +401,26 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
     straight = heights.copy()
     straight[np.isfinite(heights)] -= lean
     conflicts, found = _conflicts(straight, pieces), list[_Grown]()
+    distance = np.hypot(at[:, 0], at[:, 1])
     for begin in np.argsort(-heavy)[:MOST_LEVELS].tolist():
         if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
             continue
         on, surface = _grown(at, pieces, begin, heavy, conflicts)
-        found.append(_Grown(on, surface, weight[on].sum(), _is_around(at[on, :2])))
+        within = [r for r in REACHES * radius if _is_around(at[on & (distance < r), :2])]
+        found.append(_Grown(on, surface, weight[on].sum(), min(within, default=np.inf)))
     if not found:
         return np.zeros(len(at), dtype=bool), ()
-    found.sort(key=lambda level: -level.weight * (AROUND if level.is_around else 1.0))
+    # The ground is what lies about the foot nearest to it; else what fills most of the view.
+    found.sort(key=lambda level: (level.around, -level.weight))
     best = found[0]
     others = []
     for level in found[1:]:
         own = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
         height = float(np.median(at[own, 2] - best.heights[own]))
         others.append(Level(height, float(np.count_nonzero(own)) * CELL**2))
-    distance = np.hypot(at[:, 0], at[:, 1])
     for level, other in zip(found[1:], others, strict=True):
         reach = np.quantile(distance[level.on], NEAREST)
-        doubtful = not _is_around(at[best.on & (distance < NEARER * reach), :2])
+        doubtful = best.around > NEARER * reach
         off = (at[:, 2] - best.heights)[level.on & ~best.on]
         is_kerb = KERB[0] < abs(other.height) < KERB[1] and len(off) >= KERB_AREA / CELL**2
         if is_kerb and np.std(off) < PARALLEL and doubtful:
