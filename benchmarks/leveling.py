@@ -163,13 +163,8 @@ def run(seed: int, disc: float | None) -> Found:
     exact = bool(rng.uniform() < 0.2)
     noise = FIELD
     if exact:
-        noise = replace(
-            FIELD,
-            **dict.fromkeys(
-                ("ring_bias", "retro_bias", "zero_offset", "scale", "slant", "ring_elevation"), 0.0
-            ),
-            **dict.fromkeys(("encoder", "wobble"), 0.0),
-        )
+        noise = replace(FIELD, ring_bias=0.0, retro_bias=0.0, zero_offset=0.0, scale=0.0)
+        noise = replace(noise, slant=0.0, ring_elevation=0.0, encoder=0.0, wobble=0.0)
     elif rng.uniform() < 0.5:
         noise = replace(FIELD, bend=float(np.radians(0.03 if name == "AT128" else 0.003)))
     count = 1 + int(rng.uniform() < 0.3)
@@ -207,13 +202,13 @@ def run(seed: int, disc: float | None) -> Found:
     about_foot = np.linalg.norm(answer.centre) == 0
     middle = se3.apply(poses[0], answer.middle[None])[0]
     normal, point = true_plane(place.surfaces, origin if about_foot else middle, answer.radius)
-    for own, T in zip(answer.lidars, poses, strict=True):
-        off = np.array([own.roll, own.pitch, own.height])
+    for lidar, T in zip(answer.lidars, poses, strict=True):
+        off = np.array([lidar.roll, lidar.pitch, lidar.height])
         off -= truth(normal, point, T, poses[0][:3, 0])
         off[0] = (off[0] + np.pi) % (2 * np.pi) - np.pi
         found.errors.append(off)
-        found.sigmas.append(np.sqrt(np.diag(own.roll_pitch_height)))
-        found.mahalanobis.append(float(off @ np.linalg.solve(own.roll_pitch_height, off)))
+        found.sigmas.append(np.sqrt(np.diag(lidar.roll_pitch_height)))
+        found.mahalanobis.append(float(off @ np.linalg.solve(lidar.roll_pitch_height, off)))
     return found
 
 

@@ -524,7 +524,7 @@ def _over(plane: Array, rough: Array, viewer: Viewer, covariance: Array) -> Lida
         return ground_frame(plane + state[:3], rough) @ se3.retract(viewer.T, state[3:])
 
     def angles(T: Array) -> Array:
-        return np.r_[se3.rpy_from_rotation(T[:3, :3])[:2], T[2, 3]]
+        return np.asarray(np.r_[se3.rpy_from_rotation(T[:3, :3])[:2], T[2, 3]])
 
     T = pose(np.zeros(9))
     moved = [(pose(step), pose(-step)) for step in JACOBIAN_STEP * np.eye(9)]

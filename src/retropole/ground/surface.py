@@ -395,7 +395,7 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
         pieces[own[_parted(at[own])]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
-    heavy: Array = np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE)
+    heavy = np.asarray(np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE), np.float64)
     # The rough axes may lean along a step.
     _, lean = _grown(at, pieces, int(np.argmax(heavy)), 0.0 * heavy, np.zeros((0, 0), dtype=bool))
     straight = heights.copy()
@@ -415,9 +415,9 @@ def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[
     best = found[0]
     others = []
     for level in found[1:]:
-        own = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
-        height = float(np.median(at[own, 2] - best.heights[own]))
-        others.append(Level(height, float(np.count_nonzero(own)) * CELL**2))
+        beside = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
+        height = float(np.median(at[beside, 2] - best.heights[beside]))
+        others.append(Level(height, float(np.count_nonzero(beside)) * CELL**2))
     for level, other in zip(found[1:], others, strict=True):
         reach = np.quantile(distance[level.on], NEAREST)
         doubtful = best.around > NEARER * reach
