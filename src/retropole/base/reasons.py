@@ -73,6 +73,9 @@ Code = Literal[
     "nowhere_seen",
     "not_linked",
     "pose_contradicted",
+    # level
+    "too_little_ground",
+    "two_grounds",
     # check
     "recordings_of_result",
     "carrier_moved",

@@ -26,6 +26,7 @@ COMMANDS = (
     "export",
     "fleet",
     "info",
+    "level",
     "merge",
     "plan",
     "report",

@@ -19,6 +19,7 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.sensors import Sensor
+from ..ground.surface import cells_of
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import RecordedBeams, in_frame
 from ..simulation.scenes import FOOT_HEIGHT, TAPE
@@ -28,9 +29,6 @@ CELL = 0.25
 
 FOOT, FOOT_POINTS = 0.5, 3
 """The ground at a foot is what lies within so many metres of it, of at least so many returns."""
-
-LOW, HIGH = 0.1, 0.9
-"""Quantiles of the heights in a cell that count as its bottom and its top: single returns err."""
 
 SPREAD = 0.25
 """Ground is bare and flat where its cells within `FOOT` reach no higher above each other, metres:
@@ -166,7 +164,7 @@ def survey(
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
     points = points[near < FARTHEST]
-    low, high, count, corner = _cells(points)
+    low, high, count, corner = cells_of(points, CELL)
     disc = _disc(FOOT)
     bottom = ndimage.minimum_filter(low, footprint=disc, mode="constant", cval=np.inf)
     top = ndimage.maximum_filter(high, footprint=disc, mode="constant", cval=-np.inf)
@@ -195,23 +193,6 @@ def survey(
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
     return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
-
-
-def _cells(points: Array) -> tuple[Array, Array, IntArray, Array]:
-    """Bottom and top of what was recorded in each cell, how much, and the corner (2,) of all."""
-    corner = np.floor(points[:, :2].min(axis=0) / CELL) * CELL
-    at = ((points[:, :2] - corner) / CELL).astype(np.int64)
-    shape = tuple(at.max(axis=0) + 1)
-    cell = np.ravel_multi_index((at[:, 0], at[:, 1]), shape)
-    order = np.lexsort((points[:, 2], cell))
-    found, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-    heights = points[order, 2]
-    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    low.flat[found] = heights[first + (LOW * (count - 1)).astype(np.int64)]
-    high.flat[found] = heights[first + np.ceil(HIGH * (count - 1)).astype(np.int64)]
-    counts = np.zeros(shape, dtype=np.int64)
-    counts.flat[found] = count
-    return low, high, counts, corner
 
 
 def _disc(radius: float) -> BoolArray:

@@ -168,6 +168,16 @@ def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
     return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng, MAX_TILT)[2]
 
 
+def ground_plane(
+    points: Array, ranges: Array, axis: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Find a point (3,) and the normal (3,) of the plane that most points (N, 3) lie on.
+
+    `ranges` (N,) are theirs, metres; planes across the axis (3,) go before walls.
+    """
+    return _ground(points, ranges, axis, rng, MAX_TILT)[1:]
+
+
 def _is_near(points: Array, pole: Line) -> BoolArray:
     """Which points (N, 3) are the pole's, or lie beside it."""
     away = points - pole.point
