@@ -192,6 +192,8 @@ class Detection:
         it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.
+    threshold_least
+        To what the threshold falls with the range; None where it holds at any range.
     """
 
     poles: tuple[Pole, ...]
@@ -200,6 +202,7 @@ class Detection:
     threshold_source: str
     retro_points: int
     candidates: tuple[Pole, ...] = ()
+    threshold_least: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
+from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from .acceptance_shape import (
@@ -83,7 +84,7 @@ def with_dimmer_candidates(
         where its threshold was given.
     """
     assert cloud.intensity is not None
-    chosen = Threshold(detection.threshold, detection.threshold_source)
+    chosen = _threshold_of(detection)
     found: list[Pole] = []
     less: list[Pole] = []
     for lower in lower_thresholds(cloud.intensity, chosen):
@@ -99,6 +100,10 @@ def with_dimmer_candidates(
     for pole in without_repeats(less, len(cloud)):
         doubtful += _apart_from((*detection.poles, *doubtful), (pole,), len(cloud))
     return replace(detection, candidates=tuple(doubtful[:MAX_POLES]))
+
+
+def _threshold_of(detection: Detection) -> Threshold:
+    return Threshold(detection.threshold, detection.threshold_source, detection.threshold_least)
 
 
 def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:
@@ -179,7 +184,8 @@ def with_candidates(
     """
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
-    free = np.asarray(cloud.intensity >= detection.threshold)
+    chosen = _threshold_of(detection)
+    free = np.asarray(cloud.intensity >= chosen.at(lengths(cloud.xyz - cloud.origin)))
     for pole in detection.poles:
         free[pole.index] = False
     retro = np.flatnonzero(free)

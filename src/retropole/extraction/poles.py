@@ -28,7 +28,7 @@ from ..base.datatypes import (
 )
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..base.se3 import principal_axes
+from ..base.se3 import lengths, principal_axes
 from ..base.sensors import Sensor, threshold_for
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
 from .acceptance_shape import (
@@ -118,7 +118,8 @@ def extract_poles(
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
     assert cloud.intensity is not None
-    chosen = threshold_for(cloud.intensity, sensor, threshold)
+    ranges = lengths(cloud.xyz - cloud.origin)
+    chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
     if is_too_low(cloud.intensity, chosen.value):
         bright = int(np.count_nonzero(cloud.intensity >= chosen.value))
         raise Refusal(
@@ -129,7 +130,7 @@ def extract_poles(
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
-    free = cloud.intensity >= chosen.value
+    free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
     sure: list[Line] = []
@@ -155,6 +156,7 @@ def extract_poles(
         chosen.found,
         len(retro),
         _poles_on(cloud, [line for line, _ in doubtful]),
+        chosen.least,
     )
 
 
