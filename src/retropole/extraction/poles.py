@@ -56,7 +56,7 @@ from .lines import (
     on_surface,
     propose_lines,
 )
-from .sensor_pattern import Beams, beams_by, check_sensor
+from .sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS, Beams, beams_by, check_sensor
 from .surroundings import MAX_BESIDE, SHORT_LENGTH, surroundings_failure
 
 SURFACE_LINK = 0.4
@@ -322,7 +322,12 @@ def pole_on(cloud: PointCloud, line: Line) -> Pole:
     """Make a pole of a line."""
     index = np.sort(line.index)
     xyz = cloud.xyz[index]
-    return Pole(xyz.mean(axis=0), line.direction, xyz, line.length, line.rms, line.rings, index)
+    point = xyz.mean(axis=0)
+    sight = point - cloud.origin
+    sight -= (sight @ line.direction) * line.direction
+    deeper = DEPTH_PER_RADIUS * line.thicker / RMS_PER_RADIUS
+    to_axis = deeper * sight / (np.linalg.norm(sight) or 1.0)
+    return Pole(point, line.direction, xyz, line.length, line.rms, line.rings, index, to_axis)
 
 
 def _rejected(

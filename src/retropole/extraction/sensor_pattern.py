@@ -32,8 +32,9 @@ from ..io.beams import (
     ring_spread,
 )
 
-RMS_PER_RADIUS = 0.62
-"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
+RMS_PER_RADIUS, DEPTH_PER_RADIUS = 0.62, float(np.pi / 4)
+"""Beams evenly spaced across a cylinder scatter by so many radii about their line, which runs so
+many in front of the axis."""
 
 
 ORDINARY_DIVERGENCE = 0.003

@@ -25,7 +25,7 @@ from ..surfaces.registration import (
     voxel_downsample,
 )
 from ..surfaces.visibility import SCORING_VOXEL, tree_of
-from .correspondence import EXACT_RMS, same_pose
+from .correspondence import exact_rms, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is
@@ -64,7 +64,7 @@ def refine_by_icp(
     -------
     list of Match
         With `icp_refined` and the pose of the registration's end where the lines are still an exact
-        match there, within `EXACT_RMS`; as they were elsewhere. Of those that end in the same pose
+        match there, within `exact_rms`; as they were elsewhere. Of those that end in the same pose
         only the first.
 
     Raises
@@ -76,11 +76,12 @@ def refine_by_icp(
     tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
     at = np.array([pole.point for pole in source_poles])
     kept: list[Match] = []
+    limit = exact_rms(source_poles)
     for k, match in enumerate(hypothesis.match for hypothesis in hypotheses):
         if match.exact and k < MOST_REFINED:
             T = registered(surface, tree, points, match.T_target_source)
             count = sum(len(source_poles[j].xyz) for _, j in match.pairs)
-            if T is not None and rms_after(match, T, count) <= EXACT_RMS:
+            if T is not None and rms_after(match, T, count) <= limit:
                 match = replace(match, T_target_source=T, icp_refined=True)
         if not any(match.exact and other.exact and same_pose(match, other, at) for other in kept):
             kept.append(match)
