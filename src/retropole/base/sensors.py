@@ -367,8 +367,8 @@ def sensor_or_auto(name: str) -> Sensor | None:
 class Threshold:
     """Intensity from which a return counts as retro-reflective, and how it was found.
 
-    ``value`` holds up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may, with
-    the square of the range, to ``least``; None where it holds at any range.
+    ``value`` holds up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may,
+    with the square of the range, to ``least``; None where it holds at any range.
     """
 
     value: float

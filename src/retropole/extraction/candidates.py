@@ -46,7 +46,7 @@ from .lines import (
     propose_lines,
 )
 from .poles import MAX_POLES, extract_poles, is_too_low, near_box, off_surfaces, pole_on
-from .sensor_pattern import Beams, beams_by
+from .sensor_pattern import NEAR_POLES_END, Beams, beams_by
 from .surroundings import (
     Surroundings,
     along_the_sweeps,
@@ -124,10 +124,10 @@ CLINGING = 0.06
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
 itself is nearer than `MAX_CLOSE`."""
 
-NEAR_POLES_END, POINTING = 8.0, 0.002
-"""Limits of scatter were set on poles no farther than the first, metres; beyond, what beams point
-beside where they should scatters the returns of a candidate by this more, rad: 25 mm at 15 m. Of
-tubes of 6 and 11 cm at 13 to 17 m (benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
+POINTING = 0.002
+"""Beyond `NEAR_POLES_END`, what beams point beside where they should scatters the returns of a
+candidate by this more, rad: 25 mm at 15 m. Of tubes of 6 and 11 cm at 13 to 17 m
+(benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
 
 MOST_PROPOSALS = 30
 """Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""

@@ -46,6 +46,10 @@ ORDINARY_NOISE, NOISY = 0.010, 0.015
 were set, and nothing is granted."""
 
 
+NEAR_POLES_END = 8.0
+"""Limits of scatter were set on poles no farther than this, metres."""
+
+
 @dataclass(frozen=True)
 class Beams:
     """What is known of the beams that met a line: full angle and step of the sweep, rad, and 1 σ of
@@ -72,11 +76,12 @@ def beams_by(sensor: Sensor | None) -> Beams:
 
 
 def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
-    """Scatter, metres, that wide or noisy beams add to that of returns on a pole by ordinary ones.
+    """Scatter, metres, that wide or noisy beams add to that of returns on a near pole by ordinary
+    ones.
 
     A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
     the pole looks wider by half a beam on either side. The limits here hold for beams of
-    `ORDINARY_DIVERGENCE`, and for unknown ones.
+    `ORDINARY_DIVERGENCE` up to `NEAR_POLES_END`, and for unknown ones.
 
     Parameters
     ----------
@@ -86,7 +91,7 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
         That met it.
     """
     seen = _seen_radius(distance, radius, beams.divergence)
-    ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
+    ordinary = _seen_radius(min(distance, NEAR_POLES_END), radius, ORDINARY_DIVERGENCE)
     wide = RMS_PER_RADIUS**2 * max(seen**2 - ordinary**2, 0.0)
     noisy = beams.noise**2 - ORDINARY_NOISE**2 if beams.noise > NOISY else 0.0
     return float(np.sqrt(wide + noisy))

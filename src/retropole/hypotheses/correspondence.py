@@ -140,9 +140,7 @@ def pair_starts(
 
 def _frame_of(pair: tuple[Pole, Pole]) -> Array:
     first, second = pair
-    return line_pair(
-        first.inner_point, first.direction, second.inner_point, second.direction
-    ).frame
+    return line_pair(first.inner_point, first.direction, second.inner_point, second.direction).frame
 
 
 WAYS = tuple(
