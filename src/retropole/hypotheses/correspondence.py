@@ -28,7 +28,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..extraction.sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS
+from ..extraction.certainty import MAX_SURE_RMS
 from .placements import Share
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
@@ -182,13 +182,24 @@ EXACT_RMS = 0.05
 facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
 
 
-def exact_rms(poles: Sequence[Pole]) -> float:
-    """Residual of poles that a match pairs, metres, up to which it is exact.
+def exact_rms(
+    target: Sequence[Pole], source: Sequence[Pole], pairs: Sequence[tuple[int, int]]
+) -> float:
+    """Residual of paired poles, metres, up to which they are an exact match.
 
-    `EXACT_RMS`, and what the returns on a thicker one scatter more about its line.
+    `EXACT_RMS`, and beyond what confirmed poles scatter, what those of the source do about their
+    lines, and three sigma of what the returns leave open of the target's lines, where the others
+    lie on them: of thick, far and short poles.
     """
-    deeper = max(float(np.linalg.norm(pole.to_axis)) for pole in poles)
-    return EXACT_RMS + RMS_PER_RADIUS / DEPTH_PER_RADIUS * deeper
+    count = variance = 0.0
+    for i, j in pairs:
+        line, other = target[i], source[j]
+        open_variance = line.rms**2 / len(line.xyz) + (
+            direction_sigma(line) ** 2 * other.length**2 / 12.0
+        )
+        count += len(other.xyz)
+        variance += len(other.xyz) * (other.rms**2 + 9.0 * open_variance)
+    return float(np.sqrt(EXACT_RMS**2 + max(variance / count - MAX_SURE_RMS**2, 0.0)))
 
 
 EXTENSION_RMS = 3 * EXACT_RMS
@@ -229,9 +240,15 @@ def solved_each(
         ),
         np.stack(starts),
     )
-    limit = exact_rms(source)
     return [
-        Match(own, fit.T_target_source, fit.rms, fit.rms <= limit, fit.converged, fit.information)
+        Match(
+            own,
+            fit.T_target_source,
+            fit.rms,
+            fit.rms <= exact_rms(target, source, own),
+            fit.converged,
+            fit.information,
+        )
         for own, fit in zip(pairs, fits, strict=True)
     ]
 

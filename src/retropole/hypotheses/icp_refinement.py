@@ -47,6 +47,7 @@ def refine_by_icp(
     target: PointCloud,
     source: PointCloud,
     hypotheses: Sequence[Hypothesis],
+    target_poles: Sequence[Pole],
     source_poles: Sequence[Pole],
 ) -> list[Match]:
     """Register the scenes from every exact hypothesis, and keep the end where the poles allow it.
@@ -57,7 +58,7 @@ def refine_by_icp(
         The whole clouds, each in its own frame.
     hypotheses
         The best first.
-    source_poles
+    target_poles, source_poles
         Those that the hypotheses pair.
 
     Returns
@@ -76,10 +77,10 @@ def refine_by_icp(
     tree, points = tree_of(surface.xyz), voxel_downsample(source.xyz, SCORING_VOXEL)
     at = np.array([pole.point for pole in source_poles])
     kept: list[Match] = []
-    limit = exact_rms(source_poles)
     for k, match in enumerate(hypothesis.match for hypothesis in hypotheses):
         if match.exact and k < MOST_REFINED:
             T = registered(surface, tree, points, match.T_target_source)
+            limit = exact_rms(target_poles, source_poles, match.pairs)
             count = sum(len(source_poles[j].xyz) for _, j in match.pairs)
             if T is not None and rms_after(match, T, count) <= limit:
                 match = replace(match, T_target_source=T, icp_refined=True)
