@@ -108,12 +108,12 @@ def test_given_beats_sensor_beats_cloud() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("scale", [1.0, "full"])
+@pytest.mark.parametrize("is_divided", [False, True])
 def test_a_threshold_falls_with_the_range_and_leaves_diffuse_returns_below(
-    name: str, scale: float | str
+    name: str, is_divided: bool
 ) -> None:
     sensor, rng = SENSORS[name], np.random.default_rng(1)
-    factor = 1 / sensor.intensity_max if scale == "full" else scale
+    factor = 1 / sensor.intensity_max if is_divided else 1.0
     diffuse = factor * sensor.threshold * rng.uniform(0, 0.4, 5000)
     ranges = rng.uniform(1, 60, 5000)
     found = threshold_for(diffuse, ranges, sensor, None)

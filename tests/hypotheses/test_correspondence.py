@@ -193,8 +193,8 @@ def tubes(rng: np.random.Generator, radius: float, eye: Array, count: int = 40) 
 def test_tubes_seen_from_two_sides_match(radius: float) -> None:
     rng = np.random.default_rng(3)
     eyes = np.zeros(3), np.array([5.0, 9.0, 0.5])
-    best = match_poles(*(tubes(rng, radius, eye) for eye in eyes))
-    exact = [match.T_target_source for match in best if match.exact]
+    target, source = (tubes(rng, radius, eye) for eye in eyes)
+    exact = [each.T_target_source for each in match_poles(target, source) if each.exact]
     near = min(exact, key=lambda T: float(np.linalg.norm(T[:3, 3] - eyes[1])))
     # No farther off than a pole of 2 cm is, whose line runs 16 mm in front of its axis.
     assert se3.difference(near, se3.from_rt(np.eye(3), eyes[1])).translation < 0.06
