@@ -64,7 +64,7 @@ MODULES = (
 LOW, HIGH = 0.7, 1.4
 """Times its value, a constant of ``--sensitivity``; a whole number changes by one at least."""
 
-BOUNDED = {"SWEEP_COSINE", "MAX_SWEEP_SHARE", "EDGE_QUANTILE", "ENOUGH_SHARE"}
+BOUNDED = {"EDGE_QUANTILE", "ENOUGH_SHARE"}
 """Shares so near to 1 that what is left to 1 changes by these factors instead."""
 
 NOT_VARIED = {"MAD_TO_SIGMA", "DEFAULT_RADIUS"}

@@ -36,7 +36,7 @@ from retropole.simulation.pairs import Arrangement, Recorders, record
 from retropole.simulation.scenes import SURROUNDINGS, TAPE, UP
 
 HEIGHTS, DISTANCES, MODELS = (2.0, 4.0, 6.0, 8.0), (6.0, 10.0, 15.0), ("VLP-16", "XT32", "OS1")
-TUBES = {0.04: 2.0, 0.06: 3.0, 0.11: 3.0}
+TUBES = {0.04: 2.0, 0.06: 3.0, 0.11: 3.0, 0.16: 3.0}
 """Length of a tube, metres, by its diameter."""
 
 PLACES = "street", "harbor"

@@ -44,7 +44,7 @@ from threadpoolctl import threadpool_limits
 from retropole.api.watching import Watch, Wish
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
-from retropole.base.sensors import Sensor, threshold_for
+from retropole.base.sensors import Sensor
 from retropole.base.uncertainty.purpose import displacement
 from retropole.io import Frame
 from retropole.result import RunConfig
@@ -204,7 +204,7 @@ def dimmed(cloud: PointCloud, pole: Surface, T: Array, sensor: Sensor) -> PointC
     along = from_middle @ pole.axis
     beside = np.linalg.norm(from_middle - np.outer(along, pole.axis), axis=1)
     on = (beside < 0.3) & (np.abs(along) < pole.length / 2 + 0.3)
-    limit = threshold_for(cloud.intensity, sensor, None).value
+    limit = sensor.threshold
     intensity = np.where(on, np.minimum(cloud.intensity, 0.67 * limit), cloud.intensity)
     return replace(cloud, intensity=intensity)
 

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from retropole.base.errors import UsageError
 from retropole.base.sensors import (
+    GIVEN,
     SENSORS,
     ListedErrors,
+    Threshold,
     auto_threshold,
     find_sensor,
     lower_thresholds,
@@ -98,11 +100,35 @@ def test_auto_threshold_parts_tape_from_the_rest(name: str) -> None:
 
 def test_given_beats_sensor_beats_cloud() -> None:
     intensity = np.linspace(0, 255, 100)
-    sensor = SENSORS["VLP-16"]
-    assert threshold_for(intensity, sensor, 12.0).value == 12.0
-    assert threshold_for(intensity, sensor, None).value == 230.0
-    assert threshold_for(intensity / 255, sensor, None).value == pytest.approx(230 / 255)
-    assert threshold_for(intensity, None, None) == auto_threshold(intensity)
+    sensor, ranges = SENSORS["VLP-16"], np.full(100, 5.0)
+    assert threshold_for(intensity, ranges, sensor, 12.0) == Threshold(12.0, GIVEN)
+    assert threshold_for(intensity, ranges, sensor, None).value == 230.0
+    assert threshold_for(intensity / 255, ranges, sensor, None).value == pytest.approx(230 / 255)
+    assert threshold_for(intensity, ranges, None, None) == auto_threshold(intensity)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("is_divided", [False, True])
+def test_a_threshold_falls_with_the_range_and_leaves_diffuse_returns_below(
+    name: str, is_divided: bool
+) -> None:
+    sensor, rng = SENSORS[name], np.random.default_rng(1)
+    factor = 1 / sensor.intensity_max if is_divided else 1.0
+    diffuse = factor * sensor.threshold * rng.uniform(0, 0.4, 5000)
+    ranges = rng.uniform(1, 60, 5000)
+    found = threshold_for(diffuse, ranges, sensor, None)
+    at = found.at(np.array([0.5, 5.0, 8.0, 15.0, 100.0]))
+    assert np.all(at[:2] == found.value)
+    assert np.all(np.diff(at) <= 0)
+    assert np.all(diffuse < found.at(ranges))
+    assert np.all(at >= factor * sensor.retro_from * (1 - 1e-9))
+    falls = found.least is not None
+    assert falls == (sensor.retro_from < sensor.threshold)
+    if falls:
+        assert "falls" in found.found
+        # Where diffuse returns are as bright as tape, it does not.
+        bright = np.where(rng.uniform(size=5000) < 0.2, factor * sensor.threshold, diffuse)
+        assert threshold_for(bright, ranges, sensor, None).least is None
 
 
 @pytest.mark.parametrize("glints", [0, 20])
@@ -110,12 +136,13 @@ def test_lower_thresholds_descend_to_where_dim_tape_stands_out(glints: int) -> N
     rng = np.random.default_rng(0)
     dim, diffuse = rng.uniform(100, 130, 60), rng.uniform(0, 40, 5000)
     intensity = np.concatenate([diffuse, dim, np.full(glints, 255.0)])
-    chosen = threshold_for(intensity, SENSORS["VLP-16"], None)
+    near = np.full(len(intensity), 5.0)
+    chosen = threshold_for(intensity, near, SENSORS["VLP-16"], None)
     values = [each.value for each in lower_thresholds(intensity, chosen)]
     assert values == sorted(values, reverse=True)
     assert max(values) < chosen.value
     assert 40 < min(values) < 100, "above the diffuse returns, below the tape"
-    assert lower_thresholds(intensity, threshold_for(intensity, None, 230.0)) == ()
+    assert lower_thresholds(intensity, threshold_for(intensity, near, None, 230.0)) == ()
 
 
 LIKE = 'like = "XT32"\n'

@@ -54,6 +54,13 @@ LIMITS: dict[str, tuple[Line, Line, str, str]] = {
         "too_few_rows",
         "2 of the rings",
     ),
+    # What 0.62 times 6 cm of radius adds is no width; but longer than wide it must be.
+    "slenderness of a tube": (
+        replace(line_with(length=0.301, rms=0.075), thicker=0.037),
+        replace(line_with(length=0.299, rms=0.075), thicker=0.037),
+        "too_wide",
+        "0.30 m wide",
+    ),
     "slenderness": (
         line_with(length=1.001 * SLIM_RATIO * 0.05, rms=0.05),
         line_with(length=0.999 * SLIM_RATIO * 0.05, rms=0.05),

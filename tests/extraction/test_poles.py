@@ -53,6 +53,22 @@ def test_standing_and_leaning_poles_are_found(sensor: str, radius: float) -> Non
         assert np.linalg.norm(detected.direction) == pytest.approx(1)
 
 
+@pytest.mark.parametrize("radius", [0.015, 0.02, 0.055, 0.08])
+def test_the_line_of_a_thick_pole_is_moved_to_where_that_of_a_thin_one_would_be(
+    radius: float,
+) -> None:
+    standing = [pole((4, 0.7), radius=radius), pole((4.5, -1), 0.5 * Y + 0.2 * X, radius)]
+    cloud, labels = seen(list(standing), "OS1")
+    found = extract_poles(cloud, radius=radius)
+    assert len(found.poles) == 2
+    for detected, label in zip(found.poles, labels_of(found, labels), strict=True):
+        truth = standing[label]
+        offset = detected.inner_point - truth.centre
+        gap = np.linalg.norm(offset - (offset @ truth.axis) * truth.axis)
+        assert gap == pytest.approx(np.pi / 4 * min(radius, 0.02), abs=0.008)
+        assert np.any(detected.to_axis != 0) == (radius > 0.02)
+
+
 def test_best_supported_pole_comes_first() -> None:
     cloud, _ = seen([pole((7, 1)), pole((3, -1), 0.3 * Y)])
     counts = [len(p.index) for p in extract_poles(cloud).poles]

@@ -168,16 +168,21 @@ def test_bent_lines_are_no_cones() -> None:
 
 
 @pytest.mark.parametrize("name", [None, "VLP-16", "Pandar64"])
-def test_ordinary_and_unknown_beams_widen_nothing(name: str | None) -> None:
+def test_ordinary_beams_widen_nothing_near_and_unknown_ones_nothing(name: str | None) -> None:
     beams = beams_by(None if name is None else find_sensor(name))
-    assert beam_scatter(9.0, 0.02, beams) == 0.0
+    assert beam_scatter(8.0, 0.02, beams) == 0.0
+    assert (beam_scatter(16.0, 0.02, beams) > 0.0) == (name is not None)
 
 
-def test_wide_beams_add_the_scatter_of_a_pole_seen_wider() -> None:
-    beams = beams_by(find_sensor("PandarQT"))
-    near, far = (beam_scatter(d, 0.02, beams) for d in (3.0, 9.0))
+@pytest.mark.parametrize(
+    ("name", "half", "away"), [("PandarQT", 0.004, 7.0), ("PandarQT", 0.004, 12.0),
+    ("VLP-16", 0.0015, 16.0)]
+)  # fmt: skip
+def test_beams_add_the_scatter_of_a_pole_seen_wider(name: str, half: float, away: float) -> None:
+    beams = beams_by(find_sensor(name))
+    near, far = (beam_scatter(d, 0.02, beams) for d in (away / 2, away))
     assert near < far
-    seen, ordinary = 0.02 + 9.0 * 0.004, 0.02 + 9.0 * 0.0015
+    seen, ordinary = 0.02 + away * half, 0.02 + min(away, 8.0) * 0.0015
     across = np.random.default_rng(0).uniform(-1, 1, 200_000)
     added = np.sqrt(np.var(seen * across) - np.var(ordinary * across))
     assert far == pytest.approx(added, rel=0.1)

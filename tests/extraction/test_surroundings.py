@@ -244,6 +244,15 @@ def test_a_line_along_the_rings_runs_along_a_sweep(angle: float, runs: bool) -> 
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line) is runs
 
 
+@pytest.mark.parametrize(("level", "runs"), [(True, True), (False, False)])
+def test_range_noise_of_most_of_a_step_hides_no_sweep(level: bool, runs: bool) -> None:
+    rows = scan_rows(0.1)
+    rows[:, 0] += np.random.default_rng(0).normal(0, 0.007, len(rows))
+    line = replace(line_with(10), direction=Y if level else UP)
+    xyz = np.concatenate([on_pole(0.6, 10, 1), rows])
+    assert runs_along_sweep(xyz, np.arange(len(xyz)), line) is runs
+
+
 def test_rings_as_close_as_their_returns_tell_nothing() -> None:
     rows = scan_rows(0.01)
     xyz = np.concatenate([on_pole(0.6, 10, 1), rows])
@@ -251,7 +260,7 @@ def test_rings_as_close_as_their_returns_tell_nothing() -> None:
 
 
 def test_few_returns_tell_nothing() -> None:
-    least = surroundings.SWEEP_NEIGHBOURS**2
+    least = surroundings.FEWEST_AROUND
     column = offset(0.0, 0.2, np.linspace(0, 0.02 * (least - 1), least))
     xyz = np.concatenate([on_pole(0.6, 10, 1), column])
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line_with(10))

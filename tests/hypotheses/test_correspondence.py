@@ -169,6 +169,51 @@ def test_a_pole_that_the_others_deny_is_left_out_where_it_may_be(make_pole: Pole
     )
 
 
+def tubes(rng: np.random.Generator, radius: float, eye: Array, count: int = 40) -> list[Pole]:
+    """Tubes about the axes of two leaning poles, as a LiDAR at ``eye`` sees them, in its frame."""
+    found = []
+    for p, n in AXES:
+        n = n / np.linalg.norm(n)
+        sight = p - eye - ((p - eye) @ n) * n
+        sight /= np.linalg.norm(sight)
+        beside = rng.uniform(-radius, radius, count)
+        depth = np.sqrt(radius**2 - beside**2)
+        along = np.linspace(-1, 1, count)
+        xyz = p - eye + np.outer(along, n) + np.outer(beside, np.cross(n, sight))
+        xyz -= np.outer(depth, sight)
+        centre, axes = se3.principal_axes(xyz)
+        off = np.linalg.norm(np.cross(xyz - centre, axes[:, 2]), axis=1)
+        rms, deeper = float(np.sqrt(np.mean(off**2))), np.pi / 4 * max(radius - 0.02, 0.0)
+        index = np.arange(count)
+        found.append(Pole(centre, axes[:, 2], xyz, 2.0, rms, count, index, deeper * sight))
+    return found
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.055, 0.08])
+def test_tubes_seen_from_two_sides_match(radius: float) -> None:
+    rng = np.random.default_rng(3)
+    eyes = np.zeros(3), np.array([5.0, 9.0, 0.5])
+    target, source = (tubes(rng, radius, eye) for eye in eyes)
+    exact = [each.T_target_source for each in match_poles(target, source) if each.exact]
+    near = min(exact, key=lambda T: float(np.linalg.norm(T[:3, 3] - eyes[1])))
+    # No farther off than a pole of 2 cm is, whose line runs 16 mm in front of its axis.
+    assert se3.difference(near, se3.from_rt(np.eye(3), eyes[1])).translation < 0.06
+    assert len(exact) == 4
+
+
+def test_a_match_is_granted_what_far_and_thick_poles_leave_open_and_near_ones_nothing() -> None:
+    rng = np.random.default_rng(0)
+    pairs = [(0, 0), (1, 1)]
+    thin, thick = (tubes(rng, radius, np.zeros(3)) for radius in (0.02, 0.08))
+    few = tubes(rng, 0.08, np.zeros(3), 4)
+    limits = [correspondence.exact_rms(t, s, pairs) for t, s in ((thin, thin), (thin, thick),
+        (thick, thick), (few, thick))]  # fmt: skip
+    assert limits[0] == correspondence.EXACT_RMS
+    assert limits == sorted(limits)
+    # What the returns of a tube scatter themselves is the least.
+    assert limits[1] ** 2 > 0.05**2 + (0.6 * 0.08) ** 2 - 0.03**2
+
+
 def row_beside_two_poles(make_pole: PoleMaker, T: Array | None = None) -> list[Pole]:
     """Eleven upright posts, a metre apart, beside two poles that lean alike to either side."""
     posts = [make_pole((k - 5.0, 2.0, 1.0), (0, 0, 1), length=1.0, T=T) for k in range(11)]

@@ -43,7 +43,9 @@ def recorded() -> Recorded:
 
 def settled(of: Recorded, *matches: Match) -> list[Match]:
     hypotheses = [Hypothesis(match, None, None, 0.5, 0.0, 0.5) for match in matches]
-    return refine_by_icp(of.target.cloud, of.source.cloud, hypotheses, of.source.poles)
+    return refine_by_icp(
+        of.target.cloud, of.source.cloud, hypotheses, of.target.poles, of.source.poles
+    )
 
 
 def turned(match: Match, T: Array, certainty: float) -> Match:

@@ -150,6 +150,9 @@ class Pole:
         How many rings of the LiDAR hit it.
     index
         (N,) index of the points in their cloud.
+    to_axis
+        (3,) from the line to where that of a pole of `DEFAULT_RADIUS` about the same axis would
+        be, metres: of a thicker one, the line runs farther in front.
     """
 
     point: Array
@@ -159,6 +162,12 @@ class Pole:
     rms: float
     rings: int
     index: IntArray
+    to_axis: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def inner_point(self) -> Array:
+        """(3,) the point of the line, moved by `to_axis`."""
+        return np.asarray(self.point + self.to_axis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +201,8 @@ class Detection:
         it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.
+    threshold_least
+        To what the threshold falls with the range; None where it holds at any range.
     """
 
     poles: tuple[Pole, ...]
@@ -200,6 +211,7 @@ class Detection:
     threshold_source: str
     retro_points: int
     candidates: tuple[Pole, ...] = ()
+    threshold_least: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

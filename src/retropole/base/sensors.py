@@ -58,6 +58,9 @@ class Sensor:
         Full scale of the intensity.
     threshold
         Intensity from which a return at about 5 m counts as retro-reflective.
+    retro_from
+        Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` where that
+        is not known, and 0 where intensities are raw signal, which falls with the range.
     threshold_source, source
         Where the threshold and the other figures come from.
     range_accuracy, retro_accuracy
@@ -90,6 +93,7 @@ class Sensor:
     rise: Array = field(default_factory=lambda: np.zeros(0))
     is_numbered: bool = True
     is_round: bool = False
+    retro_from: float = np.inf
 
     @property
     def turn(self) -> float:
@@ -211,6 +215,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rise_deg: tuple[float, ...] = ()
     numbered: bool = True
     round: bool = False
+    retro_from: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no LiDAR has; `msgspec` says where it stands."""
@@ -218,6 +223,8 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         positive = (self.noise_m, self.divergence_mrad, near, far - near, self.full_scale)
         if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
             raise ValueError("noise, divergence, ranges, threshold and full scale are above zero")
+        if not 0.0 <= (self.retro_from or 0.0) < np.inf:
+            raise ValueError("retro_from is an intensity, not below zero")
         counts = [each[2] if isinstance(each, tuple) else 1 for each in self.elevations_deg]
         has_rings = sum(counts) <= 1024 and 0.0 < self.azimuth_step_deg <= 180.0
         if not (self.points > 0 if self.rosette_deg else has_rings and min(counts, default=0) > 0):
@@ -272,6 +279,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             rise=rise,
             is_numbered=self.numbered,
             is_round=self.round,
+            retro_from=self.threshold if self.retro_from is None else self.retro_from,
         )
 
 
@@ -357,10 +365,26 @@ def sensor_or_auto(name: str) -> Sensor | None:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Intensity from which a return counts as retro-reflective, and how it was found."""
+    """Intensity from which a return counts as retro-reflective, and how it was found.
+
+    ``value`` holds up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may,
+    with the square of the range, to ``least``; None where it holds at any range.
+    """
 
     value: float
     found: str
+    least: float | None = None
+
+    def at(self, ranges: Array) -> Array:
+        """Threshold (N,) of returns from some ranges (N,), metres."""
+        if self.least is None:
+            return np.full(len(ranges), self.value)
+        falling = self.value * (TAPE_RANGE / np.maximum(ranges, TAPE_RANGE)) ** 2
+        return np.maximum(falling, self.least)
+
+
+TAPE_RANGE = 5.0
+"""The table's thresholds are for tape at about this range, metres."""
 
 
 LITTLE = "little stands out"
@@ -437,16 +461,34 @@ def _end_of_diffuse(intensity: Array) -> float:
     return float(median + 2.5 * (high - median))
 
 
-def threshold_for(intensity: Array, sensor: Sensor | None, given: float | None) -> Threshold:
+def threshold_for(
+    intensity: Array, ranges: Array, sensor: Sensor | None, given: float | None
+) -> Threshold:
     """Choose the threshold: the one given, else the sensor's, else the cloud's own.
 
     A sensor's figure is used on the scale the cloud has it: a driver that divides by the full
-    scale leaves no intensity above 1.
+    scale leaves no intensity above 1. It falls with the range where that leaves all diffuse returns
+    below it: those that the sensor's maker states, and those of the cloud beyond `TAPE_RANGE`.
+
+    Parameters
+    ----------
+    intensity, ranges
+        (N,) of the cloud; ranges from where the beams start, metres.
+    sensor, given
+        What recorded it, and what the user says; None where either is not known.
     """
     if given is not None:
         return Threshold(float(given), GIVEN)
     if sensor is None:
         return auto_threshold(intensity)
-    if float(intensity.max()) <= 1.0 < sensor.threshold:
-        return Threshold(sensor.threshold / sensor.intensity_max, f"{sensor.name}, scaled to 0–1")
-    return Threshold(sensor.threshold, sensor.name)
+    is_scaled = float(intensity.max()) <= 1.0 < sensor.threshold
+    scale = 1 / sensor.intensity_max if is_scaled else 1.0
+    value, found = scale * sensor.threshold, sensor.name + ", scaled to 0–1" * is_scaled
+    far = intensity[ranges > TAPE_RANGE]
+    least = max(scale * sensor.retro_from, _end_of_diffuse(far) if len(far) else np.inf)
+    if least >= value:
+        return Threshold(value, found)
+    end = TAPE_RANGE * np.sqrt(value / max(least, 1e-9))
+    return Threshold(
+        value, f"{found}; falls to {least:.3g} from {TAPE_RANGE:g} to {end:.3g} m", least
+    )

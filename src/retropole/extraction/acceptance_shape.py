@@ -15,7 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.quantities import counted
 from ..base.reasons import Code
 from ..io.beams import elevations
-from .lines import MIN_LINE_POINTS, Line
+from .lines import MIN_LINE_POINTS, WIDTH_IN_RMS, Line
 
 MIN_POLE_POINTS = 6
 """Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
@@ -109,7 +109,9 @@ def shape_failure(
     if line.rings < MIN_POLE_RINGS:
         reason = f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
         return Failure("too_few_rows", reason)
-    if line.length < MIN_SLENDERNESS * line.width:
+    # A short piece of a thick tube is as wide as its radius makes it.
+    slim = line.width - WIDTH_IN_RMS * line.thicker
+    if line.length < max(MIN_SLENDERNESS * slim, line.width):
         reason = f"{size}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
         return Failure("too_wide", reason)
     if line.rms > MAX_RMS + line.thicker or is_long_and_thick:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
+from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from .acceptance_shape import (
@@ -46,7 +47,7 @@ from .lines import (
     propose_lines,
 )
 from .poles import MAX_POLES, extract_poles, is_too_low, near_box, off_surfaces, pole_on
-from .sensor_pattern import Beams, beams_by
+from .sensor_pattern import NEAR_POLES_END, Beams, beams_by
 from .surroundings import (
     Surroundings,
     along_the_sweeps,
@@ -84,7 +85,7 @@ def with_dimmer_candidates(
         where its threshold was given.
     """
     assert cloud.intensity is not None
-    chosen = Threshold(detection.threshold, detection.threshold_source)
+    chosen = _threshold_of(detection)
     found: list[Pole] = []
     less: list[Pole] = []
     for lower in lower_thresholds(cloud.intensity, chosen):
@@ -100,6 +101,10 @@ def with_dimmer_candidates(
     for pole in without_repeats(less, len(cloud)):
         doubtful += _apart_from((*detection.poles, *doubtful), (pole,), len(cloud))
     return replace(detection, candidates=tuple(doubtful[:MAX_POLES]))
+
+
+def _threshold_of(detection: Detection) -> Threshold:
+    return Threshold(detection.threshold, detection.threshold_source, detection.threshold_least)
 
 
 def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:
@@ -120,10 +125,10 @@ CLINGING = 0.06
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
 itself is nearer than `MAX_CLOSE`."""
 
-NEAR_POLES_END, POINTING = 8.0, 0.002
-"""Limits of scatter were set on poles no farther than the first, metres; beyond, what beams point
-beside where they should scatters the returns of a candidate by this more, rad: 25 mm at 15 m. Of
-tubes of 6 and 11 cm at 13 to 17 m (benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
+POINTING = 0.002
+"""Beyond `NEAR_POLES_END`, what beams point beside where they should scatters the returns of a
+candidate by this more, rad: 25 mm at 15 m. Of tubes of 6 and 11 cm at 13 to 17 m
+(benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
 
 MOST_PROPOSALS = 30
 """Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
@@ -176,7 +181,8 @@ def with_candidates(
     """
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
-    free = np.asarray(cloud.intensity >= detection.threshold)
+    chosen = _threshold_of(detection)
+    free = np.asarray(cloud.intensity >= chosen.at(lengths(cloud.xyz - cloud.origin)))
     for pole in detection.poles:
         free[pole.index] = False
     retro = np.flatnonzero(free)

@@ -28,7 +28,7 @@ from ..base.datatypes import (
 )
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..base.se3 import principal_axes
+from ..base.se3 import lengths, principal_axes
 from ..base.sensors import Sensor, threshold_for
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
 from .acceptance_shape import (
@@ -57,7 +57,7 @@ from .lines import (
     on_surface,
     propose_lines,
 )
-from .sensor_pattern import Beams, beams_by, check_sensor
+from .sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS, Beams, beams_by, check_sensor
 from .surroundings import MAX_BESIDE, SHORT_LENGTH, surroundings_failure
 
 SURFACE_LINK = 0.4
@@ -119,7 +119,8 @@ def extract_poles(
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
     assert cloud.intensity is not None
-    chosen = threshold_for(cloud.intensity, sensor, threshold)
+    ranges = lengths(cloud.xyz - cloud.origin)
+    chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
     if is_too_low(cloud.intensity, chosen.value):
         bright = int(np.count_nonzero(cloud.intensity >= chosen.value))
         raise Refusal(
@@ -130,7 +131,7 @@ def extract_poles(
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
-    free = cloud.intensity >= chosen.value
+    free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
     sure: list[Line] = []
@@ -156,6 +157,7 @@ def extract_poles(
         chosen.found,
         len(retro),
         _poles_on(cloud, [line for line, _ in doubtful]),
+        chosen.least,
     )
 
 
@@ -321,7 +323,12 @@ def pole_on(cloud: PointCloud, line: Line) -> Pole:
     """Make a pole of a line."""
     index = np.sort(line.index)
     xyz = cloud.xyz[index]
-    return Pole(xyz.mean(axis=0), line.direction, xyz, line.length, line.rms, line.rings, index)
+    point = xyz.mean(axis=0)
+    sight = point - cloud.origin
+    sight -= (sight @ line.direction) * line.direction
+    deeper = DEPTH_PER_RADIUS * line.thicker / RMS_PER_RADIUS
+    to_axis = deeper * sight / (np.linalg.norm(sight) or 1.0)
+    return Pole(point, line.direction, xyz, line.length, line.rms, line.rings, index, to_axis)
 
 
 def _rejected(

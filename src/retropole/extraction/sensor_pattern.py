@@ -32,8 +32,9 @@ from ..io.beams import (
     ring_spread,
 )
 
-RMS_PER_RADIUS = 0.62
-"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
+RMS_PER_RADIUS, DEPTH_PER_RADIUS = 0.62, float(np.pi / 4)
+"""Beams evenly spaced across a cylinder scatter by so many radii about their line, which runs so
+many in front of the axis."""
 
 
 ORDINARY_DIVERGENCE = 0.003
@@ -43,6 +44,10 @@ ORDINARY_DIVERGENCE = 0.003
 ORDINARY_NOISE, NOISY = 0.010, 0.015
 """1 σ of the ranges of most sensors, metres, for which the limits are; with up to so much more they
 were set, and nothing is granted."""
+
+
+NEAR_POLES_END = 8.0
+"""Limits of scatter were set on poles no farther than this, metres."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +76,12 @@ def beams_by(sensor: Sensor | None) -> Beams:
 
 
 def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
-    """Scatter, metres, that wide or noisy beams add to that of returns on a pole by ordinary ones.
+    """Scatter, metres, that wide or noisy beams add to that of returns on a near pole by ordinary
+    ones.
 
     A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
     the pole looks wider by half a beam on either side. The limits here hold for beams of
-    `ORDINARY_DIVERGENCE`, and for unknown ones.
+    `ORDINARY_DIVERGENCE` up to `NEAR_POLES_END`, and for unknown ones.
 
     Parameters
     ----------
@@ -85,7 +91,7 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
         That met it.
     """
     seen = _seen_radius(distance, radius, beams.divergence)
-    ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
+    ordinary = _seen_radius(min(distance, NEAR_POLES_END), radius, ORDINARY_DIVERGENCE)
     wide = RMS_PER_RADIUS**2 * max(seen**2 - ordinary**2, 0.0)
     noisy = beams.noise**2 - ORDINARY_NOISE**2 if beams.noise > NOISY else 0.0
     return float(np.sqrt(wide + noisy))

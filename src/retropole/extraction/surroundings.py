@@ -66,19 +66,15 @@ NEIGHBOUR_REACH = 0.3
 """Neighbours are looked for among points no farther than this from a sample first, metres; all are
 asked where one has none there: the answer is the same."""
 
-SWEEP_NEIGHBOURS = 4
+SWEEP_NEIGHBOURS, FEWEST_AROUND = 8, 16
 """Nearest neighbours of each return that tell the direction of the sweep; fewer returns than the
-square of it say nothing: without that, 2 poles of an OS1 are lost in clouds without rings.
-Sensitivity at 3: 1 more false; at 6: 4 fewer false."""
+second say nothing: without that, 2 poles of an OS1 are lost in clouds without rings."""
 
-SWEEP_COSINE = 0.85
-"""Neighbours within 32° of the line, by this cosine, lie in its direction. Sensitivity at 0.79: 12
-fewer false; at 0.895: 2 more false."""
-
-MAX_SWEEP_SHARE = 0.88
-"""Largest share of the neighbours in the direction of the line. A third of all directions lie
-within 32° on a plane: more than this is a pattern. Sensitivity at 0.832: 6 fewer false; at 0.916: 2
-more false."""
+MAX_SWEEP_SHARE = 0.78
+"""Largest share of the direction of the line in the squared steps to these neighbours: ½ on a
+plane that is scanned evenly. It was 0.82 to 0.94 about lines along the rings of bright ground, and
+0.74 at most about poles (staged clouds without rings, benchmarks/detection.py, seeds 1 and 2).
+Range noise as large as a step turns single ones, but hardly their sum."""
 
 
 def on_crossing_line(beside: Array, line: Line) -> BoolArray:
@@ -135,7 +131,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
 
     The returns of one ring are much nearer to each other than to those of the next: around a line
     along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
-    say nothing.
+    say nothing. Of the squared steps to them, the share along the line counts.
 
     Parameters
     ----------
@@ -147,7 +143,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
         The line itself.
     """
     others = np.setdiff1d(near, line.index, assume_unique=True)
-    if len(others) < SWEEP_NEIGHBOURS**2:
+    if len(others) < FEWEST_AROUND:
         return False
     points = xyz[others]
     # A sample that does not depend on the order of the points: those nearest to the line.
@@ -161,8 +157,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
         around = points
         _, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
     span = around[neighbour[:, 1:]] - sample[:, None]
-    in_direction = np.abs(span @ line.direction) > SWEEP_COSINE * np.linalg.norm(span, axis=-1)
-    return float(np.mean(in_direction)) > MAX_SWEEP_SHARE
+    return float(np.sum((span @ line.direction) ** 2)) > MAX_SWEEP_SHARE * float(np.sum(span**2))
 
 
 SHORT_LENGTH = 0.8

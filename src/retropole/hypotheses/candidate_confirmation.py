@@ -178,11 +178,13 @@ def _lines_agree(each: PairedPlacement) -> bool:
     for i in range(len(target)):
         for j in range(i):
             four = (target[i], target[j], source[i], source[j])
-            one = line_pair(four[0].point, four[0].direction, four[1].point, four[1].direction)
-            other = line_pair(four[2].point, four[2].direction, four[3].point, four[3].direction)
+            one, other = (
+                line_pair(a.inner_point, a.direction, b.inner_point, b.direction)
+                for a, b in (four[:2], four[2:])
+            )
             sigma = float(np.linalg.norm([direction_sigma(pole) for pole in four]))
             lever = max(
-                float(np.linalg.norm(pair.frame[:3, 3] - pole.point))
+                float(np.linalg.norm(pair.frame[:3, 3] - pole.inner_point))
                 for pair, poles in ((one, four[:2]), (other, four[2:]))
                 for pole in poles
             )

@@ -28,6 +28,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
+from ..extraction.certainty import MAX_SURE_RMS
 from .placements import Share
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
@@ -139,7 +140,7 @@ def pair_starts(
 
 def _frame_of(pair: tuple[Pole, Pole]) -> Array:
     first, second = pair
-    return line_pair(first.point, first.direction, second.point, second.direction).frame
+    return line_pair(first.inner_point, first.direction, second.inner_point, second.direction).frame
 
 
 WAYS = tuple(
@@ -180,6 +181,27 @@ EXACT_RMS = 0.05
 """Pole residual, metres, up to which a start counts as an exact match of the lines. The
 facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
 
+
+def exact_rms(
+    target: Sequence[Pole], source: Sequence[Pole], pairs: Sequence[tuple[int, int]]
+) -> float:
+    """Residual of paired poles, metres, up to which they are an exact match.
+
+    `EXACT_RMS`, and beyond what confirmed poles scatter, what those of the source do about their
+    lines, and three sigma of what the returns leave open of the target's lines, where the others
+    lie on them: of thick, far and short poles.
+    """
+    count = variance = 0.0
+    for i, j in pairs:
+        line, other = target[i], source[j]
+        open_variance = line.rms**2 / len(line.xyz) + (
+            direction_sigma(line) ** 2 * other.length**2 / 12.0
+        )
+        count += len(other.xyz)
+        variance += len(other.xyz) * (other.rms**2 + 9.0 * open_variance)
+    return float(np.sqrt(EXACT_RMS**2 + max(variance / count - MAX_SURE_RMS**2, 0.0)))
+
+
 EXTENSION_RMS = 3 * EXACT_RMS
 """Distance within which further poles fall into place under a match of two, metres."""
 
@@ -205,8 +227,9 @@ def solved_each(
     index = np.array([[*each, *(each[:1] * (most - len(each)))] for each in pairs])
     counts = np.array([len(pole.xyz) for pole in source]) / 6.0
     weights = counts[index[:, :, 1]] * (np.arange(most) < [[len(each)] for each in pairs])
-    points = np.stack([equivalent_points(pole.xyz) for pole in source])[index[:, :, 1]]
-    on = np.stack([pole.point for pole in target])[index[:, :, 0]]
+    points = np.stack([equivalent_points(pole.xyz) + pole.to_axis for pole in source])
+    points = points[index[:, :, 1]]
+    on = np.stack([pole.inner_point for pole in target])[index[:, :, 0]]
     along = np.stack([pole.direction for pole in target])[index[:, :, 0]]
     fits = align_each(
         Lines(
@@ -219,7 +242,12 @@ def solved_each(
     )
     return [
         Match(
-            own, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
+            own,
+            fit.T_target_source,
+            fit.rms,
+            fit.rms <= exact_rms(target, source, own),
+            fit.converged,
+            fit.information,
         )
         for own, fit in zip(pairs, fits, strict=True)
     ]
@@ -234,9 +262,10 @@ def extended(
 
     # Between all poles (T) of the target and all (S) of the source at once.
     ends = np.stack([np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]) for pole in source])
+    ends += np.stack([pole.to_axis for pole in source])[:, None]
     moved = se3.apply(T, ends.reshape(-1, 3)).reshape(-1, 3, 3)
     along = np.stack([pole.direction for pole in source]) @ T[:3, :3].T
-    points = np.stack([pole.point for pole in target])
+    points = np.stack([pole.inner_point for pole in target])
     directions = np.stack([pole.direction for pole in target])
     offset = moved[None] - points[:, None, None]
     across = np.cross(offset, directions[:, None, None])
@@ -285,7 +314,7 @@ def left_out(
     others = [target[i] for i in rest_target], [source[j] for j in rest_source]
     for i, j in extended(*others, T, MOVED):
         pole, other = others[0][i], others[1][j]
-        offset = se3.apply(T, other.point) - pole.point
+        offset = se3.apply(T, other.inner_point) - pole.inner_point
         distance = float(np.linalg.norm(np.cross(offset, pole.direction)))
         found.append((rest_target[i], rest_source[j], distance))
     return found
@@ -338,11 +367,12 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
         first, second = poles[i], poles[j]
         if _angle_between(first.direction, second.direction) < MIN_ANGLE:
             continue
-        pair = line_pair(first.point, first.direction, second.point, second.direction)
+        points = np.stack([first.inner_point, second.inner_point])
+        pair = line_pair(points[0], first.direction, points[1], second.direction)
         sigma = float(np.hypot(direction_sigma(first), direction_sigma(second)))
         # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
         # there an error of direction moves the feet by that lever.
-        feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
+        feet = np.linalg.norm(pair.frame[:3, 3] - points, axis=1)
         index.append((i, j))
         frames.append(pair.frame)
         rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))

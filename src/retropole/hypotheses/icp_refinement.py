@@ -25,7 +25,7 @@ from ..surfaces.registration import (
     voxel_downsample,
 )
 from ..surfaces.visibility import SCORING_VOXEL, tree_of
-from .correspondence import EXACT_RMS, same_pose
+from .correspondence import exact_rms, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is
@@ -51,6 +51,7 @@ def refine_by_icp(
     target: PointCloud,
     source: PointCloud,
     hypotheses: Sequence[Hypothesis],
+    target_poles: Sequence[Pole],
     source_poles: Sequence[Pole],
 ) -> list[Match]:
     """Register the scenes from every exact hypothesis, and keep the end where the poles allow it.
@@ -61,14 +62,14 @@ def refine_by_icp(
         The whole clouds, each in its own frame.
     hypotheses
         The best first.
-    source_poles
+    target_poles, source_poles
         Those that the hypotheses pair.
 
     Returns
     -------
     list of Match
         With `icp_refined` and the pose of the registration's end where the lines are still an exact
-        match there, within `EXACT_RMS`; as they were elsewhere. Of those that end in the same pose
+        match there, within `exact_rms`; as they were elsewhere. Of those that end in the same pose
         only the first.
 
     Raises
@@ -83,8 +84,9 @@ def refine_by_icp(
     for k, match in enumerate(hypothesis.match for hypothesis in hypotheses):
         if match.exact and k < MOST_REFINED:
             T = registered(surface, tree, points, match.T_target_source)
+            limit = exact_rms(target_poles, source_poles, match.pairs)
             count = sum(len(source_poles[j].xyz) for _, j in match.pairs)
-            if T is not None and rms_after(match, T, count) <= EXACT_RMS:
+            if T is not None and rms_after(match, T, count) <= limit:
                 match = replace(match, T_target_source=T, icp_refined=True)
         if not any(match.exact and other.exact and same_pose(match, other, at) for other in found):
             found.append(match)

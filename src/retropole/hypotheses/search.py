@@ -278,7 +278,7 @@ def refine_by_icp(scored: PlacementHypotheses) -> PlacementMatches:
     """Let the scene move the hypotheses of a placement as far as their poles allow."""
     target, source = scored.placement.target, scored.placement.source
     matches = icp_refinement.refine_by_icp(
-        target.cloud, source.cloud, scored.hypotheses, source.poles
+        target.cloud, source.cloud, scored.hypotheses, target.poles, source.poles
     )
     exact = sum(each.match.exact for each in scored.hypotheses)
     fitting = Share(min(exact, icp_refinement.MOST_REFINED), exact)
