@@ -10,8 +10,6 @@ of place, and for each sensor, prints
 * the median error of roll and pitch, and of the height, and for each the ratio of the median of
   what is stated (0.6745 σ, the median of a normal error) to it.
 
-Where there is a kerb, it is known whether the LiDARs stand over the road or the pavement.
-
 Seeds 0 to 199 tune, those from 1000 state.
 
     python benchmarks/leveling.py --seeds 1000:1200
@@ -36,7 +34,7 @@ from retropole.base.errors import Refusal
 from retropole.base.sensors import Sensor, find_sensor
 from retropole.base.systematic import sizes_of
 from retropole.ground.level import level
-from retropole.ground.surface import Which, viewer_of
+from retropole.ground.surface import viewer_of
 from retropole.simulation import FIELD, Rectangle, Surface, draw_device, scan
 from retropole.simulation.scenes import (
     ASPHALT,
@@ -148,15 +146,6 @@ def true_plane(surfaces: Sequence[Surface], origin: Array, radius: float) -> tup
     return normal, point
 
 
-def known_level(surfaces: Sequence[Surface], foot: Array, kind: str) -> Which | None:
-    """Say which of two levels is below a foot (2,), as whoever is there sees; None with one."""
-    if kind != "kerb":
-        return None
-    steps = np.linspace(-15, 15, 61)
-    around = heights(surfaces, foot + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2))
-    return "higher" if heights(surfaces, foot[None])[0] > np.nanmean(around) else "lower"
-
-
 def truth(normal: Array, point: Array, T_world_lidar: Array, x: Array) -> Array:
     """Roll, pitch and height (3,), where x (3,) lies along the ground's x axis."""
     x = x - (x @ normal) * normal
@@ -204,9 +193,7 @@ def run(seed: int, disc: float | None) -> Found:
         viewers.append(viewer_of(f"{k}", cloud, T_first, sizes_of(sensor)))
     found = Found(kind, name, seed, exact)
     try:
-        answer = level(
-            viewers, covariance, disc, known_level(place.surfaces, poses[0][:2, 3], kind)
-        )
+        answer = level(viewers, covariance, disc)
     except Refusal as refusal:
         found.refused = refusal.message
         return found

@@ -16,7 +16,7 @@ from ..base.files import path_in_text
 from ..base.sensors import sensor_or_auto
 from ..base.systematic import sizes_of
 from ..ground.level import Leveled, LidarLevel, level
-from ..ground.surface import Viewer, Which, viewer_of
+from ..ground.surface import Viewer, viewer_of
 from ..result import ResultDoc, any_result_file, refusal_of
 from ..result.level import LevelDoc, level_document
 from ..result.site import SiteDoc, as_site
@@ -50,7 +50,6 @@ def level_result(
     base: BaseLink | None = None,
     lidar: str | None = None,
     radius: float | None = None,
-    which: Which | None = None,
     listener: Listener = SILENT,
 ) -> tuple[LevelDoc, Leveled]:
     """Find roll, pitch and height over the ground of the LiDARs of a result.
@@ -65,8 +64,6 @@ def level_result(
         Where that LiDAR, or the target or the first of a site, is on the vehicle.
     radius
         Of the disc that the plane is for, metres; None as `ground.level.level`.
-    which
-        Of a road and a pavement, ``lower`` or ``higher``, the one that the LiDARs stand over.
     listener
         Told of each step, and of each cloud that is read.
 
@@ -108,7 +105,7 @@ def level_result(
     listener.progress("level")
     # The matrices are small: threads of BLAS only wait for each other.
     with threadpool_limits(1):
-        leveled = level(viewers, _joint(document, used), radius, which)
+        leveled = level(viewers, _joint(document, used), radius)
     bases = {}
     if base is not None:
         first = next(each for each in leveled.lidars if each.name == (lidar or viewers[0].name))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
@@ -28,13 +28,6 @@ CROSSFALL = 0.025
     help="Radius of the disc of ground that the plane is for, m.  [default: 10, or what is seen]",
 )
 @click.option(
-    "--ground",
-    "which",
-    type=click.Choice(("lower", "higher")),
-    help="Of a road and a pavement that are both seen, the one that the LiDARs stand over. "
-    "[default: decided by what is seen near them, else refused]",
-)
-@click.option(
     "--base-link",
     metavar="X,Y,YAW_DEG",
     help="Where the LiDAR is on the vehicle, measured along the ground: m, m, deg.",
@@ -54,7 +47,6 @@ def level(
     clouds: tuple[Path, ...],
     out: Path | None,
     disc_m: float | None,
-    which: Literal["lower", "higher"] | None,
     base_link: str | None,
     lidar: str | None,
     base_link_sigma: tuple[float, float],
@@ -72,7 +64,6 @@ def level(
     \b
     Examples:
       retropole level retropole-out
-      retropole level retropole-out --ground lower
       retropole level retropole-out --base-link 1.2,0,0.5
       retropole level quay/site-result.json --json | jq '.lidars[] | {name, roll_rad, height_m}'
       retropole level today/result.json front.pcd rear.pcd --disc-m 6
@@ -105,13 +96,7 @@ def level(
         raise click.UsageError("--lidar says which LiDAR --base-link is of: give both")
     with listening(quiet, None, BY_OPTIONS, units=False, hidden=as_json) as listener:
         document, _ = level_result(
-            result,
-            clouds,
-            base=base,
-            lidar=lidar,
-            radius=disc_m,
-            which=which,
-            listener=listener,
+            result, clouds, base=base, lidar=lidar, radius=disc_m, listener=listener
         )
     out = out or any_result_file(result).with_name(LEVEL_FILE)
     written = encode(document)

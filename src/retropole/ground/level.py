@@ -40,7 +40,7 @@ from ..base.systematic import (
     by_error,
 )
 from ..base.uncertainty import FLOOR_ROTATION, FLOOR_TRANSLATION
-from .surface import Ground, Level, Viewer, Which, find_ground, level_axes, little
+from .surface import Ground, Level, Viewer, find_ground, level_axes, little
 
 DISC = 10.0
 """Radius of the disc that the plane is for, metres: LiDARs on vehicles see about half of it."""
@@ -196,10 +196,7 @@ class Leveled:
 
 
 def level(
-    viewers: Sequence[Viewer],
-    poses: Array | None = None,
-    radius: float | None = None,
-    which: Which | None = None,
+    viewers: Sequence[Viewer], poses: Array | None = None, radius: float | None = None
 ) -> Leveled:
     """Find roll, pitch and height of LiDARs over the ground.
 
@@ -212,8 +209,6 @@ def level(
         None where they are exact, as that of a single LiDAR.
     radius
         Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
-    which
-        As `find_ground`.
 
     Raises
     ------
@@ -223,8 +218,7 @@ def level(
     """
     count = 6 * len(viewers)
     joint = np.zeros((count, count)) if poses is None else poses
-    radii = [DISC * k for k in WIDER] if radius is None else [radius]
-    ground, radius = _enough(viewers, radii, which)
+    ground, radius = _enough(viewers, [DISC * k for k in WIDER] if radius is None else [radius])
     for left in reversed(range(ROUNDS)):
         found = plane_of(cells_on(ground, viewers), joint, ground.centre, ground.radius)
         plane, covariance = found.mean[:3], found.covariance
@@ -232,7 +226,7 @@ def level(
         if not left or np.hypot(*plane[1:]) < SETTLED:
             break
         turned = ground_frame(plane, ground.T_rough_frame)
-        ground = find_ground(viewers, radius, (turned, ground.ceiling), which)
+        ground = find_ground(viewers, radius, (turned, ground.ceiling))
     tilt, height = np.sqrt(np.diag(covariance)[1:3].max()), np.sqrt(covariance[0, 0])
     if tilt > MAX_TILT_SIGMA or height > MAX_HEIGHT_SIGMA:
         raise Refusal(
@@ -264,14 +258,12 @@ def level(
     )
 
 
-def _enough(
-    viewers: Sequence[Viewer], radii: Sequence[float], which: Which | None
-) -> tuple[Ground, float]:
+def _enough(viewers: Sequence[Viewer], radii: Sequence[float]) -> tuple[Ground, float]:
     """Take the first disc of which enough is seen, and its radius as given, metres."""
     refusal = None
     for radius in radii:
         try:
-            ground = find_ground(viewers, radius, which=which)
+            ground = find_ground(viewers, radius)
         except Refusal as refused:
             if refused.code != "too_little_ground":
                 raise

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -100,10 +100,6 @@ UPRIGHT = 0.1
 """Sine of the angle to the ground's normal below which an axis has no direction along it."""
 
 
-Which = Literal["lower", "higher"]
-"""Of two levels with a step between them, the one that the LiDARs stand over."""
-
-
 @dataclass(frozen=True, eq=False)
 class Viewer:
     """One LiDAR that sees the ground.
@@ -177,10 +173,7 @@ class Ground:
 
 
 def find_ground(
-    viewers: Sequence[Viewer],
-    radius: float,
-    axes: tuple[Array, float | None] | None = None,
-    which: Which | None = None,
+    viewers: Sequence[Viewer], radius: float, axes: tuple[Array, float | None] | None = None
 ) -> Ground:
     """Find the ground below LiDARs.
 
@@ -192,8 +185,6 @@ def find_ground(
         Of the disc below each that is of interest, metres.
     axes
         (4, 4) rough axes and the height of a ceiling, where they are known.
-    which
-        Of two levels with a step between them, the one to take; None decides by what is seen.
 
     Raises
     ------
@@ -220,7 +211,7 @@ def find_ground(
     middle[_at_edges(middle)] = np.nan
     rows = np.stack(np.nonzero(np.isfinite(middle)), axis=1)
     at = np.c_[corner + (rows + 0.5) * CELL, middle[np.isfinite(middle)]]
-    on, others = _levels(at, middle, radius, which)
+    on, others = _levels(at, middle, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
     middle[tuple(rows[~on].T)] = np.nan
@@ -396,9 +387,7 @@ class _Grown(NamedTuple):
     around: float
 
 
-def _levels(
-    at: Array, heights: Array, radius: float, which: Which | None
-) -> tuple[BoolArray, tuple[Level, ...]]:
+def _levels(at: Array, heights: Array, radius: float) -> tuple[BoolArray, tuple[Level, ...]]:
     """Which cells (N, 3) are ground, and the levels beside it, from their heights in a grid."""
     pieces = _pieces(heights)
     for number in np.flatnonzero(np.bincount(pieces, minlength=1) > 2 * KERB_AREA / CELL**2):
@@ -424,42 +413,24 @@ def _levels(
     # The ground is what lies about the foot nearest to it; else what fills most of the view.
     found.sort(key=lambda level: (level.around, -level.weight))
     best = found[0]
-    if which is not None:
-        sign = 1.0 if which == "higher" else -1.0
-        offs = [(0.0, best)]
-        offs += [
-            (np.median(_off(at, each, best)), each) for each in found if _is_kerb(at, each, best)
-        ]
-        best = max(offs, key=lambda each: sign * each[0])[1]
     others = []
-    for level in (each for each in found if each is not best):
-        off = _off(at, level, best)
-        others.append(Level(float(np.median(off)), len(off) * CELL**2))
+    for level in found[1:]:
+        beside = level.on & (~best.on if (level.on & ~best.on).any() else level.on)
+        height = float(np.median(at[beside, 2] - best.heights[beside]))
+        others.append(Level(height, float(np.count_nonzero(beside)) * CELL**2))
+    for level, other in zip(found[1:], others, strict=True):
         reach = np.quantile(distance[level.on], NEAREST)
-        if which is None and best.around > NEARER * reach and _is_kerb(at, level, best):
+        doubtful = best.around > NEARER * reach
+        off = (at[:, 2] - best.heights)[level.on & ~best.on]
+        is_kerb = KERB[0] < abs(other.height) < KERB[1] and len(off) >= KERB_AREA / CELL**2
+        if is_kerb and np.std(off) < PARALLEL and doubtful:
             raise Refusal(
                 "two_grounds",
-                f"two levels are seen, the other {100 * others[-1].height:+.0f} cm higher on "
-                f"{others[-1].area:.0f} m²: which of them is below the LiDARs is not seen",
-                {"height_m": others[-1].height, "area_m2": others[-1].area},
+                f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
+                f"{other.area:.0f} m²: which of them is below the LiDARs is not seen",
+                {"height_m": other.height, "area_m2": other.area},
             )
     return best.on, tuple(sorted(others, key=lambda level: -level.area))
-
-
-def _off(at: Array, level: _Grown, best: _Grown) -> Array:
-    """Heights of the cells of a level that are not of another, over that."""
-    beside = level.on & ~best.on
-    beside = beside if beside.any() else level.on
-    return np.asarray(at[beside, 2] - best.heights[beside])
-
-
-def _is_kerb(at: Array, level: _Grown, best: _Grown) -> bool:
-    """Whether a level is a road beside a pavement, or the other way round."""
-    if not (level.on & ~best.on).any():
-        return False
-    off = _off(at, level, best)
-    is_step = KERB[0] < abs(np.median(off)) < KERB[1] and len(off) >= KERB_AREA / CELL**2
-    return bool(is_step and np.std(off) < PARALLEL)
 
 
 def _is_around(at: Array) -> bool:
