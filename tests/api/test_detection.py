@@ -14,7 +14,7 @@ def test_poles_are_those_of_a_calibration() -> None:
 
 
 def test_options_are_taken() -> None:
-    assert rp.detect(pair().target, sensor="VLP-16").threshold_source == "VLP-16"
+    assert rp.detect(pair().target, sensor="VLP-16").threshold_source.startswith("VLP-16; falls to")
     assert rp.detect(pair().target, threshold=1e9).poles == ()
     with pytest.raises(rp.UsageError, match="nonsense"):
         rp.detect(pair().target, sensor="nonsense")
