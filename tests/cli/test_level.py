@@ -17,12 +17,14 @@ def test_a_result_is_levelled(tmp_path: Path) -> None:
     write_pair(pair, tmp_path)
     files = tmp_path / "lidar0.pcd", tmp_path / "lidar1.pcd"
     out = tmp_path / "out"
-    assert retropole_here("calibrate", *files, "--out", out, "-q").returncode == 0
+    assert retropole_here("calibrate", *files, "--out", out, "-q", "--level").returncode == 0
+    at_once = json.loads((out / "level.json").read_text())["lidars"]
     done = retropole_here("level", out, "--base-link", "1.2,0.3,10")
     assert done.returncode == 0, done.stderr
     assert "plumb line" in done.stdout
     document = json.loads((out / "level.json").read_text())
     assert document["schema"] == "retropole/level/1"
+    assert [each["height_m"] for each in document["lidars"]] == [e["height_m"] for e in at_once]
     for lidar, truth in zip(
         document["lidars"], (pair.T_world_target, pair.T_world_source), strict=True
     ):

@@ -10,6 +10,7 @@ import click
 
 from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
 from .common import BY_SITE_FILE, command_line, listening, result_told, say
+from .level import LEVEL, level_beside
 from .options import (
     CLOUD,
     READING,
@@ -31,6 +32,7 @@ from .out import out_folder
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
+@LEVEL
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
     target: Path | None,
@@ -38,6 +40,7 @@ def calibrate(
     placements: tuple[tuple[Path, Path], ...],
     out: Path,
     plan: Path | None,
+    with_level: bool,
     strict: bool,
     as_json: bool,
     verbose: bool,
@@ -57,6 +60,7 @@ def calibrate(
       retropole calibrate front/ rear/ --sensor-target VLP-16 --threshold-source 150
       retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
       retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
+      retropole calibrate front.pcd rear.pcd --level
       retropole calibrate front.pcd rear.pcd --up
       retropole calibrate front.pcd rear.pcd --hypothesis b
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
@@ -99,6 +103,8 @@ def calibrate(
     if wanted is not None and not quiet:
         for line in cost_of(wanted, result):
             say(f"plan: {line}")
+    if with_level and result.status != "refused":
+        level_beside(out, quiet or as_json)
     return code
 
 
@@ -118,9 +124,16 @@ def placed(
 @click.command("calibrate")
 @click.argument("site_file", metavar="SITE.toml", type=CLOUD)
 @out_folder("Folder for site-result.json and site-report.html.", SITE_RESULT_FILE, SITE_REPORT_FILE)
+@LEVEL
 @verdict_options("every pair and test, what was read and the time of each step")
 def site_calibrate(
-    site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
+    site_file: Path,
+    out: Path,
+    with_level: bool,
+    strict: bool,
+    as_json: bool,
+    verbose: bool,
+    quiet: bool,
 ) -> int:
     """Find the poses of all LiDARs of a site in one frame.
 
@@ -153,6 +166,9 @@ def site_calibrate(
         "field test of the LiDARs": command_line("certify", site_file, "--out", out),
         "later, with new recordings": command_line("site", "check", out, "SITE"),
     }
-    return result_told(
+    code = result_told(
         result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
     )
+    if with_level and result.status != "refused":
+        level_beside(written[0], quiet or as_json)
+    return code

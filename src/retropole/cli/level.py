@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .common import BY_OPTIONS, listening, show, show_written
+from .common import BY_OPTIONS, echo_warning, listening, show, show_written
 from .options import CLOUD, FILE, Number
 
 if TYPE_CHECKING:
@@ -109,6 +109,37 @@ def level(
     return 0
 
 
+LEVEL = click.option(
+    "--level",
+    "with_level",
+    is_flag=True,
+    help="Find roll, pitch and height over the ground, too, as 'retropole level' does.",
+)
+
+
+def level_beside(result: Path, quiet: bool) -> None:
+    """Level the LiDARs of a result that was just written, and write that beside it.
+
+    Where that is refused, the calibration stays what it is: the reason is printed.
+    """
+    from ..api.leveling import level_result
+    from ..base.errors import Refusal
+    from ..base.files import write_atomically
+    from ..result import any_result_file, encode
+    from ..result.level import LEVEL_FILE
+
+    try:
+        document, _ = level_result(result)
+    except Refusal as refusal:
+        echo_warning(refusal.code, f"no level: {refusal.message}")
+        return
+    out = any_result_file(result).with_name(LEVEL_FILE)
+    write_atomically(out, encode(document))
+    if not quiet:
+        show(describe(document))
+        show_written(out)
+
+
 def describe(document: LevelDoc) -> str:
     """Say in a table where the LiDARs are over the ground, and what ground it is."""
     from ..base.quantities import error
@@ -126,9 +157,9 @@ def describe(document: LevelDoc) -> str:
     about = "the foot of the LiDARs" if document.about_foot else "what is seen, to one side of them"
     lines += [
         f"ground: {document.area_m2:.0f} m² seen of a disc of {document.disc_radius_m:.0f} m about "
-        f"{about}; its edge is {1000 * document.bend_m:.0f} ± "
-        f"{1000 * document.bend_sigma_m:.0f} mm "
-        f"lower than its middle where it is bent most; roughness {error(document.roughness_m)}"
+        f"{about}; its edge is {abs(1000 * document.bend_m):.0f} ± "
+        f"{1000 * document.bend_sigma_m:.0f} mm {'lower' if document.bend_m > 0 else 'higher'} "
+        f"than its middle where it is bent most; roughness {error(document.roughness_m)}"
     ]
     lines += [
         f"another level: {100 * other.height:+.0f} cm, {other.area:.0f} m²"
