@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+import retropole as rp
+from retropole.api.leveling import level_result
 from retropole.api.merging import merge, placed
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.io import read_cloud, sha256_of, write_pcd
 from retropole.result import InputDoc, ReasonDoc, encode
+from retropole.result.level import LEVEL_FILE
 from retropole.result.site import SiteDoc
 from retropole.simulation import simulate_pair, simulate_site
 from retropole.simulation.writing import write_site as write_simulated
@@ -219,8 +222,8 @@ def test_a_system_of_another_continent_is_refused(tmp_path: Path) -> None:
     sites.with_pyproj()
     document = sites.in_utm()
     with pytest.raises(UsageError, match=r"far outside|no way"):
-        placed(document, epsg=26710)
-    assert placed(sites.on_plan(), "map").epsg is None
+        placed(document, Path(), epsg=26710)
+    assert placed(sites.on_plan(), Path(), "map").epsg is None
 
 
 def test_what_moved_is_left_out(tmp_path: Path) -> None:
@@ -316,3 +319,26 @@ def test_units_of_the_run_are_those_of_the_merge(tmp_path: Path) -> None:
     merged = merge(tmp_path, out=tmp_path / "a.ply")
     assert np.abs(read_cloud(tmp_path / "a.ply").xyz).max() < 50
     assert any("not the file that the run read" in note for note in merged.notes)
+
+
+def test_the_ground_is_that_of_its_own_result(tmp_path: Path) -> None:
+    street = simulate_pair("street", np.random.default_rng(2), sensor_target="VLP-16")
+    rp.calibrate(street.target, street.source, refine=False).save(tmp_path)
+    paths = [tmp_path / "a.pcd", tmp_path / "b.pcd"]
+    write_pcd(paths[0], street.target)
+    write_pcd(paths[1], street.source)
+    out = tmp_path / "g.ply"
+    with pytest.raises(UsageError, match="retropole level"):
+        merge(tmp_path, paths, out=out, frame="ground")
+    document, _ = level_result(tmp_path, paths)
+    (tmp_path / LEVEL_FILE).write_bytes(encode(document))
+    merge(tmp_path, paths, out=out, frame="ground")
+    T = document.T_ground_frame
+    first = read_cloud(out).xyz[: len(street.target)]
+    np.testing.assert_allclose(first, se3.apply(T, street.target.xyz), atol=1e-3)
+    # The lowest tenth lies on the ground.
+    assert abs(np.quantile(first[:, 2], 0.1)) < 0.1
+    moved = structs.replace(document, T_ground_frame=np.eye(4))
+    (tmp_path / LEVEL_FILE).write_bytes(encode(moved))
+    with pytest.raises(UsageError, match="another result"):
+        merge(tmp_path, paths, out=out, frame="ground")

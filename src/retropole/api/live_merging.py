@@ -392,7 +392,7 @@ def merging_live(
             raise UsageError(f"no LiDAR is called {name!r}; there are {', '.join(names)}")
     if wish.out is not None and wish.out.suffix.lower() != ".mcap":
         raise UsageError(f"{wish.out}: clouds of LiDARs that record now are written as .mcap")
-    at = placed(document, wish.frame)
+    at = placed(document, file, wish.frame)
     if at.finish is not None:
         raise UsageError("coordinates of a map do not fit the float32 of a topic: take site")
     poses = dict(zip(names, at.poses, strict=True))

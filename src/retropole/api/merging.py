@@ -39,6 +39,8 @@ from ..io import Frame, Recording, chosen_frames, open_recording
 from ..io.fields import USUAL, in_metres
 from ..io.recordings import is_unix
 from ..result import Reading, ReasonDoc, ResultDoc, any_result_file, refusal_of, verdict_line
+from ..result.decoding import parsed
+from ..result.level import LEVEL_FILE, LevelDoc
 from ..result.options import Frames, slice_of
 from ..result.site import SiteDoc, as_site
 from ..surfaces.static import MIN_FRAMES
@@ -49,6 +51,12 @@ from .stored import decode_any, find_recordings, loaded, with_sensors_from
 SWEEPS_FOR_STATIC = 31
 """Sweeps, spread over a recording, that say what a LiDAR usually sees: 16 MB of ranges. Something
 that stood in a direction for less than half of the time is in most of them not there."""
+
+GROUND = "ground"
+"""Frame of the ground, as ``retropole level`` defines it."""
+
+SAME_POSE = 1e-6
+"""Poses of one result agree so far, metres and parts of 1."""
 
 WRITE_BLOCK = 2**18
 """Points that are written at a time where they are in memory: 10 MB."""
@@ -152,15 +160,18 @@ def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
     return file, document
 
 
-def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = None) -> Placed:
+def placed(
+    document: ResultDoc | SiteDoc, file: Path, frame: str = "", epsg: int | None = None
+) -> Placed:
     """Place the LiDARs of a result in a frame.
 
     Parameters
     ----------
-    document
-        Of a pair or of a site, with poses.
+    document, file
+        Of a pair or of a site, with poses, and where it is.
     frame
-        Name of a LiDAR, ``site``, or ``map``: the coordinates that the survey is in, exactly.
+        Name of a LiDAR, ``site``, ``map``: the coordinates that the survey is in, exactly; or
+        ``ground``, by the `LEVEL_FILE` beside the result.
     epsg
         Of ``map``, another projected system than that of the survey.
 
@@ -194,10 +205,34 @@ def placed(document: ResultDoc | SiteDoc, frame: str = "", epsg: int | None = No
     if frame in names:
         T_frame_site = se3.inverse(poses[names.index(frame)])
         return Placed(frame, None, [T_frame_site @ pose for pose in poses])
+    if frame == GROUND:
+        T_ground_site = _ground_of(site, file.with_name(LEVEL_FILE))
+        own = [T_ground_site @ pose for pose in poses]
+        return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
-        there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site)]
+        there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site), GROUND]
         raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
     return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
+
+
+def _ground_of(site: SiteDoc, file: Path) -> Array:
+    """(4, 4) from the frame of a result to the ground's, as ``retropole level`` wrote it.
+
+    Raises
+    ------
+    UsageError
+        Where it was not leveled, or another result was.
+    """
+    if not file.exists():
+        raise UsageError(f"{file} is not there: 'retropole level' finds the ground")
+    found = loaded(file, lambda data: parsed(data, LevelDoc, "level document"))
+    poses = {lidar.name: lidar.T_site_lidar for lidar in site.lidars}
+    for lidar in found.lidars:
+        pose = poses.get(lidar.name)
+        own = None if pose is None else found.T_ground_frame @ np.asarray(pose)
+        if own is None or not np.allclose(own, lidar.T_ground_lidar, atol=SAME_POSE):
+            raise UsageError(f"{file} is of another result: 'retropole level' makes it anew")
+    return np.asarray(found.T_ground_frame)
 
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
@@ -288,7 +323,7 @@ def merge(
     names = [lidar.name for lidar in site.lidars]
     if not frame and suffix in (".las", ".laz") and has_map(site):
         frame = MAP
-    at = placed(document, frame, epsg)
+    at = placed(document, file, frame, epsg)
     opened, notes = _opened(document, site, file, recordings, topics or {}, frames)
     if document.sways:
         notes.append("a LiDAR swayed while the calibration was recorded; no sweep is corrected")
@@ -300,7 +335,7 @@ def merge(
     written = 0
     if surfels is not None:
         moments = fusing.moments_of((points for points, _ in stream), surfels)
-        is_level = site.frame.surveyed and at.name in (SITE, MAP)
+        is_level = at.name == GROUND or (site.frame.surveyed and at.name in (SITE, MAP))
         up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
         origins = stream.origins()
         apart = tuple(fusing.surfaces_apart(moments, origins, up))

@@ -87,7 +87,8 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     "--frame",
     default="",
     show_default=False,
-    help="Frame of the coordinates: target, source, the name of a LiDAR, site or map.  [default: "
+    help="Frame of the coordinates: target, source, the name of a LiDAR, site, map, or ground as "
+    "'retropole level' found it.  [default: "
     "target; of a site map in .las and .laz where it has one, else site]",
 )
 @click.option(
