@@ -64,7 +64,7 @@ def run(count: int, minutes: float) -> None:
     )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     try:
-        for minute in range(max(round(minutes), 1)):
+        for minute in range(round(minutes)):
             cpu, merge_start = time.process_time(), time.monotonic()
             while (now := time.monotonic() - start) < 60 * (minute + 1):
                 merge.step()

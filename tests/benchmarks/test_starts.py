@@ -49,8 +49,11 @@ SMALLEST = {
     "benchmarks/insert.py": [
         "street/lidar0.pcd street/lidar1.pcd --transform street/truth.json --poles 1"
     ],
+    "benchmarks/leveling.py": ["--seeds 1000:1001"],
     "benchmarks/limits.py": ["--scene bare --frames 2 --mib 1 --points 9000 --bags 1"],
     "benchmarks/masts.py": ["--runs 1 --heights 2 --distances 6 --models VLP-16"],
+    "benchmarks/merge_live.py": ["--lidars 2 --minutes 0"],
+    "benchmarks/merging.py": ["--seeds 100 101 --scenes street --noise typical"],
     "benchmarks/no_poles.py": ["data --every 1000"],
     "benchmarks/plan.py": ["--seeds 1000:1001 --runs 1 --kinds bare"],
     "benchmarks/real.py": ["data --draws 1 --pairs 201"],

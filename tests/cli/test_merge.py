@@ -11,6 +11,7 @@ import pytest
 from retropole.io import read_cloud
 from tests.api.test_merging import write_pair
 from tests.cli.commands import retropole, retropole_here
+from tests.paths import ROOT
 
 
 def test_it_writes_a_file_and_says_what_is_in_it(tmp_path: Path) -> None:
@@ -102,12 +103,17 @@ def test_memory_does_not_grow_with_the_sweeps(tmp_path: Path) -> None:
             "import sys\nfrom retropole.cli import run\nfrom tests.memory import peak_memory\n"
             "assert run(sys.argv[1:]) == 0\nprint('peak', peak_memory())\n"
         )
+        import os
         import subprocess
         import sys
 
         words = ["merge", ".", f"{sweeps}", f"{sweeps}", "-o", "a.ply", "--voxel", "0.2", "-q"]
         done = subprocess.run(
-            [sys.executable, script, *words], cwd=tmp_path, capture_output=True, text=True
+            [sys.executable, script, *words],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
         )
         assert done.returncode == 0, done.stderr
         peaks.append(int(done.stdout.split()[-1]))
