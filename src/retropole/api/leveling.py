@@ -17,12 +17,12 @@ from ..base.sensors import sensor_or_auto
 from ..base.systematic import sizes_of
 from ..ground.level import Leveled, LidarLevel, level
 from ..ground.surface import Viewer, viewer_of
-from ..result import ResultDoc, any_result_file, refusal_of
+from ..result import ResultDoc
 from ..result.level import LevelDoc, level_document
 from ..result.site import SiteDoc, as_site
 from ..surfaces.scans import find_poles
 from .inputs import SILENT, Listener, input_documents, read_input
-from .stored import decode_any, find_recordings, loaded, with_sensors_from
+from .stored import find_recordings, with_poses, with_sensors_from
 
 
 class BaseLink(NamedTuple):
@@ -76,10 +76,7 @@ def level_result(
     ReadError, MissingExtraError
         Where the result or a recording cannot be read; as `stored.find_recordings`.
     """
-    file = any_result_file(Path(result))
-    document = loaded(file, decode_any)
-    if document.status == "refused":
-        raise refusal_of(document.reasons, "the result was refused, there are no poses: ")
+    file, document = with_poses(result)
     site = with_sensors_from(as_site(document), file.parent)
     is_pair = isinstance(document, ResultDoc)
     names = [each.name for each in site.lidars]

@@ -39,7 +39,8 @@ from ..io.fields import NANOSECONDS, USUAL, records_of
 from ..io.live import Source, open_sources
 from ..result.site import LIDARS, SiteDoc, as_site
 from .checking import check_recordings, check_site, read_stored
-from .merging import placed, warnings_of, with_poses
+from .merging import placed, warnings_of
+from .stored import with_poses
 
 MERGED = "/retropole/points"
 """Topic on which clouds are published."""
@@ -66,7 +67,7 @@ LONGEST_CHECK = 300.0
 
 @dataclass(frozen=True, eq=False)
 class LiveWish:
-    """What is asked for of clouds of LiDARs that record now.
+    """How clouds of LiDARs that record now are made, and where they go.
 
     Attributes
     ----------
@@ -370,7 +371,7 @@ def merging_live(
     sources
         By the names of its LiDARs (of a pair ``target`` and ``source``), as `source_of` takes them.
     wish
-        What is asked for.
+        How clouds are made, and where they go.
 
     Yields
     ------

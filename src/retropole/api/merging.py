@@ -38,7 +38,7 @@ from ..fusion.surfels import Apart, Distance, Surfels
 from ..io import Frame, Recording, chosen_frames, open_recording
 from ..io.fields import USUAL, in_metres
 from ..io.recordings import is_unix
-from ..result import Reading, ReasonDoc, ResultDoc, any_result_file, refusal_of, verdict_line
+from ..result import Reading, ReasonDoc, ResultDoc, verdict_line
 from ..result.decoding import parsed
 from ..result.level import LEVEL_FILE, LevelDoc
 from ..result.options import Frames, slice_of
@@ -46,7 +46,7 @@ from ..result.site import SiteDoc, as_site
 from ..surfaces.static import MIN_FRAMES
 from .checking import topic_for
 from .inputs import SILENT, Listener, recording_hash
-from .stored import decode_any, find_recordings, loaded, with_sensors_from
+from .stored import find_recordings, loaded, with_poses, with_sensors_from
 
 SWEEPS_FOR_STATIC = 31
 """Sweeps, spread over a recording, that say what a LiDAR usually sees: 16 MB of ranges. Something
@@ -141,23 +141,6 @@ class Placed(NamedTuple):
     def origins(self) -> Array:
         """(L, 3) the LiDARs, in the coordinates of the frame."""
         return self.coordinates(np.array([pose[:3, 3] for pose in self.poses]))
-
-
-def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
-    """Find and load a result document that has poses.
-
-    Raises
-    ------
-    Refusal
-        Where it was refused.
-    ReadError
-        As `stored.loaded`.
-    """
-    file = any_result_file(Path(result))
-    document = loaded(file, decode_any)
-    if document.status == "refused":
-        raise refusal_of(document.reasons, "the calibration was refused, there are no poses: ")
-    return file, document
 
 
 def placed(

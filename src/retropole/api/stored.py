@@ -34,6 +34,7 @@ from ..result import (
     ResultDoc,
     RunConfig,
     any_result_file,
+    refusal_of,
 )
 from ..result.decoding import decode
 from ..result.site import LIDARS, SITE_SCHEMA, LidarDoc, RecordingDoc, SiteDoc, as_site
@@ -274,6 +275,23 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
 def decode_any(data: bytes) -> ResultDoc | SiteDoc:
     """Take a result document, of two LiDARs or of a site."""
     return result_in(data) or decode(data)
+
+
+def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
+    """Find and load a result document that has poses.
+
+    Raises
+    ------
+    Refusal
+        Where it was refused.
+    ReadError
+        As `loaded`.
+    """
+    file = any_result_file(Path(result))
+    document = loaded(file, decode_any)
+    if document.status == "refused":
+        raise refusal_of(document.reasons, "the calibration was refused, there are no poses: ")
+    return file, document
 
 
 def decode_pair(file: Path, data: bytes) -> ResultDoc:

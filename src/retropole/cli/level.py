@@ -76,9 +76,6 @@ def level(
       130  interrupted
     """
     from ..api.leveling import BaseLink, level_result
-    from ..base.files import write_atomically
-    from ..result import any_result_file, encode
-    from ..result.level import LEVEL_FILE
 
     base = None
     if base_link is not None:
@@ -98,14 +95,7 @@ def level(
         document, _ = level_result(
             result, clouds, base=base, lidar=lidar, radius=disc_m, listener=listener
         )
-    out = out or any_result_file(result).with_name(LEVEL_FILE)
-    written = encode(document)
-    write_atomically(out, written)
-    if as_json:
-        show(written)
-    elif not quiet:
-        show(describe(document))
-        show_written(out)
+    _write(document, result, out, quiet=quiet, as_json=as_json)
     return 0
 
 
@@ -124,18 +114,29 @@ def level_beside(result: Path, quiet: bool) -> None:
     """
     from ..api.leveling import level_result
     from ..base.errors import Refusal
-    from ..base.files import write_atomically
-    from ..result import any_result_file, encode
-    from ..result.level import LEVEL_FILE
 
     try:
         document, _ = level_result(result)
     except Refusal as refusal:
         echo_warning(refusal.code, f"no level: {refusal.message}")
         return
-    out = any_result_file(result).with_name(LEVEL_FILE)
-    write_atomically(out, encode(document))
-    if not quiet:
+    _write(document, result, None, quiet=quiet, as_json=False)
+
+
+def _write(
+    document: LevelDoc, result: Path, out: Path | None, *, quiet: bool, as_json: bool
+) -> None:
+    """Write a document, beside its result where no file is named, and print what it says."""
+    from ..base.files import write_atomically
+    from ..result import any_result_file, encode
+    from ..result.level import LEVEL_FILE
+
+    out = out or any_result_file(result).with_name(LEVEL_FILE)
+    written = encode(document)
+    write_atomically(out, written)
+    if as_json:
+        show(written)
+    elif not quiet:
         show(describe(document))
         show_written(out)
 
