@@ -120,6 +120,7 @@ def test_moving_both_clouds_moves_the_answer(corridor: SimulatedPair) -> None:
     assert metres < 0.005
 
 
+@pytest.mark.full
 def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None:
     forth = calibrate(corridor.target, corridor.source)
     back = calibrate(corridor.source, corridor.target)

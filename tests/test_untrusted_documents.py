@@ -215,7 +215,7 @@ def assert_no_nan(page: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("result", 150), ("site", 30), ("plan", 250), ("moved plan", 250)]
+    ("kind", "count"), [("result", 50), ("site", 20), ("plan", 100), ("moved plan", 100)]
 )
 def test_an_edited_document_is_an_error_or_one(kind: str, count: int, tmp_path: Path) -> None:
     hold_many(kind, tmp_path, range(count))
@@ -224,7 +224,7 @@ def test_an_edited_document_is_an_error_or_one(kind: str, count: int, tmp_path: 
 @pytest.mark.full
 @pytest.mark.parametrize("kind", HOLD)
 def test_more_edited_documents(kind: str, tmp_path: Path) -> None:
-    hold_many(kind, tmp_path, range(1000, 1300))
+    hold_many(kind, tmp_path, range(1000, 1400))
 
 
 @pytest.mark.nightly

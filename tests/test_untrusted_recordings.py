@@ -21,7 +21,7 @@ def hold_many(folder: Path, first: int, last: int, seconds: float) -> None:
 
 
 def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
-    hold_many(tmp_path, 0, 200, 120)
+    hold_many(tmp_path, 0, 60, 120)
 
 
 @pytest.mark.parametrize(

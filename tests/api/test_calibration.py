@@ -156,6 +156,7 @@ def test_without_intensity_it_is_refused_and_says_what_to_give() -> None:
     assert "(N, 4)" in reason.message
 
 
+@pytest.mark.full
 def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", tables().target[:, :3])
     (reason,) = rp.calibrate(tmp_path / "a.npy", tables().source).reasons

@@ -65,6 +65,7 @@ def test_a_recording_is_hashed_and_a_pipe_is_not_waited_for(tmp_path: Path) -> N
         recording_hash(tmp_path / "pipe.pcd")
 
 
+@pytest.mark.full
 def test_new_recordings_are_read_as_those_of_the_run_where_that_is_of_use(tmp_path: Path) -> None:
     document = calibrated().document
     unit = angles_of(tmp_path / "unit.csv", 16)

@@ -144,6 +144,7 @@ def says_moved(frames: Mapping[str, Sequence[Frame]]) -> Checked:
     return Checked(("b",), "b moved")
 
 
+@pytest.mark.full
 def test_one_that_moved_is_left_out() -> None:
     lidars = [LiveLidar(name, Turning(name), np.eye(4)) for name in "abc"]
     with merging(lidars, check=says_moved, every=0.2) as (merge, given):

@@ -238,7 +238,8 @@ def test_a_mast_that_sways_has_not_moved(street: SimulatedPair, stored: PoseEsti
     assert swaying.status != "moved"
 
 
-@pytest.mark.parametrize("left", first_of([0, 10]))
+@pytest.mark.full
+@pytest.mark.parametrize("left", [0, 10])
 def test_hardly_any_points_cannot_tell(
     street: SimulatedPair, stored: PoseEstimate, left: int
 ) -> None:

@@ -17,6 +17,7 @@ from tests.cli.commands import retropole_here
 from tests.paths import PACKAGE
 
 
+@pytest.mark.full
 def test_no_intensity_never_gives_a_transform(
     clouds: tuple[PointCloud, PointCloud], tmp_path: Path
 ) -> None:

@@ -19,7 +19,6 @@ import pytest
 from retropole.base.files import RUNNING, UNFINISHED
 from retropole.io import open_recording
 from retropole.result.decoding import decode
-from tests.tiers import first_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -150,17 +149,12 @@ def session_of(process: int) -> int | None:
         return None
 
 
-@pytest.mark.parametrize("seed", first_of(range(2, 4)))
-def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
-    kill(site, tmp_path, seed)
-
-
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(seed, marks=pytest.mark.full if seed < 120 else pytest.mark.nightly)
+        pytest.param(seed, marks=pytest.mark.full if seed < 112 else pytest.mark.nightly)
         for seed in range(100, 400)
     ],
 )
-def test_ended_at_many_moments(seed: int, site: Path, tmp_path: Path) -> None:
+def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
     kill(site, tmp_path, seed)

@@ -77,6 +77,7 @@ def test_it_says_what_to_do_and_ends_with_the_answer(
     assert np.linalg.norm(step[3:]) < 0.02
 
 
+@pytest.mark.full
 def test_sweeps_without_a_frame_are_not_published(recorded: Path, tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
     out = tmp_path / "out"

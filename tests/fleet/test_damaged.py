@@ -344,7 +344,7 @@ def test_what_is_damaged_is_taken_before(
 def test_a_damaged_document_is_an_error_or_what_it_says(
     kind: str, tmp_path: Path, whole: Whole
 ) -> None:
-    hold_many(kind, range(30), tmp_path, whole)
+    hold_many(kind, range(12), tmp_path, whole)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ def test_the_pose_over_level_ground_is_found() -> None:
         assert np.allclose(np.diag(found.covariance)[[3, 4]], 0, atol=1e-12)
 
 
+@pytest.mark.full
 def test_the_order_of_the_points_makes_no_difference() -> None:
     one = viewer(AT, 0.01 * np.sin(AT[:, 0]), pose(2.0, 2.0))
     mixed = np.random.default_rng(1).permutation(len(AT))
@@ -91,6 +92,7 @@ def test_the_covariance_is_that_of_drawn_errors() -> None:
     assert 0.5 < square < 1.4
 
 
+@pytest.mark.full
 def test_a_ridge_is_averaged_over_the_disc() -> None:
     at = rings(24)
     (found,) = level([viewer(at, -0.04 * np.abs(at[:, 1]), pose(2.0))]).lidars

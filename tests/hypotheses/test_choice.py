@@ -191,6 +191,7 @@ def test_where_the_scene_decides_its_choice_by_hand_is_the_same_with_a_warning()
     assert contradicted.status == "refused" or contradicted.reasons[0].code == "chosen_by_hand"
 
 
+@pytest.mark.full
 def test_a_letter_lifts_no_other_refusal() -> None:
     pair = simulate_pair("street", np.random.default_rng(12))
     without = replace(pair.source, intensity=np.zeros(len(pair.source)))

@@ -30,6 +30,7 @@ from retropole.surfaces.registration import prepare, voxel_downsample
 from retropole.surfaces.scans import find_poles
 from retropole.surfaces.visibility import SCORING_VOXEL, range_image
 from tests.hypotheses.conftest import simulated_with_one_pole
+from tests.tiers import first_of
 
 WOOD = np.random.default_rng(0).uniform([-20, -20, -3], [20, 20, 8], (3000, 3))
 """Points about a pole: nothing repeats."""
@@ -56,7 +57,7 @@ def assert_near(T: Array | None, T_true: Array, degrees: float = 0.3, metres: fl
     assert off.translation < metres
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 60.0, 90.0, 165.0, 180.0, 270.0, 345.0])
+@pytest.mark.parametrize("turn_deg", first_of([60.0, 0.0, 90.0, 165.0, 180.0, 270.0, 345.0]))
 def test_the_highest_peak_over_the_ground_is_where_the_points_are(turn_deg: float) -> None:
     """Whichever of the four quarter turns it is in."""
     rng = np.random.default_rng(1)

@@ -348,7 +348,7 @@ def move_slider(browser: Browser, value: float) -> None:
     )
 
 
-@pytest.mark.parametrize("kind", ["webgl", "top"])
+@pytest.mark.parametrize("kind", first_of(["webgl", "top"]))
 def test_a_threshold_is_moved(browser: Browser, tmp_path: Path, kind: str) -> None:
     html = render_recordings(["a.pcd", "b.pcd"], [Scan(cloud_of(6000)), Scan(cloud_of(500))])
     if kind == "top":

@@ -140,6 +140,7 @@ def test_no_text_runs_in_any_place_of_the_report(
 NAMES = [injection(k) for k in range(len(INJECTIONS))]
 
 
+@pytest.mark.full
 def test_no_text_runs_in_the_page_of_recordings(browser: Browser, tmp_path: Path) -> None:
     """Of clouds by every name, in each of which clusters are rejected for every reason."""
     cloud, scans = PointCloud(np.eye(3), np.arange(3.0)), []
