@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -340,6 +341,15 @@ def test_paper_shows_every_pose_in_light_colours(browser: Browser, tmp_path: Pat
     assert browser.run("return document.querySelectorAll('details.lidar[open]').length") == 0
 
 
+def as_of(html: str, kind: str) -> str:
+    """Make of a page one that is opened with WebGL, or for "top" in a browser that has none."""
+    if kind == "webgl":
+        return html
+    # The page's policy lets only its own code in.
+    html = html.replace('getContext("webgl2"', 'getContext("none"')
+    return re.sub(r"script-src [^;]*;", "script-src 'unsafe-inline';", html)
+
+
 def move_slider(browser: Browser, value: float) -> None:
     browser.run(
         "const s = document.querySelector('#threshold'); s.value = arguments[0];"
@@ -351,11 +361,7 @@ def move_slider(browser: Browser, value: float) -> None:
 @pytest.mark.parametrize("kind", first_of(["webgl", "top"]))
 def test_a_threshold_is_moved(browser: Browser, tmp_path: Path, kind: str) -> None:
     html = render_recordings(["a.pcd", "b.pcd"], [Scan(cloud_of(6000)), Scan(cloud_of(500))])
-    if kind == "top":
-        # A browser without WebGL; the page's policy lets only its own code in.
-        html = html.replace('getContext("webgl2"', 'getContext("none"')
-        html = re.sub(r"script-src [^;]*;", "script-src 'unsafe-inline';", html)
-    browser.open(tmp_path, html)
+    browser.open(tmp_path, as_of(html, kind))
     assert browser.root("view") == kind
 
     def told() -> str:
@@ -379,6 +385,34 @@ def test_a_threshold_is_moved(browser: Browser, tmp_path: Path, kind: str) -> No
     assert told().endswith(": 50 points")
     browser.find('[data-lidar="0"]').click()
     assert told().startswith("0.3: ")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["webgl", "top"])
+@pytest.mark.parametrize("is_bright", [True, False])
+def test_a_picked_point_is_given_in_the_frame_of_its_lidar(
+    browser: Browser, tmp_path: Path, kind: str, is_bright: bool
+) -> None:
+    """The view looks at the middle of a plate, which is clicked."""
+    rng = np.random.default_rng(3)
+    at = np.array([10.0, -2.0, 1.0])
+    plate = at + rng.uniform(-0.05, 0.05, (400, 3)) * [0.1, 1, 1]
+    around = at + rng.uniform(-3, 3, (4000, 3)) * [1, 1, 0] - [0, 0, 1]
+    xyz = np.concatenate([plate, around])
+    level = np.where(np.arange(len(xyz)) < len(plate), 200.0 if is_bright else 5.0, 5.0)
+    cloud = PointCloud(xyz, intensity=level + rng.random(len(xyz)), origin=at)
+    browser.open(tmp_path, as_of(render_recordings(["a.pcd"], [Scan(cloud)]), kind))
+    move_slider(browser, 100.0)
+    assert not browser.find("#picked").is_displayed()
+    seen = browser.picture()
+    browser.find("#marks").click()
+    assert browser.find("#picked").is_displayed()
+    said = tomllib.loads(browser.find("#picked pre").text)["control_point"]["seen"]
+    assert said[0]["lidar"] == "a.pcd"
+    off = np.array(said[0]["at_m"]) - at
+    assert np.abs(off).max() < (0.01 if is_bright else 0.3)
+    assert ("bright returns" in browser.find("#picked-at").text) == is_bright
+    assert differing(browser.picture(), seen) > 1e-5
 
 
 @pytest.mark.full

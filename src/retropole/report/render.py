@@ -245,6 +245,7 @@ def viewer(view: PageView | None) -> Html:
         "viewer",
         modes=fill("modes") if pair else EMPTY,
         threshold=fill("threshold") if recordings else EMPTY,
+        picked=fill("picked") if recordings else EMPTY,
         lidars=EMPTY
         if recordings and len(view.lidars) == 1
         else fill("lidar-buttons", title=title, buttons=lidars),

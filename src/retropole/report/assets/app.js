@@ -125,6 +125,14 @@
     context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
     context.clearRect(0, 0, width, height);
     for (const part of parts) drawMarks(context, part, view.lens(part), scene, held, style);
+    if (picked && isOn(picked.cloud)) {
+      const lens = view.lens(parts[0]), v = lens.toView(picked.at);
+      context.beginPath();
+      if (v[2] < -NEAR) context.arc(...lens.toPixel(v), 9, 0, 2 * Math.PI);
+      context.lineWidth = 2;
+      context.strokeStyle = style.denied;
+      context.stroke();
+    }
     if (parts.length === 2) {
       const p = parts[1];
       context.fillStyle = style.faint;
@@ -240,6 +248,44 @@
     repaint(false);
   });
   slider?.addEventListener("change", () => { $("#state").textContent = describe(); });
+
+  // --- a point of a recording is picked: where the LiDAR sees a surveyed target ---
+
+  /** Returns of a target lie within so many metres of the picked one. */
+  const TARGET = 0.15;
+  let picked = null;
+  function pick(at) {
+    const cloud = held.find(isOn), [part] = panes();
+    const n = pickPoint(cloud.decoded, IDENTITY, view.lens(part), at, 8);
+    if (n === null) return;
+    const point = pointOf(cloud.decoded, n), strength = cloud.decoded.levels?.values, limit = 65535 * limitOf(cloud);
+    const bright = [];
+    for (let k = 0; strength && strength[n] >= limit && k < cloud.decoded.count; k++) {
+      if (strength[k] < limit) continue;
+      const p = pointOf(cloud.decoded, k);
+      if (Math.hypot(...p.map((v, axis) => v - point[axis])) <= TARGET) bright.push(p);
+    }
+    const mean = bright.length ? point.map((_, axis) => bright.reduce((sum, p) => sum + p[axis], 0) / bright.length) : point;
+    picked = { cloud, at: mean };
+    const place = mean.map((v) => v.toFixed(3)).join(", "), name = scene.lidars[cloud.lidar].name;
+    $("#picked-at").textContent = bright.length
+      ? `Picked: the middle of ${bright.length} bright returns within ${100 * TARGET} cm, in the frame of ${name}, m`
+      : `Picked: one return, in the frame of ${name}, m`;
+    $("#picked pre").textContent = `[[control_point.seen]]\nlidar = ${JSON.stringify(name)}\nat_m = [${place}]\nsigma_m = 0.01`;
+    $("#picked").hidden = false;
+    repaint(false);
+  }
+  if ($("#picked")) {
+    let from = null;
+    marks.addEventListener("pointerdown", (e) => { from = [e.clientX, e.clientY]; });
+    marks.addEventListener("click", (e) => {
+      // A drag turns the view.
+      if (!from || Math.hypot(e.clientX - from[0], e.clientY - from[1]) > 4) return;
+      const box = marks.getBoundingClientRect();
+      pick([e.clientX - box.left, e.clientY - box.top]);
+    });
+  }
+
   function press(name, isPressed) {
     all(`button[data-${name}]`).forEach((b) => b.setAttribute("aria-pressed", String(isPressed(b.dataset[name]))));
   }

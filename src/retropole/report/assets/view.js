@@ -33,6 +33,23 @@ function decodePoints(packed) {
   return Array.from({ length: xyz.length / 3 }, (_, n) => low.map((v, k) => v + (size[k] * xyz[3 * n + k]) / 65535));
 }
 
+/** One point of a cloud, metres. */
+function pointOf({ xyz, low, size }, n) {
+  return low.map((v, k) => v + (size[k] * xyz[3 * n + k]) / 65535);
+}
+
+/** Pick the point of a cloud that is drawn nearest to a pixel, of those within `reach` pixels rather one in front; null if there is none. */
+function pickPoint(cloud, T, lens, [x, y], reach) {
+  let picked = null, least = Infinity;
+  for (let n = 0; n < cloud.count; n++) {
+    const v = lens.toView(applyPose(T, pointOf(cloud, n)));
+    if (v[2] > -NEAR || -v[2] >= least) continue;
+    const [a, b] = lens.toPixel(v), away = Math.hypot(a - x, b - y) / reach;
+    if (away <= 1 && -v[2] * (1 + away) < least) [picked, least] = [n, -v[2] * (1 + away)];
+  }
+  return picked;
+}
+
 /** Rotation about z and translation from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
 function frameChange(frames) {
   if (frames.length < 2) return null;
