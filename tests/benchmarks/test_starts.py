@@ -50,6 +50,7 @@ SMALLEST = {
         "street/lidar0.pcd street/lidar1.pcd --transform street/truth.json --poles 1"
     ],
     "benchmarks/leveling.py": ["--seeds 1000:1001"],
+    "benchmarks/leveling_recorded.py": ["data --every 7"],
     "benchmarks/limits.py": ["--scene bare --frames 2 --mib 1 --points 9000 --bags 1"],
     "benchmarks/masts.py": ["--runs 1 --heights 2 --distances 6 --models VLP-16"],
     "benchmarks/merge_live.py": ["--lidars 2 --minutes 0"],
