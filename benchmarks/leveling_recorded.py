@@ -1,10 +1,9 @@
 """The ground that two LiDARs of a real recording see, each by itself, under their reference pose.
 
 For each pair whose reference is measured, both LiDARs are levelled alone. Under the reference they
-have one ground: the table has the tilt between the two, and how much higher the source is by its own
-ground than by the target's, each with 1 σ of both answers, the reference's not included. They see
-parts of the ground that hardly overlap, so its shape counts as well. The reference's own 1 σ is in
-the table.
+have one ground: the table has the tilt between the two, and how much higher the source is by its
+own ground than by the target's, each with 1 σ of both answers, without that of the reference, which
+is in the last column. Where they see different parts of the ground, its shape counts as well.
 
     python benchmarks/leveling_recorded.py ../shared/data
 """
