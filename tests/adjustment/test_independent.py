@@ -110,7 +110,7 @@ def test_another_adjustment_agrees(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "sites", [pytest.param(4, marks=pytest.mark.full), pytest.param(100, marks=pytest.mark.nightly)]
+    "sites", [pytest.param(2, marks=pytest.mark.full), pytest.param(100, marks=pytest.mark.nightly)]
 )
 def test_another_adjustment_agrees_on_many_sites(
     sites: int, capsys: pytest.CaptureFixture[str]

@@ -100,13 +100,13 @@ def test_ended_where_little_is_worked_out(tmp_path: Path) -> None:
     assert {kill(site, folder, k, FEW, look, (0, 4)) for k in (0, 5)} == {"network", "report"}
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 @pytest.mark.full
 def test_ended_at_any_moment(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", range(100, 160))
+@pytest.mark.parametrize("seed", [1, *range(100, 160)])
 def test_ended_at_many_moments(seed: int, whole: Path, tmp_path: Path) -> None:
     hold(seed, whole, tmp_path)

@@ -73,6 +73,6 @@ def test_bombs_are_harmless(tmp_path: Path) -> None:
     assert_harmless(tmp_path, 2**28)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_large_bombs_are_harmless(tmp_path: Path) -> None:
     assert_harmless(tmp_path, 5 * 2**30)

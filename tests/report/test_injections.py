@@ -128,7 +128,7 @@ def test_no_text_of_a_document_runs_in_the_report(
     assert given >= set(map(injection, range(len(INJECTIONS))))
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @of_each_kind
 def test_no_text_runs_in_any_place_of_the_report(
     browser: Browser, tmp_path: Path, kind: str
