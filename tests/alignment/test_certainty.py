@@ -172,6 +172,7 @@ def test_few_degrees_of_freedom_keep_what_is_stated() -> None:
     assert few_freedom(0.5) == few_freedom(3.0)
 
 
+@pytest.mark.full
 def test_sway_moves_the_frame_of_the_lidar_that_swayed() -> None:
     """By sampling: each LiDAR turned and shifted about its own origin, the pose between both."""
     rng = np.random.default_rng(0)

@@ -31,6 +31,7 @@ def test_the_vehicle_moves_along_the_ground_alone() -> None:
     )
 
 
+@pytest.mark.full
 def test_its_covariance_is_that_of_drawn_measurements() -> None:
     first, second = lidar("a", pose(2.0)), lidar("b", pose(1.5, yaw=70.0))
     second.T_ground_lidar[:2, 3] = 3.0, 1.0

@@ -209,6 +209,7 @@ def test_what_is_wrong_is_said_and_it_goes_on(
     assert not front.closed
 
 
+@pytest.mark.full
 def test_what_was_begun_is_not_lost(sweeps: list[list[PointCloud]], tmp_path: Path) -> None:
     watch, _, clock = watch_of(sweeps, WISH, tmp_path)
     go_on(watch, clock, lambda doc: doc.captured > 1)

@@ -35,6 +35,7 @@ def test_the_order_of_the_points_makes_no_difference() -> None:
     assert np.allclose(a.T_ground_lidar, b.T_ground_lidar, atol=1e-7)
 
 
+@pytest.mark.full
 def test_two_lidars_have_one_ground_and_stay_as_they_were_calibrated() -> None:
     poses = pose(2.0, 2.0), pose(1.5, -4.0, 6.0, 90.0)
     T = se3.inverse(poses[0]) @ poses[1]

@@ -147,6 +147,7 @@ def test_angle_and_distance(make_pole: PoleMaker) -> None:
     assert away_from(upright, make_pole([5.3, 0, 1], UP)) == pytest.approx(0.3)
 
 
+@pytest.mark.full
 def test_a_sweep_is_searched_for_what_may_be_a_pole() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     (sensor, _), cloud = pair.sensors, pair.target

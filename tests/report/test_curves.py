@@ -35,6 +35,7 @@ def corners(html: str) -> list[np.ndarray]:
     return [np.array([each.split() for each in p.split("L")], float) for p in paths]
 
 
+@pytest.mark.full
 def test_the_curves_are_those_of_the_covariance() -> None:
     curve = curve_of()
     C = np.asarray(RESULT.covariance)
