@@ -23,6 +23,7 @@ from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .correspondence import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
 from .evidence import count as agreement
+from .icp_refinement import MOST_REFINED
 from .one_pole import matches_about, matches_from_above
 from .placements import (
     Chosen,
@@ -218,7 +219,8 @@ def told_apart(chosen: Chosen) -> Chosen | None:
     Parameters
     ----------
     chosen
-        With hypotheses that the scene scored, whether or not there is a refusal.
+        With hypotheses that the scene scored, whether or not there is a refusal; of its choices
+        the first `MOST_REFINED` may be taken.
 
     Returns
     -------
@@ -226,16 +228,17 @@ def told_apart(chosen: Chosen) -> Chosen | None:
         Without a refusal; None where less than `MIN_TOTAL` says anything of the best hypothesis or
         more than `MAX_CONTRADICTED` of that conflicts, and where another is not ruled out.
     """
-    grounds = _grounds([each.placement for each in chosen.scored])
-    told = [_told(grounds, choice.joint.match.T_target_source) for choice in chosen.choices]
-    if not told:
+    if not chosen.choices:
         return None
+    grounds = _grounds([each.placement for each in chosen.scored])
+    first = [choice.joint.match.T_target_source for choice in chosen.choices[:MOST_REFINED]]
+    told = [_told(grounds, T) for T in first]
     k = min(range(len(told)), key=lambda k: told[k].conflicting - told[k].agreeing)
     best = chosen.choices[k]
     if told[k].total < MIN_TOTAL or told[k].contradicted > MAX_CONTRADICTED:
         return None
     others = [each for each in chosen.hypotheses if each.match is not best.joint.match]
-    if _rivals(grounds, best.joint.match.T_target_source, [each.match for each in others]):
+    if _rivals(grounds, first[k], [each.match for each in others]):
         return None
     choices = (best, *chosen.choices[:k], *chosen.choices[k + 1 :])
     return replace(
