@@ -8,7 +8,7 @@ in which one pole has 8 returns or more from both the ones with an answer.
 
     python benchmarks/masts.py --runs 10
 
-Seeds below 1000 are for setting constants; those from 1000 on, where this starts, state figures.
+Seeds up to 1000, where this starts, are for setting constants; those after it state figures.
 """
 
 from __future__ import annotations

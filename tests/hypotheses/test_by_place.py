@@ -30,8 +30,15 @@ from retropole.hypotheses.by_place import (
     check_told,
     choose_by_place,
     has_rival,
+    told_apart,
 )
-from retropole.hypotheses.placements import Chosen, PairedPlacement, is_by_place
+from retropole.hypotheses.placements import (
+    Chosen,
+    PairedPlacement,
+    PlacementHypotheses,
+    find_recurring,
+    is_by_place,
+)
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import Cylinder, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
@@ -175,6 +182,29 @@ def test_the_like_of_a_pose_about_a_pole_is_a_rival(one_pole: SimulatedPair) -> 
         hypotheses = score_hypotheses(found.target.cloud, found.source.cloud, [match])
         paired = PairedPlacement(found, hypotheses[0])
         assert has_rival([paired], 0.02) is expected
+
+
+def test_what_stands_off_the_ground_tells_two_poles_apart_where_the_overlap_does_not() -> None:
+    refusal = Refusal("no_overlap", "", {})
+
+    def told_in(scene: str, seed: int) -> tuple[SimulatedPair, Chosen | None]:
+        pair = simulate_pair(scene, np.random.default_rng(seed))
+        answer = calibrate(pair.target, pair.source)
+        (placement,) = answer.placements
+        scored = PlacementHypotheses(placement, answer.hypotheses)
+        choices = find_recurring([scored])
+        # The best last: its place in the list does not count.
+        return pair, told_apart(
+            Chosen(answer.hypotheses, (), refusal, tuple(choices[::-1]), scored=(scored,))
+        )
+
+    pair, told = told_in("street", 0)
+    assert told is not None
+    assert told.refusal is None
+    assert_near(told.hypotheses[0].match.T_target_source, pair.T_target_source, 3.0, 0.3)
+    assert told.paired == told.choices[0].paired
+    assert told_in("bare", 0)[1] is None
+    assert told_apart(Chosen((), (), refusal)) is None
 
 
 def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> None:

@@ -8,7 +8,8 @@ import pytest
 from retropole.adjustment.answer import SiteCalibration
 from retropole.base import se3
 from retropole.base.errors import Reason
-from retropole.pipeline import calibrate_site
+from retropole.pipeline import Options, calibrate, calibrate_site
+from retropole.simulation import simulate_pair
 from retropole.simulation.sites import SimulatedSite
 from retropole.verdict.statement import named
 from tests.adjustment.adjusting import between, made, reordered, with_lidar
@@ -101,6 +102,17 @@ def test_poles_stand_where_the_clouds_have_them(of_two: SiteCalibration) -> None
             np.linalg.norm(np.cross(own.point - pole.point, pole.direction)) for own in scan.poles
         ]
         assert min(away) < 0.05
+
+
+def test_a_pole_that_moved_a_little_fails_its_test_in_a_pair_too() -> None:
+    pair = simulate_pair("street", np.random.default_rng(0))
+    first = len(pair.surfaces) - len(pair.poles)
+    for moved, codes in ((0.0, set()), (0.03, {"misfit"})):
+        xyz = pair.source.xyz.copy()
+        xyz[pair.labels[1] == first, 0] += moved
+        known = Options(sensors=pair.sensors)
+        answer = calibrate(pair.target, replace(pair.source, xyz=xyz), options=known)
+        assert {each.code for each in answer.reasons} & {"misfit"} == codes
 
 
 @pytest.mark.parametrize(

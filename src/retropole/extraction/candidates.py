@@ -22,6 +22,7 @@ from ..base.datatypes import Array, BoolArray, Detection, IntArray, PointCloud, 
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_trusted_rings
+from ..io.scan_lines import with_rings_shown
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -180,6 +181,7 @@ def with_candidates(
         The same, with `candidates` filled: those it has and those found now, at most `MAX_POLES`.
     """
     cloud = with_trusted_rings(cloud)
+    cloud = with_rings_shown(cloud) if sensor is None or sensor.rings else cloud
     assert cloud.intensity is not None
     chosen = _threshold_of(detection)
     free = np.asarray(cloud.intensity >= chosen.at(lengths(cloud.xyz - cloud.origin)))

@@ -31,6 +31,7 @@ from ..base.quantities import counted
 from ..base.se3 import lengths, principal_axes
 from ..base.sensors import Sensor, threshold_for
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
+from ..io.scan_lines import with_rings_shown
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -118,6 +119,7 @@ def extract_poles(
     check_coordinates(cloud)
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
+    cloud = with_rings_shown(cloud) if sensor is None or sensor.rings else cloud
     assert cloud.intensity is not None
     ranges = lengths(cloud.xyz - cloud.origin)
     chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)

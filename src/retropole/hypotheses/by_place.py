@@ -23,6 +23,7 @@ from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .correspondence import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
 from .evidence import count as agreement
+from .icp_refinement import MOST_REFINED
 from .one_pole import matches_about, matches_from_above
 from .placements import (
     Chosen,
@@ -85,9 +86,7 @@ def choose_by_place(
     scans = [scan for placement in placements for scan in placement.scans]
     if count is not None and min(len(scan.poles) for scan in scans) < count:
         return None
-    # The same recordings give the same answer.
-    rng = np.random.default_rng(0)
-    grounds = [grounds_of(placement, rng) for placement in placements]
+    grounds = _grounds(placements)
     try:
         scored = []
         for placement, standing in zip(placements, grounds, strict=True):
@@ -179,6 +178,12 @@ Grounds = Sequence[tuple[Sequence[Standing], Sequence[Standing]]]
 """What stands off each plane that may be the ground, in both clouds of every placement."""
 
 
+def _grounds(placements: Sequence[Placement]) -> Grounds:
+    # The same recordings give the same answer.
+    rng = np.random.default_rng(0)
+    return [grounds_of(each, rng) for each in placements]
+
+
 def _told(grounds: Grounds, T: Array) -> Confirmation:
     """Count what agrees with a pose (4, 4), and what conflicts with it."""
     return agreement([under(each, T) for each in grounds], T)
@@ -205,6 +210,46 @@ def _lifts(grounds: Grounds, T: Array) -> bool:
     return lifts([under(each, T) for each in grounds], T)
 
 
+def told_apart(chosen: Chosen) -> Chosen | None:
+    """Take the hypothesis that what stands off the ground confirms, and leaves no rival.
+
+    LiDARs far from each other meet a surface in lines that lie apart: few returns have a neighbour
+    under the right pose. A voxel still agrees in depth where either LiDAR sees it.
+
+    Parameters
+    ----------
+    chosen
+        With hypotheses that the scene scored, whether or not there is a refusal; of its choices
+        the first `MOST_REFINED` may be taken.
+
+    Returns
+    -------
+    Chosen or None
+        Without a refusal; None where less than `MIN_TOTAL` says anything of the best hypothesis or
+        more than `MAX_CONTRADICTED` of that conflicts, and where another is not ruled out.
+    """
+    if not chosen.choices:
+        return None
+    grounds = _grounds([each.placement for each in chosen.scored])
+    first = [choice.joint.match.T_target_source for choice in chosen.choices[:MOST_REFINED]]
+    told = [_told(grounds, T) for T in first]
+    k = min(range(len(told)), key=lambda k: told[k].conflicting - told[k].agreeing)
+    best = chosen.choices[k]
+    if told[k].total < MIN_TOTAL or told[k].contradicted > MAX_CONTRADICTED:
+        return None
+    others = [each for each in chosen.hypotheses if each.match is not best.joint.match]
+    if _rivals(grounds, first[k], [each.match for each in others]):
+        return None
+    choices = (best, *chosen.choices[:k], *chosen.choices[k + 1 :])
+    return replace(
+        chosen,
+        hypotheses=(best.joint, *others),
+        paired=best.paired,
+        refusal=None,
+        choices=choices,
+    )
+
+
 def has_rival(paired: Sequence[PairedPlacement], radius: float) -> bool:
     """Whether the place lies on itself as well at another angle about the pole that both see best.
 
@@ -213,8 +258,7 @@ def has_rival(paired: Sequence[PairedPlacement], radius: float) -> bool:
     """
     first = paired[0]
     match = first.hypothesis.match
-    rng = np.random.default_rng(0)
-    grounds = [grounds_of(each.placement, rng) for each in paired]
+    grounds = _grounds([each.placement for each in paired])
     i, j = max(
         match.pairs,
         key=lambda pair: min(

@@ -142,10 +142,15 @@ def is_confirmed(
     return (
         all(best.score - other.score >= margin_needed(best, other) for other in others)
         and scene_agrees(best)
-        and all(
-            each.hypothesis.match.exact and (_several_refined(each) or _two_agree(each, radius))
-            for each in paired
-        )
+        and poles_agree(paired, radius)
+    )
+
+
+def poles_agree(paired: Sequence[PairedPlacement], radius: float) -> bool:
+    """Whether the poles of every placement fit each other as candidates must; radius in metres."""
+    return all(
+        each.hypothesis.match.exact and (_several_refined(each) or _two_agree(each, radius))
+        for each in paired
     )
 
 

@@ -17,8 +17,9 @@ from ..extraction.candidates import with_candidates, with_dimmer_candidates
 from ..surfaces import visibility
 from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
-from .by_place import STAND_TWO, choose_by_place, has_rival
-from .candidate_confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
+from .absence import without_absent
+from .by_place import STAND_TWO, choose_by_place, has_rival, told_apart
+from .candidate_confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed, poles_agree
 from .choice import choose_best
 from .one_pole import MOST_POLES
 from .placements import (
@@ -96,6 +97,14 @@ def choose_with_candidates(
                     and not has_rival(attempt.paired, radius)
                 ):
                     return attempt
+        # The last settled, and by all poles.
+        for told in map(told_apart, reversed(attempts)):
+            if (
+                told is not None
+                and poles_agree(told.paired, radius)
+                and not has_rival(told.paired, radius)
+            ):
+                return told
     if by_place and first.refusal.code in BY_PLACE:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
@@ -268,9 +277,10 @@ def match_poles(
 
 
 def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
-    """Score every match of a placement by the scene."""
+    """Score every match of a placement by the scene, and by the poles that it leaves out."""
     target, source = matched.placement.target.cloud, matched.placement.source.cloud
-    hypotheses = visibility.score_hypotheses(target, source, matched.matches)
+    scored = visibility.score_hypotheses(target, source, matched.matches)
+    hypotheses = without_absent(matched.placement, scored)
     return PlacementHypotheses(matched.placement, hypotheses, matched.tried)
 
 

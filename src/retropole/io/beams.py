@@ -182,7 +182,7 @@ def _told_by_rings(cloud: PointCloud) -> Cones | None:
     points, ring = cloud.xyz[part], np.unique(cloud.ring[part], return_inverse=True)[1]
     if ring.max() == 0:
         return None
-    for start in (cloud.origin, _densest(points), np.median(points, axis=0)):
+    for start in (cloud.origin, densest(points), np.median(points, axis=0)):
         # A part tells first whether there are cones at all: where a sweep was undistorted in
         # motion, there are none, from whichever start.
         about = fit_cones(points[::4], ring[::4], start)
@@ -268,7 +268,7 @@ def _axis_of(ray: Array, ring: IntArray) -> Array:
     return np.asarray(np.linalg.eigh(off.T @ off)[1][:, 0])
 
 
-def _densest(points: Array) -> Array:
+def densest(points: Array) -> Array:
     """Mean (3,) of the points in the fullest cube of 1 m."""
     # Most points are near a LiDAR.
     cells = np.floor(points)

@@ -19,7 +19,7 @@ from ..alignment.certainty import SIDES, budget_of
 from ..alignment.origins import BeamOrigins
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement
-from ..base.description import Site
+from ..base.description import Site, SiteLidar
 from ..base.errors import Reason, Refusal, warnings_and_notes
 from ..base.uncertainty import predicted_error, weakest_direction
 from ..base.uncertainty.confirmation import Confirmation
@@ -62,6 +62,7 @@ def state_answer(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
     found = weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation)
+    found += _misfit(paired, aligned, refined)
     reasons, notes = warnings_and_notes(found)
     return Calibration(
         status="warn" if reasons else "ok",
@@ -81,6 +82,17 @@ def state_answer(
         confirmation=confirmation,
         notes=notes,
     )
+
+
+def _misfit(
+    paired: Sequence[PairedPlacement], aligned: BeamAlignment, refined: Refinement | None
+) -> Iterator[Reason]:
+    """Say what the tests of a site find in a pair."""
+    if aligned.joint is not None:
+        lidars = tuple(SiteLidar(name, ()) for name in SIDES)
+        site = Site("pair", lidars, tuple(str(k) for k, _ in enumerate(paired, 1)))
+        tested = adjusted_of_two(site, paired, range(len(paired)), aligned, refined)
+        yield from poor_fit(site, tested, of_two=True)
 
 
 def state_refusal(
@@ -168,7 +180,8 @@ def state_answer_of_two(
     """
     found = BeamOrigins(*scans.origins).moved_back(answered.calibration)
     names = [lidar.name for lidar in site.lidars]
-    reasons = [named(reason, names) for reason in found.reasons]
+    # The tests are made again, with the site's names for its placements.
+    reasons = [named(each, names) for each in found.reasons if each.code != "misfit"]
     unusable = list(list_unusable(site, scans))
     rows = [list(row) for row in scans.in_clouds]
     for p, placement in zip(numbers, found.placements, strict=True):

@@ -1,0 +1,100 @@
+"""Poles that a LiDAR would see under a hypothesis, and does not.
+
+A half turn about the bisector of two poles that lean alike lays them on each other, and level
+ground on itself. The third pole then stands where the other LiDAR looked through: so many of its
+beams pass there that some would have met it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import pdtr
+
+from ..base import se3
+from ..base.datatypes import DEFAULT_RADIUS, Array, Hypothesis, Match, Placement, Pole, Scan
+from ..base.sensors import Threshold
+from .choice import is_as_possible
+from .correspondence import MOVED
+
+ABSENT = 0.0025
+"""A pole is absent where so few bright returns, or fewer, have at most this probability: none where
+six are to be expected, as many as a pole needs (`extraction.acceptance_shape`)."""
+
+
+def without_absent(
+    placement: Placement, hypotheses: Sequence[Hypothesis]
+) -> tuple[Hypothesis, ...]:
+    """Leave out hypotheses under which a pole is absent that another pairs.
+
+    Parameters
+    ----------
+    placement
+        With the poles that the hypotheses pair.
+    hypotheses
+        As the scene scored them.
+
+    Returns
+    -------
+    tuple of Hypothesis
+        In the same order. Where the scene rules out, beside a hypothesis, all that pair three poles
+        or more and leave none absent, it stays.
+    """
+    whole = [
+        each
+        for each in hypotheses
+        if each.match.exact and len(each.match.pairs) > 2 and not absent(placement, each.match)
+    ]
+
+    def is_beaten(each: Hypothesis) -> bool:
+        better = [one for one in whole if len(one.match.pairs) > len(each.match.pairs)]
+        return any(is_as_possible(one, each) for one in better) and bool(
+            absent(placement, each.match)
+        )
+
+    return tuple(each for each in hypotheses if not is_beaten(each))
+
+
+def absent(placement: Placement, match: Match) -> int:
+    """Count the poles, of both LiDARs, that a match leaves out and the other LiDAR would see."""
+    T = match.T_target_source
+    sides = (
+        (placement.source, placement.target, T, 1),
+        (placement.target, placement.source, se3.inverse(T), 0),
+    )
+    return sum(
+        _is_absent(pole, other, there)
+        for scan, other, there, side in sides
+        for k, pole in enumerate(scan.poles)
+        if k not in {pair[side] for pair in match.pairs}
+        and not any(pole is own for own in scan.candidates)
+    )
+
+
+def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
+    """Whether a LiDAR looks through where a pole stands that ``T`` (4, 4) moves into its frame.
+
+    Of the beams that pass within `MOVED` of the pole, and that nothing before it stops, the share
+    ``r / MOVED`` meets a pole of radius r. Those without any return are not known, nor counted.
+    """
+    cloud, found = seer.cloud, seer.detection
+    if found is None or cloud.intensity is None:
+        return False
+    rays = cloud.xyz - cloud.origin
+    ranges = se3.lengths(rays)
+    beams = rays / np.maximum(ranges, 1e-9)[:, None]
+    middle = se3.apply(T, pole.point[None])[0] - cloud.origin
+    axis = T[:3, :3] @ pole.direction
+    # Where beam and axis are nearest to each other: t along the one and s along the other.
+    cosine, ahead, along = beams @ axis, beams @ middle, float(axis @ middle)
+    sine = np.maximum(1.0 - cosine**2, 1e-9)
+    t, s = (ahead - cosine * along) / sine, (cosine * ahead - along) / sine
+    apart = se3.lengths(t[:, None] * beams - middle - s[:, None] * axis)
+    is_near = (t > 0) & (apart <= MOVED) & (np.abs(s) <= pole.length / 2)
+    reaches = is_near & (ranges >= t - MOVED)
+    expected = np.count_nonzero(reaches) * DEFAULT_RADIUS / MOVED
+    threshold = Threshold(found.threshold, found.threshold_source, found.threshold_least)
+    is_bright = cloud.intensity >= threshold.at(ranges)
+    seen = np.count_nonzero(reaches & is_bright & (ranges <= t + MOVED))
+    return bool(pdtr(seen, expected) <= ABSENT)
