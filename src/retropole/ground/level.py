@@ -40,7 +40,8 @@ from ..base.systematic import (
     by_error,
 )
 from ..base.uncertainty import FLOOR_ROTATION, FLOOR_TRANSLATION
-from .surface import Ground, Level, Viewer, find_ground, level_axes, little
+from .steps import Level
+from .surface import Ground, Viewer, find_ground, level_axes, little
 
 DISC = 10.0
 """Radius of the disc that the plane is for, metres: LiDARs on vehicles see about half of it."""
@@ -78,7 +79,7 @@ PLANE_SIGMA = (1.0, 0.3, 0.3)
 MIN_WEIGHT = 0.03
 """Sizes and lengths less likely than this part of the likeliest are left out."""
 
-MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.15
+MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.08
 """Least ground that must be seen in the disc, m², and its root mean square distance from a line, in
 metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
 
@@ -347,7 +348,9 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     means = np.stack([np.bincount(cell, c, minlength=n) for c in xyz.T], axis=1) / count[:, None]
     rays = xyz - viewer.cloud.origin
     rays /= np.maximum(se3.lengths(rays), 1e-9)[:, None]
-    bands, band = np.unique(band_of(rays, viewer.cloud.axis), return_inverse=True)
+    ring = viewer.cloud.ring
+    lines = band_of(rays, viewer.cloud.axis) if ring is None else ring[index]
+    bands, band = np.unique(lines, return_inverse=True)
     share = np.zeros((n, len(bands)))
     np.add.at(share, (cell, band.ravel()), 1.0)
     off = (xyz - means[cell]) @ T[2, :3]
