@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -221,7 +222,9 @@ def level(
     joint = np.zeros((count, count)) if poses is None else poses
     ground, radius = _enough(viewers, [DISC * k for k in WIDER] if radius is None else [radius])
     for left in reversed(range(ROUNDS)):
-        found = plane_of(cells_on(ground, viewers), joint, ground.centre, ground.radius)
+        found = plane_of(
+            cells_on(ground, viewers), joint, ground.centre, ground.radius, ground.beside
+        )
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
         if not left or np.hypot(*plane[1:]) < SETTLED:
@@ -404,8 +407,11 @@ class Plane(NamedTuple):
     at: Array
 
 
-def plane_of(cells: Cells, poses: Array, centre: Array, radius: float) -> Plane:
-    """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it."""
+def plane_of(cells: Cells, poses: Array, centre: Array, radius: float, beside: Array) -> Plane:
+    """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it.
+
+    What is nearer to another level, `beside` (n, 2), than to the cells is none of the disc.
+    """
     x, y, z = cells.at.T
     planes = np.stack([np.ones_like(x), x, y], axis=1)
     scaled = np.c_[planes * PLANE_SIGMA, cells.by_errors * cells.errors]
@@ -419,6 +425,8 @@ def plane_of(cells: Cells, poses: Array, centre: Array, radius: float) -> Plane:
     likely = weights > MIN_WEIGHT
     grid, weights = grid[likely], weights[likely] / weights[likely].sum()
     disc = centre + _disc(radius)
+    own, other = (cKDTree(each).query(disc)[0] for each in (cells.at[:, :2], beside))
+    disc = disc[own < other]
     over = _functionals(disc)
     prior = np.zeros((6, 3))
     prior[:3] = np.diag(np.square(PLANE_SIGMA))

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.errors import Refusal
@@ -101,32 +102,20 @@ class Level:
     area: float
 
 
-def _shifted(grid: Array, i: int, j: int) -> Array:
-    """(n, m) for each cell what is i and j cells on; NaN outside."""
-    n, m = grid.shape
-    out = np.full_like(grid, np.nan)
-    if abs(i) < n and abs(j) < m:
-        rows, columns = slice(max(-i, 0), n - max(i, 0)), slice(max(-j, 0), m - max(j, 0))
-        out[rows, columns] = grid[max(i, 0) : n + min(i, 0), max(j, 0) : m + min(j, 0)]
-    return out
-
-
 def at_steps(heights: Array) -> BoolArray:
     """(n, m) at which cells the ground on both sides does not continue to the same height."""
     edge = np.zeros(heights.shape, dtype=bool)
+
+    def moved(grid: Array, i: int, j: int) -> Array:
+        return np.asarray(ndimage.shift(grid, (-i, -j), order=0, cval=np.nan))
+
     for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
-
-        def beside(k: int, i: int = i, j: int = j) -> Array:
-            three = np.stack(
-                [_shifted(heights, k * i - across * j, k * j + across * i) for across in (-1, 0, 1)]
-            )
-            known = np.isfinite(three)
-            total = np.where(known, three, 0.0).sum(axis=0)
-            return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
-
+        three = np.stack([moved(heights, -k * j, k * i) for k in (-1, 0, 1)])
+        count = np.isfinite(three).sum(axis=0)
+        mean = np.where(count > 0, np.nansum(three, axis=0) / np.maximum(count, 1), np.nan)
         far = SIDE if i * j == 0 else SIDE - 1
-        ahead = np.stack([beside(k) for k in range(1, far + 1)])
-        behind = np.stack([beside(-k) for k in range(1, far + 1)])
+        ahead = np.stack([moved(mean, k * i, k * j) for k in range(1, far + 1)])
+        behind = np.stack([moved(mean, -k * i, -k * j) for k in range(1, far + 1)])
         slope = (ahead[-1] - ahead[0] + behind[0] - behind[-1]) / (2 * (far - 1))
         step = ahead.mean(axis=0) - behind.mean(axis=0) - slope * (far + 1)
         with np.errstate(invalid="ignore"):
@@ -134,39 +123,24 @@ def at_steps(heights: Array) -> BoolArray:
     return np.asarray(ndimage.binary_closing(edge, np.ones((3, 3)), iterations=CLOSED))
 
 
-def _pairs(heights: Array, reach: int) -> tuple[IntArray, IntArray, Array]:
-    """Numbers of the two cells (K,) of each pair within a reach, and their distance, cells.
-
-    Cells with a height are numbered in the order of `np.nonzero`.
-    """
-    number = np.full(heights.shape, np.nan)
-    known = np.isfinite(heights)
-    number[known] = np.arange(np.count_nonzero(known))
-    steps = [(i, j) for i in range(reach + 1) for j in range(-reach, reach + 1) if i or j > 0]
-    first, second, apart = [], [], []
-    for i, j in steps:
-        there = _shifted(number, i, j)
-        both = known & np.isfinite(there)
-        first.append(number[both].astype(np.int64))
-        second.append(there[both].astype(np.int64))
-        apart.append(np.full(len(first[-1]), np.hypot(i, j)))
-    return np.concatenate(first), np.concatenate(second), np.concatenate(apart)
+def _pairs(at: Array, reach: int) -> IntArray:
+    """(K, 2) which cells (N, 3) are within a reach of each other along both axes, in cells."""
+    cells = np.floor(at[:, :2] / CELL)
+    return np.asarray(cKDTree(cells).query_pairs(reach + 0.5, np.inf, output_type="ndarray"))
 
 
-def _pieces(heights: Array) -> IntArray:
-    """Number of the piece that each cell with a height is of, in the order of `np.nonzero`."""
-    z = heights[np.isfinite(heights)]
-    a, b, apart = _pairs(heights, REACH)
-    linked = np.abs(z[a] - z[b]) < STEP + SLOPE * CELL * apart
-    links = np.ones(np.count_nonzero(linked)), (a[linked], b[linked])
-    graph = coo_matrix(links, shape=(len(z), len(z)))
+def _pieces(at: Array) -> IntArray:
+    """(N,) number of the piece that each cell (N, 3) is of."""
+    pairs = _pairs(at, REACH)
+    a, b = at[pairs].swapaxes(0, 1)
+    a, b = pairs[np.abs(a - b)[:, 2] < STEP + SLOPE * np.hypot(*(a - b)[:, :2].T)].T
+    graph = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(at), len(at)))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _conflicts(heights: Array, pieces: IntArray) -> BoolArray:
-    """(P, P) which pieces are beside each other with a step between them."""
-    z = heights[np.isfinite(heights)]
-    a, b, _ = _pairs(heights, APART)
+def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
+    """(P, P) which pieces of cells (N, 3), of heights (N,), are beside each other with a step."""
+    a, b = _pairs(at, APART).T
     differ = pieces[a] != pieces[b]
     one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
     count = int(pieces.max(initial=-1)) + 1
@@ -189,17 +163,13 @@ class _Grown(NamedTuple):
     around: float
 
 
-def levels(
-    at: Array, heights: Array, radius: float
-) -> tuple[BoolArray, BoolArray, tuple[Level, ...]]:
+def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level, ...]]:
     """Find which cells are ground, and what is beside it.
 
     Parameters
     ----------
     at
         (N, 3) middles of the cells, the foot of the LiDARs at 0.
-    heights
-        (n, m) of the cells in their grid; NaN where none is known.
     radius
         Of the disc that is of interest, metres.
 
@@ -215,7 +185,7 @@ def levels(
     Refusal
         ``two_grounds``.
     """
-    none, pieces = np.zeros(len(at), dtype=bool), _pieces(heights)
+    none, pieces = np.zeros(len(at), dtype=bool), _pieces(at)
     for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_PARTED):
         own = pieces == number
         if parted := _parted(at, own, [at[:, 2] > np.median(at[own, 2])]):
@@ -225,9 +195,8 @@ def levels(
     heavy = np.asarray(np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE), np.float64)
     # The rough axes may lean along a step.
     _, lean = _grown(at, pieces, int(np.argmax(heavy)), 0.0 * heavy, np.zeros((0, 0), dtype=bool))
-    straight = heights.copy()
-    straight[np.isfinite(heights)] -= lean
-    conflicts, found = _conflicts(straight, pieces), list[_Grown]()
+    over = at[:, 2] - lean
+    conflicts, found = _conflicts(at, over, pieces), list[_Grown]()
     distance = np.hypot(at[:, 0], at[:, 1])
     for begin in np.argsort(-heavy)[:MOST_LEVELS].tolist():
         if not heavy[begin] or any(level.on[pieces == begin].any() for level in found):
@@ -247,7 +216,7 @@ def levels(
         other = _level(at[:, 2] - best.heights, beside)
         touching = conflicts[np.ix_(np.unique(pieces[best.on]), np.unique(pieces[beside]))].any()
         if touching and not left.any() and KERB[0] < abs(other.height) < KERB[1]:
-            two = _beside_a_kerb(at, best, level, at[:, 2] - lean, other)
+            two = _beside_a_kerb(at, best, level, over, other)
             if two is not None:
                 on, left = two
                 other = _level(at[:, 2] - plane_of_cells(at, on), left)

@@ -86,6 +86,8 @@ class Ground:
         Of the squares of ground that are seen in the disc, m².
     spread
         Least root mean square distance of these from a line through their middle, metres.
+    beside
+        (n, 2) middles of the squares of the level that is a step higher or lower, rough axes.
     others
         Levels beside it, the largest first.
     ceiling
@@ -98,6 +100,7 @@ class Ground:
     radius: float
     area: float
     spread: float
+    beside: Array
     others: tuple[Level, ...]
     ceiling: float | None
 
@@ -141,7 +144,7 @@ def find_ground(
     middle[at_steps(middle)] = np.nan
     rows = np.stack(np.nonzero(np.isfinite(middle)), axis=1)
     at = np.c_[corner + (rows + 0.5) * CELL, middle[np.isfinite(middle)]]
-    on, beside, others = levels(at, middle, radius)
+    on, beside, others = levels(at, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
     off = at[beside, 2] - plane_of_cells(at, on)[beside]
@@ -155,7 +158,7 @@ def find_ground(
     if len(ground) > 1:
         spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
     area = len(ground) * CELL**2
-    return Ground(rough, kept, centre, radius, area, float(spread), others, ceiling)
+    return Ground(rough, kept, centre, radius, area, float(spread), at[beside, :2], others, ceiling)
 
 
 def little(area: float, spread: float, radius: float) -> Refusal:
