@@ -8,7 +8,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.base.systematic import Sizes
+from retropole.base.systematic import DEVICE_KINDS, RING_KINDS, Sizes
 from retropole.ground.level import Cells, cells_on, ground_frame, level, plane_of
 from retropole.ground.surface import find_ground, level_axes
 from tests.ground.grounds import pose, rings, viewer
@@ -140,3 +140,11 @@ def test_a_road_beside_a_pavement_is_levelled_alone() -> None:
     (found,) = level([viewer(AT, z, pose(2.0))]).lidars
     assert np.degrees(found.roll) == pytest.approx(-np.degrees(np.arctan(0.02)), abs=0.05)
     assert found.height == pytest.approx(2.0, abs=0.005)
+
+
+def test_each_ring_has_errors_of_its_own() -> None:
+    one = viewer(AT, FLAT, pose(2.0))
+    ring = np.arange(len(AT)) % 7
+    named = replace(one, cloud=replace(one.cloud, ring=ring))
+    cells = cells_on(find_ground([named], 10.0), [named])
+    assert len(cells.errors) == len(DEVICE_KINDS) + 7 * len(RING_KINDS)

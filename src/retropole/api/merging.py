@@ -154,7 +154,7 @@ def placed(
     Raises
     ------
     UsageError
-        Where there is no such frame, or nothing ties the site to the earth.
+        Where there is no such frame, nothing ties the site to the earth, or it was not leveled.
     MissingExtraError
         Where a projected system needs pyproj.
     """
@@ -182,27 +182,16 @@ def placed(
         T_frame_site = se3.inverse(poses[names.index(frame)])
         return Placed(frame, None, [T_frame_site @ pose for pose in poses])
     if frame == GROUND:
-        T_ground_site = _ground_of(site, file.with_name(LEVEL_FILE))
+        beside = file.with_name(LEVEL_FILE)
+        if not beside.exists():
+            raise UsageError(f"{beside} is not there: 'retropole level' finds the ground")
+        T_ground_site = loaded(beside, lambda data: level_of(data, site.lidars)).T_ground_frame
         own = [T_ground_site @ pose for pose in poses]
         return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
         there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site), GROUND]
         raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
     return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
-
-
-def _ground_of(site: SiteDoc, file: Path) -> Array:
-    """(4, 4) from the frame of a result to the ground's, as ``retropole level`` wrote it.
-
-    Raises
-    ------
-    UsageError
-        Where it was not leveled, or another result was.
-    """
-    if not file.exists():
-        raise UsageError(f"{file} is not there: 'retropole level' finds the ground")
-    found = loaded(file, lambda data: level_of(data, site.lidars))
-    return np.asarray(found.T_ground_frame)
 
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
