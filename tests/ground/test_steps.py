@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from retropole.base.datatypes import Array
 from retropole.ground.steps import CELL, _below, _is_step, _parted, at_steps, is_around
 
 ROWS = np.stack(np.meshgrid(np.arange(-20, 20), np.arange(-20, 20)), axis=-1).reshape(-1, 2)
-AT = (ROWS + 0.5) * CELL
+AT: Array = np.asarray((ROWS + 0.5) * CELL, dtype=np.float64)
 
 
 def test_two_levels_are_parted_and_what_is_between_is_of_none() -> None:
