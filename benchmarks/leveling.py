@@ -10,10 +10,10 @@ of place, and for each sensor, prints
 * the median error of roll and pitch, and of the height, and for each the ratio of the median of
   what is stated (0.6745 σ, the median of a normal error) to it.
 
-Seeds 0 to 199 tune, those from 1000 state.
+Seeds 0 to 199 tune, those from 3200 state; 3065, 3071 and 3181 showed what is no step.
 
-    python benchmarks/leveling.py --seeds 1000:1200
-    python benchmarks/leveling.py --seeds 1000:1200 --disc-m 6
+    python benchmarks/leveling.py --seeds 3200:3340
+    python benchmarks/leveling.py --seeds 3200:3340 --disc-m 6
 """
 
 from __future__ import annotations
@@ -122,18 +122,20 @@ def heights(surfaces: Sequence[Surface], at: Array) -> Array:
     return found
 
 
-def true_plane(surfaces: Sequence[Surface], origin: Array, radius: float) -> tuple[Array, Array]:
+def true_plane(
+    surfaces: Sequence[Surface], origin: Array, radius: float, lidar: Array
+) -> tuple[Array, Array]:
     """Normal (3,) and a point (3,) of the plane that fits the ground best about a foot.
 
-    Of two levels it is that below the origin (3,).
+    Of two levels it is that below the LiDARs (3,), wherever the origin (3,) of the disc is.
     """
     steps = (np.arange(-60, 60) + 0.5) * radius / 60
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     disc = np.stack([x, y], axis=1)[np.hypot(x, y) < radius]
     foot, normal = origin[:2], np.array([0.0, 0.0, 1.0])
+    below = heights(surfaces, lidar[None, :2])[0]
     for _ in range(3):
         z = heights(surfaces, foot + disc)
-        below = heights(surfaces, origin[None, :2])[0]
         own = np.isfinite(z)
         if np.unique(np.round(z[own], 6)).size == 2:
             # Level ground on two levels, as at a kerb.
@@ -201,7 +203,9 @@ def run(seed: int, disc: float | None) -> Found:
     origin = np.mean([T[:3, 3] for T in poses], axis=0)
     about_foot = np.linalg.norm(answer.centre) == 0
     middle = se3.apply(poses[0], answer.middle[None])[0]
-    normal, point = true_plane(place.surfaces, origin if about_foot else middle, answer.radius)
+    normal, point = true_plane(
+        place.surfaces, origin if about_foot else middle, answer.radius, origin
+    )
     for lidar, T in zip(answer.lidars, poses, strict=True):
         off = np.array([lidar.roll, lidar.pitch, lidar.height])
         off -= truth(normal, point, T, poses[0][:3, 0])

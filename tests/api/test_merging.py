@@ -17,8 +17,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.io import read_cloud, sha256_of, write_pcd
-from retropole.result import InputDoc, ReasonDoc, encode
-from retropole.result.level import LEVEL_FILE
+from retropole.result import LEVEL_FILE, InputDoc, ReasonDoc, encode
 from retropole.result.site import SiteDoc
 from retropole.simulation import simulate_pair, simulate_site
 from retropole.simulation.writing import write_site as write_simulated

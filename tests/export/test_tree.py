@@ -20,7 +20,8 @@ from retropole.base.se3 import joint_of, relative
 from retropole.export import TREE_FORMATS, read_transform, read_tree
 from retropole.export.recording import write_transforms
 from retropole.export.tree import Tree, found_in_site, tree_of
-from retropole.result import encode
+from retropole.result import LEVEL_FILE, SITE_RESULT_FILE, encode
+from retropole.result.level import LevelDoc, LidarLevelDoc
 from retropole.result.site import SiteDoc
 from tests.export import sites
 
@@ -240,3 +241,56 @@ def test_a_frame_that_no_map_can_hold_is_refused() -> None:
     frame = msgspec.structs.replace(sites.in_utm().frame, epsg=1)
     with pytest.raises(UsageError, match="in no register"):
         tree_of(msgspec.structs.replace(document, frame=frame))
+
+
+def test_a_level_adds_the_ground_and_the_vehicle(tmp_path: Path) -> None:
+    document = sites.free()
+    T_ground, T_base = (
+        se3.from_rt(se3.rotation_from_rpy(np.array([0.1, -0.2, yaw])), np.array([1.0, 2.0, -yaw]))
+        for yaw in (0.5, -2.0)
+    )
+    lidars = [
+        LidarLevelDoc(
+            name=name,
+            T_ground_lidar=T_ground @ pose,
+            covariance=np.eye(6),
+            roll_rad=0.0,
+            pitch_rad=0.0,
+            height_m=2.0,
+            roll_pitch_height=np.eye(3),
+            T_base_footprint_lidar=T_base @ pose,
+        )
+        for name, pose in poses(document).items()
+    ]
+    level = LevelDoc(
+        result="site-result.json",
+        frame="site",
+        T_ground_frame=T_ground,
+        lidars=lidars,
+        disc_radius_m=10.0,
+        disc_middle_m=[0.0, 0.0, 0.0],
+        about_foot=True,
+        area_m2=100.0,
+        bend_m=0.0,
+        bend_sigma_m=0.01,
+        roughness_m=0.01,
+        ceiling_m=None,
+        other_levels=[],
+        inputs=[],
+        version="1",
+        created="2026-01-01T00:00:00Z",
+    )
+    (tmp_path / SITE_RESULT_FILE).write_bytes(encode(document))
+    (tmp_path / LEVEL_FILE).write_bytes(encode(level))
+    tree = read_tree(tmp_path)
+    assert tree is not None
+    assert len(tree.lidar_edges) == len(document.lidars)
+    edges = [(edge.parent, edge.child, edge.T_parent_child) for edge in tree.edges]
+    np.testing.assert_allclose(through(edges, "site", "ground"), se3.inverse(T_ground), atol=1e-9)
+    np.testing.assert_allclose(
+        through(edges, "site", "base_footprint"), se3.inverse(T_base), atol=1e-9
+    )
+    moved = msgspec.structs.replace(level, T_ground_frame=np.eye(4))
+    (tmp_path / LEVEL_FILE).write_bytes(encode(moved))
+    with pytest.raises(UsageError, match="another result"):
+        read_tree(tmp_path)

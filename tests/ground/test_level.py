@@ -8,13 +8,13 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.base.systematic import Sizes
+from retropole.base.systematic import DEVICE_KINDS, RING_KINDS, Sizes
 from retropole.ground.level import Cells, cells_on, ground_frame, level, plane_of
 from retropole.ground.surface import find_ground, level_axes
 from tests.ground.grounds import pose, rings, viewer
 
 AT = rings(12, far=14.0)
-FLAT = np.zeros(len(AT))
+FLAT, NONE = np.zeros(len(AT)), np.zeros((0, 2))
 
 
 def test_the_pose_over_level_ground_is_found() -> None:
@@ -86,7 +86,7 @@ def test_the_covariance_is_that_of_drawn_errors() -> None:
         drawn = cells.by_errors @ (cells.errors * rng.normal(size=len(cells.errors)))
         at = cells.at.copy()
         at[:, 2] += drawn + rng.normal(0, 0.001, len(at))
-        plane = plane_of(replace(cells, at=at), none, np.zeros(2), 10.0)
+        plane = plane_of(replace(cells, at=at), none, np.zeros(2), 10.0, NONE)
         off.append(np.linalg.solve(np.linalg.cholesky(plane.covariance[:3, :3]), plane.mean[:3]))
     square = np.square(off).mean()
     # 120 squares of a normal error have a mean of 1 ± 0.13.
@@ -130,5 +130,21 @@ def test_cells_without_errors_give_their_plane() -> None:
     cells = Cells(np.zeros(len(at), int), at, zero[:, 0], zero, np.zeros((len(at), 6)), np.ones(1))
     some = np.arange(0, len(at), 40)
     cells = Cells(*(each[some] if len(each) == len(at) else each for each in vars(cells).values()))
-    plane = plane_of(cells, np.zeros((6, 6)), np.zeros(2), 10.0)
+    plane = plane_of(cells, np.zeros((6, 6)), np.zeros(2), 10.0, NONE)
     assert np.allclose(plane.mean[:3], [0.05, 0.001, 0], atol=1e-4)
+
+
+def test_a_road_beside_a_pavement_is_levelled_alone() -> None:
+    on_road = np.abs(AT[:, 1]) < 3.5
+    z = np.where(on_road, 0.02 * AT[:, 1], 0.2)
+    (found,) = level([viewer(AT, z, pose(2.0))]).lidars
+    assert np.degrees(found.roll) == pytest.approx(-np.degrees(np.arctan(0.02)), abs=0.05)
+    assert found.height == pytest.approx(2.0, abs=0.005)
+
+
+def test_each_ring_has_errors_of_its_own() -> None:
+    one = viewer(AT, FLAT, pose(2.0))
+    ring = np.arange(len(AT)) % 7
+    named = replace(one, cloud=replace(one.cloud, ring=ring))
+    cells = cells_on(find_ground([named], 10.0), [named])
+    assert len(cells.errors) == len(DEVICE_KINDS) + 7 * len(RING_KINDS)

@@ -31,16 +31,15 @@ from ..export.clouds import (
     comments_of,
     surfel_file,
 )
-from ..export.tree import MAP, SITE
+from ..export.tree import GROUND, MAP, SITE
 from ..fusion import surfels as fusing
 from ..fusion.merging import Points, fused, inside, is_static, usual_view, voxels
 from ..fusion.surfels import Apart, Distance, Surfels
 from ..io import Frame, Recording, chosen_frames, open_recording
 from ..io.fields import USUAL, in_metres
 from ..io.recordings import is_unix
-from ..result import Reading, ReasonDoc, ResultDoc, verdict_line
-from ..result.decoding import parsed
-from ..result.level import LEVEL_FILE, LevelDoc
+from ..result import LEVEL_FILE, Reading, ReasonDoc, ResultDoc, verdict_line
+from ..result.level import level_of
 from ..result.options import Frames, slice_of
 from ..result.site import SiteDoc, as_site
 from ..surfaces.static import MIN_FRAMES
@@ -51,12 +50,6 @@ from .stored import find_recordings, loaded, with_poses, with_sensors_from
 SWEEPS_FOR_STATIC = 31
 """Sweeps, spread over a recording, that say what a LiDAR usually sees: 16 MB of ranges. Something
 that stood in a direction for less than half of the time is in most of them not there."""
-
-GROUND = "ground"
-"""Frame of the ground, as ``retropole level`` defines it."""
-
-SAME_POSE = 1e-6
-"""Poses of one result agree so far, metres and parts of 1."""
 
 WRITE_BLOCK = 2**18
 """Points that are written at a time where they are in memory: 10 MB."""
@@ -161,7 +154,7 @@ def placed(
     Raises
     ------
     UsageError
-        Where there is no such frame, or nothing ties the site to the earth.
+        Where there is no such frame, nothing ties the site to the earth, or it was not leveled.
     MissingExtraError
         Where a projected system needs pyproj.
     """
@@ -189,33 +182,16 @@ def placed(
         T_frame_site = se3.inverse(poses[names.index(frame)])
         return Placed(frame, None, [T_frame_site @ pose for pose in poses])
     if frame == GROUND:
-        T_ground_site = _ground_of(site, file.with_name(LEVEL_FILE))
+        beside = file.with_name(LEVEL_FILE)
+        if not beside.exists():
+            raise UsageError(f"{beside} is not there: 'retropole level' finds the ground")
+        T_ground_site = loaded(beside, lambda data: level_of(data, site.lidars)).T_ground_frame
         own = [T_ground_site @ pose for pose in poses]
         return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
         there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site), GROUND]
         raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
     return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
-
-
-def _ground_of(site: SiteDoc, file: Path) -> Array:
-    """(4, 4) from the frame of a result to the ground's, as ``retropole level`` wrote it.
-
-    Raises
-    ------
-    UsageError
-        Where it was not leveled, or another result was.
-    """
-    if not file.exists():
-        raise UsageError(f"{file} is not there: 'retropole level' finds the ground")
-    found = loaded(file, lambda data: parsed(data, LevelDoc, "level document"))
-    poses = {lidar.name: lidar.T_site_lidar for lidar in site.lidars}
-    for lidar in found.lidars:
-        pose = poses.get(lidar.name)
-        own = None if pose is None else found.T_ground_frame @ np.asarray(pose)
-        if own is None or not np.allclose(own, lidar.T_ground_lidar, atol=SAME_POSE):
-            raise UsageError(f"{file} is of another result: 'retropole level' makes it anew")
-    return np.asarray(found.T_ground_frame)
 
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:

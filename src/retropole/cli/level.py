@@ -128,8 +128,7 @@ def _write(
 ) -> None:
     """Write a document, beside its result where no file is named, and print what it says."""
     from ..base.files import write_atomically
-    from ..result import any_result_file, encode
-    from ..result.level import LEVEL_FILE
+    from ..result import LEVEL_FILE, any_result_file, encode
 
     out = out or any_result_file(result).with_name(LEVEL_FILE)
     written = encode(document)

@@ -19,7 +19,7 @@ from ..base.errors import ReadError, UsageError, naming, printable, said
 from ..base.files import read_document
 from ..base.quantities import error
 from ..base.se3 import rigid
-from ..result import ReasonDoc, ResultDoc, any_result_file
+from ..result import LEVEL_FILE, ReasonDoc, ResultDoc, any_result_file
 from ..result.site import SiteDoc
 from .documents import (
     read_json,
@@ -261,7 +261,7 @@ def read_tree(path: Path) -> Tree | None:
     Returns
     -------
     Tree or None
-        None where the file is another one.
+        With the frames of its level, where that is beside it; None where the file is another one.
 
     Raises
     ------
@@ -276,7 +276,17 @@ def read_tree(path: Path) -> Tree | None:
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
     with naming(file):
         document = result_in(data)
-        return tree_of(document) if isinstance(document, SiteDoc) else None
+        if not isinstance(document, SiteDoc):
+            return None
+    level, beside = None, file.with_name(LEVEL_FILE)
+    if document.status != "refused" and beside.exists():
+        # It loads the steps that made it, which nothing else here needs.
+        from ..result.level import level_of
+
+        with naming(beside):
+            level = level_of(read_document(beside), document.lidars)
+    with naming(file):
+        return tree_of(document, level)
 
 
 def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:

@@ -3,11 +3,14 @@
 ``site`` is the frame of the calibration, in metres on the ground, and small: what lies in it, a
 viewer may hold in float32. ``map`` is written where the coordinates of the user's frame are others:
 large ones, or those of a projected system. Then the large numbers stand in one transform alone.
+Where the LiDARs were leveled, ``site`` has ``ground`` too, and that the vehicle's
+``base_footprint`` where this was measured.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +25,11 @@ from ..result import refusal_of, verdict_line
 from ..result.site import LidarDoc, SiteDoc
 from .transform import Found, Transform
 
+if TYPE_CHECKING:
+    from ..result.level import LevelDoc
+
 MAP, SITE = "map", "site"
+GROUND, BASE = "ground", "base_footprint"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,7 @@ class Tree:
     @property
     def lidar_edges(self) -> tuple[Transform, ...]:
         """The transforms of the LiDARs, in their order."""
-        return self.edges[self.has_map :]
+        return self.edges[self.has_map :][: len(self.lidars)]
 
     @property
     def places(self) -> Array:
@@ -71,8 +78,8 @@ class Tree:
         return np.array([edge.T_parent_child[:3, 3] for edge in self.lidar_edges])
 
 
-def tree_of(document: SiteDoc) -> Tree:
-    """Make the tree of a site's frames.
+def tree_of(document: SiteDoc, level: LevelDoc | None = None) -> Tree:
+    """Make the tree of a site's frames, with those of its level.
 
     Raises
     ------
@@ -87,7 +94,7 @@ def tree_of(document: SiteDoc) -> Tree:
         raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
     frame = document.frame
     names = [lidar.name for lidar in document.lidars]
-    for name in (MAP, SITE):
+    for name in (MAP, SITE, *(GROUND, BASE) * (level is not None)):
         if name in names:
             raise UsageError(f"a LiDAR is named {name!r}, which is the name of a frame of the site")
     joint = np.array(document.joint_covariance, dtype=float)
@@ -95,11 +102,22 @@ def tree_of(document: SiteDoc) -> Tree:
         Transform(np.array(lidar.T_site_lidar, dtype=float), SITE, lidar.name, _own(joint, k))
         for k, lidar in enumerate(document.lidars)
     ]
+    edges += [] if level is None else _leveled(level)
     if np.any(frame.offset) or (frame.epsg is not None and frame.geodetic is not None):
         edges.insert(0, Transform(site_in_frame(frame), MAP, SITE))
     verdict = verdict_line(document.status, document.reasons)
     lidars = tuple(document.lidars)
     return Tree(document.name, document.datum, frame, lidars, verdict, joint, tuple(edges))
+
+
+def _leveled(level: LevelDoc) -> list[Transform]:
+    """Give the ground in the site, and the vehicle on it where a LiDAR was measured on that."""
+    edges = [Transform(se3.inverse(level.T_ground_frame), SITE, GROUND)]
+    for lidar in level.lidars:
+        if lidar.T_base_footprint_lidar is not None:
+            T = lidar.T_ground_lidar @ se3.inverse(lidar.T_base_footprint_lidar)
+            return [*edges, Transform(T, GROUND, BASE)]
+    return edges
 
 
 def _own(joint: Array, k: int) -> Array | None:
@@ -166,6 +184,13 @@ def notes_of(tree: Tree) -> list[str]:
             f"{SITE}: east, north, up{less}, metres on the ground, from latitude and longitude "
             f"{degrees} deg, height {frame.geodetic.height_m:.3f} m on the ellipsoid of {of}"
         )
+    names = {edge.child for edge in tree.edges}
+    if GROUND in names:
+        notes.append(
+            f"{GROUND}: on the ground below the LiDARs, z its normal, as 'retropole level' found it"
+        )
+    if BASE in names:
+        notes.append(f"{BASE}: of the vehicle, on the ground (REP 120)")
     grid = grid_of(tree)
     if tree.has_map:
         system = frame.name if grid is None or frame.geodetic is None else grid.name

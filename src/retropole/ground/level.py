@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -40,7 +41,8 @@ from ..base.systematic import (
     by_error,
 )
 from ..base.uncertainty import FLOOR_ROTATION, FLOOR_TRANSLATION
-from .surface import Ground, Level, Viewer, find_ground, level_axes, little
+from .steps import Level
+from .surface import Ground, Viewer, find_ground, level_axes, little
 
 DISC = 10.0
 """Radius of the disc that the plane is for, metres: LiDARs on vehicles see about half of it."""
@@ -78,7 +80,7 @@ PLANE_SIGMA = (1.0, 0.3, 0.3)
 MIN_WEIGHT = 0.03
 """Sizes and lengths less likely than this part of the likeliest are left out."""
 
-MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.15
+MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.08
 """Least ground that must be seen in the disc, m², and its root mean square distance from a line, in
 metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
 
@@ -220,7 +222,9 @@ def level(
     joint = np.zeros((count, count)) if poses is None else poses
     ground, radius = _enough(viewers, [DISC * k for k in WIDER] if radius is None else [radius])
     for left in reversed(range(ROUNDS)):
-        found = plane_of(cells_on(ground, viewers), joint, ground.centre, ground.radius)
+        found = plane_of(
+            cells_on(ground, viewers), joint, ground.centre, ground.radius, ground.beside
+        )
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
         if not left or np.hypot(*plane[1:]) < SETTLED:
@@ -347,7 +351,9 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     means = np.stack([np.bincount(cell, c, minlength=n) for c in xyz.T], axis=1) / count[:, None]
     rays = xyz - viewer.cloud.origin
     rays /= np.maximum(se3.lengths(rays), 1e-9)[:, None]
-    bands, band = np.unique(band_of(rays, viewer.cloud.axis), return_inverse=True)
+    ring = viewer.cloud.ring
+    lines = band_of(rays, viewer.cloud.axis) if ring is None else ring[index]
+    bands, band = np.unique(lines, return_inverse=True)
     share = np.zeros((n, len(bands)))
     np.add.at(share, (cell, band.ravel()), 1.0)
     off = (xyz - means[cell]) @ T[2, :3]
@@ -401,8 +407,11 @@ class Plane(NamedTuple):
     at: Array
 
 
-def plane_of(cells: Cells, poses: Array, centre: Array, radius: float) -> Plane:
-    """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it."""
+def plane_of(cells: Cells, poses: Array, centre: Array, radius: float, beside: Array) -> Plane:
+    """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it.
+
+    What is nearer to another level, `beside` (n, 2), than to the cells is none of the disc.
+    """
     x, y, z = cells.at.T
     planes = np.stack([np.ones_like(x), x, y], axis=1)
     scaled = np.c_[planes * PLANE_SIGMA, cells.by_errors * cells.errors]
@@ -416,6 +425,8 @@ def plane_of(cells: Cells, poses: Array, centre: Array, radius: float) -> Plane:
     likely = weights > MIN_WEIGHT
     grid, weights = grid[likely], weights[likely] / weights[likely].sum()
     disc = centre + _disc(radius)
+    own, other = (cKDTree(each).query(disc)[0] for each in (cells.at[:, :2], beside))
+    disc = disc[own < other]
     over = _functionals(disc)
     prior = np.zeros((6, 3))
     prior[:3] = np.diag(np.square(PLANE_SIGMA))

@@ -386,6 +386,9 @@ def plain(value: Any) -> Any:
 RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
 """What the result document of two LiDARs, and that of a site, is called in its folder."""
 
+LEVEL_FILE = "level.json"
+"""What their level over the ground is called there."""
+
 REPORT_FILE, SITE_REPORT_FILE = "report.html", "site-report.html"
 """What the reports of both are called there."""
 

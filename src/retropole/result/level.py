@@ -12,16 +12,22 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import msgspec
+import numpy as np
 
 from ..base.bounded import Covariance, Number, PartCovariance, Pose, Size, Text
 from ..base.datatypes import Array
+from ..base.errors import UsageError
 from ..ground.level import Leveled, LidarLevel
-from ..ground.surface import Level
+from ..ground.steps import Level
 from . import COVARIANCE_ORDER, InputDoc, document_of, made_now
+from .decoding import parsed
+from .site import LidarDoc
 
 LEVEL_SCHEMA: Literal["retropole/level/1"] = "retropole/level/1"
-LEVEL_FILE = "level.json"
 LEVEL_COVARIANCE_FRAME = "ground axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
+
+SAME_POSE = 1e-6
+"""Poses of one result agree so far, metres and parts of 1."""
 
 
 class LidarLevelDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
@@ -123,3 +129,23 @@ def _lidar(lidar: LidarLevel, T_base: Array | None, covariance: Array | None) ->
         T_base_footprint_lidar=T_base,
         base_covariance=covariance,
     )
+
+
+def level_of(data: bytes, lidars: Sequence[LidarDoc]) -> LevelDoc:
+    """Read the level of a result, whose LiDARs have poses.
+
+    Raises
+    ------
+    ReadError
+        Where it is none.
+    UsageError
+        Where it is of another result.
+    """
+    found = parsed(data, LevelDoc, "level document")
+    poses = {lidar.name: lidar.T_site_lidar for lidar in lidars}
+    for lidar in found.lidars:
+        pose = poses.get(lidar.name)
+        own = None if pose is None else found.T_ground_frame @ np.asarray(pose)
+        if own is None or not np.allclose(own, lidar.T_ground_lidar, atol=SAME_POSE):
+            raise UsageError("is of another result: 'retropole level' makes it anew")
+    return found
