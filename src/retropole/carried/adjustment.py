@@ -1,0 +1,579 @@
+"""Pose, clocks and the motion of the pole, adjusted together over a whole walk.
+
+In a frame W whose z axis is the mean direction of the pole, its axis at a height h is at
+``(x + u h, y + v h, h)``. x, y, u and v are cubic B-splines in time, held together by white noise
+on their acceleration, ``∫ ẍ² / q dt``, whose size q the data say. A row of returns (`rows`), moved
+along its beam by the depth of the cylinder, is off the axis by::
+
+    e = P − (x + u Z, y + v Z, Z),     b₁·e ~ σ_r |d_⊥| / √k,     b₂·e ~ w / √3,
+
+b₁ being the beam across the axis, and b₂ across both. The source's clock runs ahead by
+``τ + κ (t − t_m)``. The systematic errors of both LiDARs (`base.systematic`) are unknowns with a
+prior. The normal equations have a band for the splines, and a border for all else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+from scipy.sparse import csr_array, hstack
+
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.systematic import Sizes, band_of
+from .rows import Rows, left_open
+from .start import Start
+from .track import Track
+
+KNOT = 0.1
+"""Between two knots of the splines, s: half of it gives the same answer."""
+
+DRIFT = 30e-6
+"""1 σ of by how much the clocks' rates differ: quartz oscillators are within ± 50 ppm."""
+
+NOISE = (0.2, 0.2, 0.08, 0.08)
+"""Noise of the acceleration to start from: of x and y, m²/s³, and of u and v, 1/s³."""
+
+HUBER, BEYOND = 2.5, 12.0
+"""Residuals count less from so many σ on, and not at all beyond."""
+
+MAX_STEPS = 40
+"""Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
+
+WINDOW, FEWEST_IN_WINDOW = 5.0, 40
+"""Windows in which the clocks' offset is looked at: s, and rows of the source."""
+
+REST, SETTLED = 0.03, 0.15
+"""A step that moves nothing by more σ is the last, where the noise of the motion changes by less
+than this, of its logarithm: the pose hardly depends on it."""
+
+FASTER = 1.6
+"""Power to which a change of the noise is raised: it comes to rest in half of the steps (EM comes
+there slowly where the data leave much of the motion open)."""
+
+HELD = 1e-6
+"""The offset of all is held to so much, s, where each window has its own."""
+
+DRAWS = 4
+"""Draws of the motion: over hundreds of knots, few tell its spread."""
+
+POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
+"""Among the unknowns of the border: the pose, the clocks' offset and the drift."""
+
+DEVICE = 11
+"""Errors of a whole LiDAR, after which come those of its rings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one LiDAR saw: its rows, and the sizes of its errors."""
+
+    rows: Rows
+    sizes: Sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The maximum, and what is known there.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4).
+    covariance
+        (7, 7) over ``[φ, δ, τ]``, rad, m and s, target axes.
+    offset, drift
+        By how much the source's clock is ahead at the middle of the walk, s, and its rate.
+    motion
+        (4,) noise of the acceleration, as `NOISE`.
+    residuals, weights, times, lidar
+        (N, 2) along the beam and across, in σ; (N, 2) their weights; (N,) s by the target's clock,
+        and whose they are.
+    axes
+        (S, 4) x, y, u and v at (S,) `at`, s.
+    at
+        Where the axes are given.
+    T_walk_target
+        (4, 4) to the frame W.
+    scale
+        (2, 2) by how much the rows of each LiDAR scatter more than stated, along and across.
+    clock_windows
+        (K, 2) offset of the clocks in windows of `WINDOW` beside that of all, and its 1 σ, s.
+    converged, cost
+        Whether steps came to rest; the sum of the robust losses with the priors.
+    """
+
+    T_target_source: Array
+    covariance: Array
+    offset: float
+    drift: float
+    motion: Array
+    residuals: Array
+    weights: Array
+    times: Array
+    lidar: IntArray
+    axes: Array
+    at: Array
+    T_walk_target: Array
+    scale: Array
+    clock_windows: Array
+    converged: bool
+    cost: float
+
+    @property
+    def left_out(self) -> float:
+        """Share of the rows that count less than half."""
+        return float(np.mean(self.weights.min(axis=1) < 0.5))
+
+
+class _State(NamedTuple):
+    coefs: Array
+    T: Array
+    border: Array  # offset, drift, then the errors
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """What does not change from step to step."""
+
+    T_walk_target: Array
+    first: float
+    middle: float
+    count: int
+    radius: float
+    seen: tuple[Seen, Seen]
+    bands: tuple[IntArray, IntArray]
+    prior: Array
+
+
+def adjust(
+    start: Start,
+    tracks: tuple[Track, Track],
+    seen: tuple[Seen, Seen],
+    radius: float,
+) -> Adjusted:
+    """Adjust a walk from a start.
+
+    Parameters
+    ----------
+    start
+        As `find_starts` gives it.
+    tracks, seen
+        Of the target and the source.
+    radius
+        Of the pole, metres.
+    """
+    frame = _frame_of(start, tracks, seen, radius)
+    state = _State(
+        _first_coefs(frame, start, tracks),
+        start.T_target_source,
+        np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
+    )
+    motion, scale = np.array(NOISE), np.ones((2, 2))
+    # Draws for what the data leave open of the motion: equal inputs give equal answers.
+    draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
+    converged = False
+    for number in range(MAX_STEPS):
+        system = _system(frame, state, scale)
+        weights = _weights(system.residuals)
+        step = _solve(frame, state, system, weights, motion, draws)
+        moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
+        state = _State(
+            state.coefs + step.coefs,
+            se3.retract(state.T, step.border[POSE]),
+            state.border + step.border[OFFSET:],
+        )
+        grown = (step.motion / motion) ** FASTER
+        motion = motion * grown
+        if number > 2:
+            scale = _scales(system, weights, step.leverage, scale)
+        if number > 4 and moved[:7].max() < REST and np.abs(np.log(grown)).max() < SETTLED:
+            converged = True
+            break
+    system = _system(frame, state, scale)
+    weights = _weights(system.residuals)
+    step = _solve(frame, state, system, weights, motion, draws)
+    at = np.asarray(frame.first + KNOT * np.arange(frame.count - 3))
+    size = np.abs(system.residuals)
+    robust = np.where(size < HUBER, 0.5 * size**2, HUBER * np.minimum(size, BEYOND) - HUBER**2 / 2)
+    own = (state.border / frame.prior[OFFSET:])[1:]
+    second = _curvature(state.coefs) ** 2 * KNOT / motion
+    cost = robust.sum() + 0.5 * (own @ own) + 0.5 * second.sum()
+    cost += 0.5 * len(second) * np.log(motion).sum()
+    return Adjusted(
+        state.T,
+        step.covariance[:CLOCK, :CLOCK],
+        float(state.border[0]),
+        float(state.border[1]),
+        motion,
+        system.residuals,
+        weights,
+        system.times,
+        system.lidar,
+        _axes(frame, state.coefs, at),
+        at,
+        frame.T_walk_target,
+        scale,
+        _clock_windows(frame, state, system, weights, motion, draws),
+        converged,
+        float(cost),
+    )
+
+
+def _frame_of(
+    start: Start, tracks: tuple[Track, Track], seen: tuple[Seen, Seen], radius: float
+) -> _Frame:
+    target = tracks[0]
+    up = target.directions.mean(axis=0)
+    up /= np.linalg.norm(up)
+    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    side /= np.linalg.norm(side)
+    R = np.stack([side, np.cross(up, side), up])
+    T = se3.from_rt(R, -R @ target.points.mean(axis=0))
+    times = np.r_[seen[0].rows.times, seen[1].rows.times - start.offset]
+    first = float(times.min()) - 0.5
+    count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
+    bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
+    for each in seen:
+        up_axis = np.array([0.0, 0.0, 1.0])
+        band = np.unique(band_of(each.rows.directions, up_axis))
+        s = each.sizes
+        bands.append(band)
+        prior.append(
+            np.array(
+                [np.hypot(s.zero, s.tape), s.scale, s.encoder, s.encoder, s.wobble, s.wobble]
+                + 4 * [s.bend]
+                + [s.width]
+            )
+        )
+        prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
+    return _Frame(
+        T, first, float(times.mean()), count, radius, seen, (bands[0], bands[1]),
+        np.concatenate(prior),
+    )  # fmt: skip
+
+
+class _System(NamedTuple):
+    """Linearised rows: residuals (N, 2) in σ, and derivatives by splines and border."""
+
+    residuals: Array
+    by_coefs: csr_array
+    by_border: csr_array
+    times: Array
+    lidar: IntArray
+    offset_slopes: Array
+
+
+def _basis(u: Array) -> Array:
+    """(N, 4) uniform cubic B-splines at a part u (N,) of a knot interval."""
+    return np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 3 * (u + u**2 - u**3) + 1, u**3], 1) / 6
+
+
+def _slope(u: Array) -> Array:
+    """(N, 4) their derivatives by time."""
+    parts = [-((1 - u) ** 2), 3 * u**2 - 4 * u, 1 + 2 * u - 3 * u**2, u**2]
+    return np.stack(parts, axis=1) / (2 * KNOT)
+
+
+def _interval(frame: _Frame, times: Array) -> tuple[IntArray, Array]:
+    place = np.clip((times - frame.first) / KNOT, 0, frame.count - 3 - 1e-9)
+    number = place.astype(np.int64)
+    return number, place - number
+
+
+def _axes(frame: _Frame, coefs: Array, times: Array) -> Array:
+    """(N, 4) x, y, u and v at times (N,)."""
+    number, u = _interval(frame, times)
+    near = coefs[number[:, None] + np.arange(4)]
+    return np.asarray(np.einsum("nk,nkc->nc", _basis(u), near))
+
+
+def _first_coefs(frame: _Frame, start: Start, tracks: tuple[Track, Track]) -> Array:
+    """Splines through the lines of both tracks."""
+    lines, times = [], []
+    for track, T, ahead in zip(
+        tracks, (np.eye(4), start.T_target_source), (0.0, start.offset), strict=True
+    ):
+        T_walk = frame.T_walk_target @ T
+        point, along = se3.apply(T_walk, track.points), track.directions @ T_walk[:3, :3].T
+        kept = np.abs(along[:, 2]) > 0.3
+        slope = along[kept, :2] / along[kept, 2:]
+        lines.append(np.hstack([point[kept, :2] - slope * point[kept, 2:], slope]))
+        times.append(track.times[kept] - ahead)
+    at = np.concatenate(times)
+    number, u = _interval(frame, at)
+    rows, weight = _basis(u), 1 / 0.02**2
+    band = np.zeros((4, frame.count))
+    right = np.zeros((frame.count, 4))
+    for a in range(4):
+        np.add.at(right, number + a, weight * rows[:, a, None] * np.concatenate(lines))
+        for b in range(a + 1):
+            np.add.at(band[a - b], number + b, weight * rows[:, a] * rows[:, b])
+    band += _curvature_band(frame.count, np.array([0.2]))[:4]
+    return np.asarray(cho_solve_banded((cholesky_banded(band, lower=True), True), right))
+
+
+def _curvature(coefs: Array) -> Array:
+    """(M − 2, 4) second derivatives at the knots."""
+    return np.diff(coefs, n=2, axis=0) / KNOT**2
+
+
+def _curvature_band(count: int, noise: Array) -> Array:
+    """Lower band of the prior's matrix, for as many interleaved splines as there are noises."""
+    own = np.zeros((3, count))
+    stencil = np.array([1.0, -2.0, 1.0]) / KNOT**2
+    for a in range(3):
+        for b in range(a + 1):
+            own[a - b, b : count - 2 + b] += stencil[a] * stencil[b] * KNOT
+    own[0] += 1e-8
+    several = len(noise)
+    band = np.zeros((4 * several, count * several))
+    for k in range(3):
+        band[k * several] = (own[k][:, None] / noise).ravel()
+    return band
+
+
+def _system(frame: _Frame, state: _State, scale: Array) -> _System:
+    """Linearise the rows of both LiDARs."""
+    parts = [_of_lidar(frame, state, lidar, scale[lidar]) for lidar in (0, 1)]
+    counts = [len(part[0]) for part in parts]
+    residuals = np.concatenate([part[0] for part in parts])
+    number = np.concatenate([part[1] for part in parts])
+    by_coefs = np.concatenate([part[2] for part in parts])
+    rows = len(residuals)
+    column = 4 * (number[:, None] + np.arange(4))[:, :, None] + np.arange(4)
+    column = np.broadcast_to(column[:, None], (rows, 2, 4, 4)).reshape(2 * rows, 16)
+    ends = np.arange(0, 32 * rows + 1, 16)
+    shape = (2 * rows, 4 * frame.count)
+    J = csr_array((by_coefs.reshape(-1), column.reshape(-1), ends), shape=shape)
+    border_values = np.concatenate([part[3] for part in parts])
+    border_columns = np.concatenate([part[4] for part in parts])
+    width = border_values.shape[2]
+    wide_columns = np.repeat(border_columns[:, None], 2, axis=1).reshape(-1)
+    ends = np.arange(0, 2 * rows * width + 1, width)
+    K = csr_array(
+        (border_values.reshape(-1), wide_columns, ends), shape=(2 * rows, len(frame.prior))
+    )
+    times = np.concatenate([part[5] for part in parts])
+    slopes = np.concatenate([part[3][:, :, OFFSET] for part in parts])
+    return _System(residuals, J, K, times, np.repeat([0, 1], counts), slopes)
+
+
+def _of_lidar(
+    frame: _Frame, state: _State, lidar: int, scale: Array
+) -> tuple[Array, IntArray, Array, Array, IntArray, Array]:
+    """Residuals (N, 2), knot intervals (N,), derivatives (N, 2, 4, 4) by splines and by the
+    border (N, 2, …) with the columns (N, …) of these, and times (N,).
+    """
+    rows = frame.seen[lidar].rows
+    band = np.searchsorted(frame.bands[lidar], band_of(rows.directions, np.array([0.0, 0.0, 1.0])))
+    errors, first = _errors_of(frame, state, lidar)
+    count = len(frame.bands[lidar])
+    own = errors[DEVICE:].reshape(3, count)[:, band]
+    d = rows.directions
+    level = np.linalg.norm(d[:, :2], axis=1)
+    cosine, sine = d[:, 0] / level, d[:, 1] / level
+    twice, thrice = (cosine + 1j * sine) ** 2, (cosine + 1j * sine) ** 3
+    bends = np.stack([twice.real, twice.imag, thrice.real, thrice.imag], axis=1)
+    east = np.stack([-sine, cosine, 0 * sine], axis=1)
+    north = np.cross(d, east)
+    turn = errors[2] * cosine + errors[3] * sine + own[2]
+    lift = errors[4] * cosine + errors[5] * sine + bends @ errors[6:10] + own[1]
+    true = d + (turn * level)[:, None] * east + lift[:, None] * north
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    ranges = rows.ranges - errors[0] - errors[1] * rows.ranges - own[0]
+
+    T = np.eye(4) if lidar == 0 else state.T
+    T_walk = frame.T_walk_target @ T
+    R = T_walk[:3, :3]
+    stamp = rows.times
+    late = stamp - state.border[0] - frame.middle
+    times = stamp if lidar == 0 else stamp - state.border[0] - state.border[1] * late
+    number, u = _interval(frame, times)
+    near = state.coefs[number[:, None] + np.arange(4)]
+    basis = _basis(u)
+    axis = np.einsum("nk,nkc->nc", basis, near)
+    moving = np.einsum("nk,nkc->nc", _slope(u), near)
+
+    ray, e_east, e_north = true @ R.T, east @ R.T, north @ R.T
+    n = np.concatenate([axis[:, 2:], np.ones((len(axis), 1))], axis=1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    across = ray - np.einsum("ni,ni->n", ray, n)[:, None] * n
+    sideways = np.linalg.norm(across, axis=1)
+    b1 = across / sideways[:, None]
+    b2 = np.cross(n, b1)
+    lever = np.abs(np.einsum("ni,ni->n", e_east, b2)) * ranges * level
+    depth, open_to = left_open(rows, lever, frame.radius, errors[10])
+    wider, _ = left_open(rows, lever, frame.radius, errors[10] + 0.1)
+    P = ranges[:, None] * ray + T_walk[:3, 3]
+    Z = P[:, 2] + depth / sideways * ray[:, 2]
+    e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
+
+    b = np.stack([b1, b2], axis=1)
+    sigma = np.stack(
+        [
+            scale[0] * rows.range_noise * sideways / np.sqrt(rows.hits),
+            scale[1] * open_to * np.sqrt(rows.sharing),
+        ],
+        axis=1,
+    )
+    # Where hits are missing, the depth is not known either.
+    sigma[~np.isfinite(sigma[:, 1])] = np.inf
+    b = b / sigma[:, :, None]
+    residual = np.einsum("nri,ni->nr", b[:, :, :2], e)
+    # By the splines: x and y at the basis, u and v at it times the height.
+    by_axis = -np.concatenate([b[:, :, :2], b[:, :, :2] * Z[:, None, None]], axis=2)
+    by_coefs = basis[:, None, :, None] * by_axis[:, :, None, :]
+    if lidar == 0:
+        by_pose = np.zeros((len(d), 2, 8))
+    else:
+        arm = ranges[:, None] * true @ T[:3, :3].T
+        b_target = b @ frame.T_walk_target[:3, :3]
+        turned = np.cross(arm[:, None], b_target)
+        # Later on the clock is earlier in the walk: the axis is where it was.
+        speed = np.concatenate([moving[:, :2] + moving[:, 2:] * Z[:, None]], axis=1)
+        by_time = np.einsum("nri,ni->nr", b[:, :, :2], speed)
+        by_pose = np.concatenate(
+            [turned, b_target, by_time[:, :, None], (by_time * late[:, None])[:, :, None]], axis=2
+        )
+    along = -np.einsum("nri,ni->nr", b, ray)
+    right = np.einsum("nri,ni->nr", b, e_east) * (ranges * level)[:, None]
+    up = np.einsum("nri,ni->nr", b, e_north) * ranges[:, None]
+    deeper = np.einsum("nri,ni->nr", b, ray) * ((wider - depth) / (0.1 * sideways))[:, None]
+    by_errors = np.stack(
+        [along, along * ranges[:, None], right * cosine[:, None], right * sine[:, None]]
+        + [up * each[:, None] for each in (cosine, sine, *bends.T)]
+        + [deeper, along, up, right],
+        axis=2,
+    )
+    columns = np.concatenate(
+        [
+            np.broadcast_to(np.arange(8), (len(d), 8)),
+            np.broadcast_to(first + np.arange(DEVICE), (len(d), DEVICE)),
+            first + DEVICE + band[:, None] + count * np.arange(3),
+        ],
+        axis=1,
+    )
+    return residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, times
+
+
+def _errors_of(frame: _Frame, state: _State, lidar: int) -> tuple[Array, int]:
+    """Errors of a LiDAR, and where they stand in the border."""
+    sizes = [DEVICE + 3 * len(bands) for bands in frame.bands]
+    first = 8 + sum(sizes[:lidar])
+    return state.border[first - OFFSET : first - OFFSET + sizes[lidar]], first
+
+
+def _weights(residuals: Array) -> Array:
+    size = np.abs(residuals)
+    return np.asarray(np.where(size > BEYOND, 0.0, np.minimum(1.0, HUBER / np.maximum(size, 1e-9))))
+
+
+def _scales(system: _System, weights: Array, leverage: Array, scale: Array) -> Array:
+    """By how much rows scatter more than stated, and never less: (2, 2).
+
+    The splines take up a part of the scatter, the leverage of the rows.
+    """
+    found = np.ones((2, 2))
+    for lidar in (0, 1):
+        own = system.lidar == lidar
+        w = weights[own]
+        left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
+        square = (w * system.residuals[own] ** 2).sum(axis=0) / np.maximum(left, 1.0)
+        found[lidar] = np.maximum(scale[lidar] * np.sqrt(square), 1.0)
+    return found
+
+
+class _Step(NamedTuple):
+    coefs: Array
+    border: Array
+    covariance: Array
+    motion: Array
+    leverage: Array
+
+
+def _solve(
+    frame: _Frame,
+    state: _State,
+    system: _System,
+    weights: Array,
+    noise: Array,
+    draws: Array,
+) -> _Step:
+    """One step, the covariance of the border, and the noise of the motion that follows."""
+    w = weights.reshape(-1)
+    r = system.residuals.reshape(-1)
+    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
+    normal = (weighted.T @ system.by_coefs).tocoo()
+    band = _curvature_band(frame.count, noise)
+    lower = normal.row >= normal.col
+    row, column = normal.row[lower], normal.col[lower]
+    np.add.at(band, (row - column, column), normal.data[lower])
+    side = np.asarray((weighted.T @ system.by_border).todense())
+    corner = np.asarray(
+        (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
+    ) + np.diag(frame.prior**-2)
+    held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
+    second = np.diff(state.coefs, n=2, axis=0) / KNOT**2 * KNOT / noise
+    pull = np.zeros_like(state.coefs)
+    for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
+        pull[k : len(pull) - 2 + k] += factor * second
+    g_coefs = weighted.T @ r + pull.ravel()
+    g_border = system.by_border.T @ (w * r) + held
+    factor = cholesky_banded(band, lower=True)
+    solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
+    schur = corner - side.T @ solved[:, :-1]
+    covariance = np.linalg.inv(schur)
+    border = -covariance @ (g_border - side.T @ solved[:, -1])
+    coefs = -(solved[:, -1] + solved[:, :-1] @ border)
+    # Draws of the posterior tell how much of the motion the data leave open (EM).
+    upper = np.zeros_like(factor)
+    for k in range(len(factor)):
+        upper[-1 - k, k:] = factor[k, : factor.shape[1] - k]
+    draws = solve_banded((0, len(factor) - 1), upper, draws)
+    leverage = weights * np.mean((system.by_coefs @ draws) ** 2, axis=1).reshape(-1, 2)
+    moved = state.coefs + coefs.reshape(-1, 4)
+    total = np.mean(_curvature(moved) ** 2, axis=0)
+    for draw in draws.T:
+        total = total + np.mean(_curvature(draw.reshape(-1, 4)) ** 2, axis=0) / draws.shape[1]
+    found = KNOT * total
+    both = np.repeat([found[:2].mean(), found[2:].mean()], 2)
+    return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
+
+
+def _clock_windows(
+    frame: _Frame,
+    state: _State,
+    system: _System,
+    weights: Array,
+    motion: Array,
+    draws: Array,
+) -> Array:
+    """Give each window an offset of its own: (K, 2) the offset and its 1 σ, s."""
+    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    place[system.lidar == 0] = -1
+    place[(weights * system.offset_slopes**2).sum(axis=1) == 0] = -1
+    number, counts = np.unique(place[place >= 0], return_counts=True)
+    number = number[counts >= FEWEST_IN_WINDOW]
+    if len(number) < 2:
+        return np.zeros((0, 2))
+    windows = np.zeros((*system.residuals.shape, len(number)))
+    for k, own in enumerate(number):
+        windows[place == own, :, k] = system.offset_slopes[place == own]
+    wider = csr_array(hstack([system.by_border, windows.reshape(-1, len(number))]))
+    prior = np.r_[frame.prior, np.ones(len(number))]
+    prior[OFFSET] = HELD
+    step = _solve(
+        replace(frame, prior=prior),
+        state._replace(border=np.r_[state.border, np.zeros(len(number))]),
+        system._replace(by_border=wider),
+        weights,
+        motion,
+        draws,
+    )
+    own = slice(len(frame.prior), None)
+    sigma = np.sqrt(np.diag(step.covariance)[own])
+    return np.stack([step.border[own], sigma], axis=1)
