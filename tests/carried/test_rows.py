@@ -17,7 +17,7 @@ def off_axis(rows: Rows) -> tuple[Array, Array, Array]:
     b2 = np.cross(n, b1)
     east = np.stack([-d[:, 1], d[:, 0], 0 * d[:, 0]], axis=1)
     lever = np.abs(np.einsum("ni,ni->n", east, b2)) * rows.ranges
-    depth, sigma = left_open(rows, lever, RADIUS)
+    depth, sigma, _ = left_open(rows, lever, RADIUS)
     off = rows.ranges[:, None] * d - middle
     return (
         np.einsum("ni,ni->n", off, b1) + depth,

@@ -37,6 +37,15 @@ DRIFT = 30e-6
 NOISE = (0.2, 0.2, 0.08, 0.08)
 """Noise of the acceleration to start from: of x and y, m²/s³, and of u and v, 1/s³."""
 
+BEYOND_EDGE = 0.5
+"""1 σ of how deep hits are whose beam passes beside the pole, as a part of its radius: at its edge
+where a part of the beam meets it, as deep as the rest where tape glows (chosen)."""
+
+DEEPER_AFAR = 1e-3
+"""1 σ of how the depth of hits changes with the range beside the model: the farther, the less of
+a beam's edge is bright enough. In simulated fields it was 0.1 to 1.1 mm for each metre (tuning
+seeds 25 to 29)."""
+
 HUBER, BEYOND = 2.5, 12.0
 """Residuals count less from so many σ on, and not at all beyond."""
 
@@ -46,7 +55,7 @@ MAX_STEPS = 40
 WINDOW, FEWEST_IN_WINDOW = 5.0, 40
 """Windows in which the clocks' offset is looked at: s, and rows of the source."""
 
-REST, SETTLED = 0.03, 0.15
+REST, SETTLED = 0.05, 0.15
 """A step that moves nothing by more σ is the last, where the noise of the motion changes by less
 than this, of its logarithm: the pose hardly depends on it."""
 
@@ -57,13 +66,19 @@ there slowly where the data leave much of the motion open)."""
 HELD = 1e-6
 """The offset of all is held to so much, s, where each window has its own."""
 
+JITTERS = np.r_[0.0, np.geomspace(5e-5, 0.02, 60), np.inf]
+"""Angles that are tried for what moves the edges of the pole, rad."""
+
+FULL_STEPS = 5
+"""After so many steps, half of each is gone."""
+
 DRAWS = 4
 """Draws of the motion: over hundreds of knots, few tell its spread."""
 
 POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
 """Among the unknowns of the border: the pose, the clocks' offset and the drift."""
 
-DEVICE = 11
+DEVICE = 12
 """Errors of a whole LiDAR, after which come those of its rings."""
 
 
@@ -98,8 +113,9 @@ class Adjusted:
         Where the axes are given.
     T_walk_target
         (4, 4) to the frame W.
-    scale
-        (2, 2) by how much the rows of each LiDAR scatter more than stated, along and across.
+    spread
+        (2, 2) how the rows of each LiDAR scatter beyond what is stated: along beams a factor,
+        across an angle, rad.
     clock_windows
         (K, 2) offset of the clocks in windows of `WINDOW` beside that of all, and its 1 σ, s.
     converged, cost
@@ -118,7 +134,7 @@ class Adjusted:
     axes: Array
     at: Array
     T_walk_target: Array
-    scale: Array
+    spread: Array
     clock_windows: Array
     converged: bool
     cost: float
@@ -172,28 +188,35 @@ def adjust(
         start.T_target_source,
         np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
     )
-    motion, scale = np.array(NOISE), np.ones((2, 2))
+    motion, spread = np.array(NOISE), np.array([[1.0, 0.0], [1.0, 0.0]])
     # Draws for what the data leave open of the motion: equal inputs give equal answers.
     draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
     converged = False
     for number in range(MAX_STEPS):
-        system = _system(frame, state, scale)
+        system = _system(frame, state, spread)
         weights = _weights(system.residuals)
         step = _solve(frame, state, system, weights, motion, draws)
         moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
+        # What hits leave open follows the motion and is not differentiated: full steps may go to
+        # and fro about the end.
+        part = 1.0 if number < FULL_STEPS else 0.5
         state = _State(
-            state.coefs + step.coefs,
-            se3.retract(state.T, step.border[POSE]),
-            state.border + step.border[OFFSET:],
+            state.coefs + part * step.coefs,
+            se3.retract(state.T, part * step.border[POSE]),
+            state.border + part * step.border[OFFSET:],
         )
         grown = (step.motion / motion) ** FASTER
         motion = motion * grown
         if number > 2:
-            scale = _scales(system, weights, step.leverage, scale)
-        if number > 4 and moved[:7].max() < REST and np.abs(np.log(grown)).max() < SETTLED:
+            spread = _spread(frame, system, weights, step.leverage)
+        if (
+            number >= FULL_STEPS
+            and moved[:7].max() < REST
+            and np.abs(np.log(grown)).max() < SETTLED
+        ):
             converged = True
             break
-    system = _system(frame, state, scale)
+    system = _system(frame, state, spread)
     weights = _weights(system.residuals)
     step = _solve(frame, state, system, weights, motion, draws)
     at = np.asarray(frame.first + KNOT * np.arange(frame.count - 3))
@@ -216,7 +239,7 @@ def adjust(
         _axes(frame, state.coefs, at),
         at,
         frame.T_walk_target,
-        scale,
+        spread,
         _clock_windows(frame, state, system, weights, motion, draws),
         converged,
         float(cost),
@@ -238,15 +261,21 @@ def _frame_of(
     count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
     bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
     for each in seen:
-        up_axis = np.array([0.0, 0.0, 1.0])
-        band = np.unique(band_of(each.rows.directions, up_axis))
+        band = np.unique(_bands(each.rows))
         s = each.sizes
         bands.append(band)
         prior.append(
             np.array(
-                [np.hypot(s.zero, s.tape), s.scale, s.encoder, s.encoder, s.wobble, s.wobble]
+                [
+                    np.hypot(s.zero, s.tape),
+                    np.hypot(s.scale, DEEPER_AFAR),
+                    s.encoder,
+                    s.encoder,
+                    s.wobble,
+                    s.wobble,
+                ]
                 + 4 * [s.bend]
-                + [s.width]
+                + [s.width, BEYOND_EDGE]
             )
         )
         prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
@@ -254,6 +283,13 @@ def _frame_of(
         T, first, float(times.mean()), count, radius, seen, (bands[0], bands[1]),
         np.concatenate(prior),
     )  # fmt: skip
+
+
+def _bands(rows: Rows) -> IntArray:
+    """(N,) whose errors each row shares: its ring's, or where there are none, its elevation's."""
+    if rows.rings[0] >= 0:
+        return rows.rings
+    return band_of(rows.directions, np.array([0.0, 0.0, 1.0]))
 
 
 class _System(NamedTuple):
@@ -265,6 +301,8 @@ class _System(NamedTuple):
     times: Array
     lidar: IntArray
     offset_slopes: Array
+    sigma: Array
+    stated: Array
 
 
 def _basis(u: Array) -> Array:
@@ -336,40 +374,46 @@ def _curvature_band(count: int, noise: Array) -> Array:
     return band
 
 
-def _system(frame: _Frame, state: _State, scale: Array) -> _System:
+def _system(frame: _Frame, state: _State, spread: Array) -> _System:
     """Linearise the rows of both LiDARs."""
-    parts = [_of_lidar(frame, state, lidar, scale[lidar]) for lidar in (0, 1)]
-    counts = [len(part[0]) for part in parts]
-    residuals = np.concatenate([part[0] for part in parts])
-    number = np.concatenate([part[1] for part in parts])
-    by_coefs = np.concatenate([part[2] for part in parts])
-    rows = len(residuals)
-    column = 4 * (number[:, None] + np.arange(4))[:, :, None] + np.arange(4)
-    column = np.broadcast_to(column[:, None], (rows, 2, 4, 4)).reshape(2 * rows, 16)
+    parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in (0, 1)]
+    both = _Linear(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    rows, width = len(both.residuals), both.by_border.shape[2]
+    column = 4 * (both.interval[:, None] + np.arange(4))[:, :, None] + np.arange(4)
+    column = np.broadcast_to(column[:, None], (rows, 2, 4, 4)).reshape(-1)
     ends = np.arange(0, 32 * rows + 1, 16)
     shape = (2 * rows, 4 * frame.count)
-    J = csr_array((by_coefs.reshape(-1), column.reshape(-1), ends), shape=shape)
-    border_values = np.concatenate([part[3] for part in parts])
-    border_columns = np.concatenate([part[4] for part in parts])
-    width = border_values.shape[2]
-    wide_columns = np.repeat(border_columns[:, None], 2, axis=1).reshape(-1)
+    J = csr_array((both.by_coefs.reshape(-1), column, ends), shape=shape)
+    column = np.repeat(both.columns[:, None], 2, axis=1).reshape(-1)
     ends = np.arange(0, 2 * rows * width + 1, width)
-    K = csr_array(
-        (border_values.reshape(-1), wide_columns, ends), shape=(2 * rows, len(frame.prior))
-    )
-    times = np.concatenate([part[5] for part in parts])
-    slopes = np.concatenate([part[3][:, :, OFFSET] for part in parts])
-    return _System(residuals, J, K, times, np.repeat([0, 1], counts), slopes)
+    shape = (2 * rows, len(frame.prior))
+    K = csr_array((both.by_border.reshape(-1), column, ends), shape=shape)
+    lidar = np.repeat([0, 1], [len(part.residuals) for part in parts])
+    slopes = both.by_border[:, :, OFFSET]
+    return _System(both.residuals, J, K, both.times, lidar, slopes, both.sigma, both.stated)
 
 
-def _of_lidar(
-    frame: _Frame, state: _State, lidar: int, scale: Array
-) -> tuple[Array, IntArray, Array, Array, IntArray, Array]:
-    """Residuals (N, 2), knot intervals (N,), derivatives (N, 2, 4, 4) by splines and by the
-    border (N, 2, …) with the columns (N, …) of these, and times (N,).
+class _Linear(NamedTuple):
+    """Linearised rows of one LiDAR.
+
+    Residuals (N, 2), knot intervals (N,), derivatives by splines (N, 2, 4, 4) and by the border
+    (N, 2, C) with its columns (N, C), times (N,), σ and what is stated of it (N, 2).
     """
+
+    residuals: Array
+    interval: IntArray
+    by_coefs: Array
+    by_border: Array
+    columns: IntArray
+    times: Array
+    sigma: Array
+    stated: Array
+
+
+def _of_lidar(frame: _Frame, state: _State, lidar: int, spread: Array) -> _Linear:
+    """Linearise the rows of the target (0) or the source (1)."""
     rows = frame.seen[lidar].rows
-    band = np.searchsorted(frame.bands[lidar], band_of(rows.directions, np.array([0.0, 0.0, 1.0])))
+    band = np.searchsorted(frame.bands[lidar], _bands(rows))
     errors, first = _errors_of(frame, state, lidar)
     count = len(frame.bands[lidar])
     own = errors[DEVICE:].reshape(3, count)[:, band]
@@ -398,39 +442,49 @@ def _of_lidar(
     axis = np.einsum("nk,nkc->nc", basis, near)
     moving = np.einsum("nk,nkc->nc", _slope(u), near)
 
-    ray, e_east, e_north = true @ R.T, east @ R.T, north @ R.T
+    ray, e_east = true @ R.T, east @ R.T
     n = np.concatenate([axis[:, 2:], np.ones((len(axis), 1))], axis=1)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    across = ray - np.einsum("ni,ni->n", ray, n)[:, None] * n
-    sideways = np.linalg.norm(across, axis=1)
-    b1 = across / sideways[:, None]
-    b2 = np.cross(n, b1)
+    b1, b2, sideways = _across(ray, n)
     lever = np.abs(np.einsum("ni,ni->n", e_east, b2)) * ranges * level
-    depth, open_to = left_open(rows, lever, frame.radius, errors[10])
-    wider, _ = left_open(rows, lever, frame.radius, errors[10] + 0.1)
+    left = left_open(rows, lever, frame.radius, errors[10])
+    wider = left_open(rows, lever, frame.radius, errors[10] + 0.1)
+    depth = left.depth + errors[11] * frame.radius * left.beyond
     P = ranges[:, None] * ray + T_walk[:3, 3]
     Z = P[:, 2] + depth / sideways * ray[:, 2]
     e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
 
     b = np.stack([b1, b2], axis=1)
-    sigma = np.stack(
-        [
-            scale[0] * rows.range_noise * sideways / np.sqrt(rows.hits),
-            scale[1] * open_to * np.sqrt(rows.sharing),
-        ],
+    stated = np.stack(
+        [rows.range_noise * sideways / np.sqrt(rows.hits), left.sigma * np.sqrt(rows.sharing)],
         axis=1,
+    )
+    sigma = np.stack(
+        [spread[0] * stated[:, 0], np.hypot(stated[:, 1], spread[1] * rows.ranges)], axis=1
     )
     # Where hits are missing, the depth is not known either.
     sigma[~np.isfinite(sigma[:, 1])] = np.inf
     b = b / sigma[:, :, None]
     residual = np.einsum("nri,ni->nr", b[:, :, :2], e)
+    # Derivatives where the beam should have met the pole: at what was measured, their errors and
+    # those of the residuals are the same ones, and what multiplies them does not vanish.
+    back = np.einsum("ni,ni->n", b1[:, :2], e) / sideways
+    aside = np.einsum("ni,ni->n", b2[:, :2], e)
+    ranges = ranges - back
+    ray = (ranges + depth / sideways)[:, None] * ray - aside[:, None] * b2
+    Z = T_walk[2, 3] + ray[:, 2]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    b1, b2, sideways = _across(ray, n)
+    b = np.stack([b1, b2], axis=1) / sigma[:, :, None]
+    e_east = e_east - np.einsum("ni,ni->n", e_east, ray)[:, None] * ray
+    e_north = np.cross(ray, e_east)
     # By the splines: x and y at the basis, u and v at it times the height.
     by_axis = -np.concatenate([b[:, :, :2], b[:, :, :2] * Z[:, None, None]], axis=2)
     by_coefs = basis[:, None, :, None] * by_axis[:, :, None, :]
     if lidar == 0:
         by_pose = np.zeros((len(d), 2, 8))
     else:
-        arm = ranges[:, None] * true @ T[:3, :3].T
+        arm = (ranges + depth / sideways)[:, None] * (ray @ frame.T_walk_target[:3, :3])
         b_target = b @ frame.T_walk_target[:3, :3]
         turned = np.cross(arm[:, None], b_target)
         # Later on the clock is earlier in the walk: the axis is where it was.
@@ -442,11 +496,14 @@ def _of_lidar(
     along = -np.einsum("nri,ni->nr", b, ray)
     right = np.einsum("nri,ni->nr", b, e_east) * (ranges * level)[:, None]
     up = np.einsum("nri,ni->nr", b, e_north) * ranges[:, None]
-    deeper = np.einsum("nri,ni->nr", b, ray) * ((wider - depth) / (0.1 * sideways))[:, None]
+    deeper = (
+        np.einsum("nri,ni->nr", b, ray) * ((wider.depth - left.depth) / (0.1 * sideways))[:, None]
+    )
+    beyond = np.einsum("nri,ni->nr", b, ray) * (frame.radius * left.beyond / sideways)[:, None]
     by_errors = np.stack(
         [along, along * ranges[:, None], right * cosine[:, None], right * sine[:, None]]
         + [up * each[:, None] for each in (cosine, sine, *bends.T)]
-        + [deeper, along, up, right],
+        + [deeper, beyond, along, up, right],
         axis=2,
     )
     columns = np.concatenate(
@@ -457,7 +514,18 @@ def _of_lidar(
         ],
         axis=1,
     )
-    return residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, times
+    return _Linear(
+        residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, times, sigma,
+        stated,
+    )  # fmt: skip
+
+
+def _across(ray: Array, n: Array) -> tuple[Array, Array, Array]:
+    """Beams (N, 3) across axes (N, 3), what is across both, and the sine of the angle between."""
+    across = ray - np.einsum("ni,ni->n", ray, n)[:, None] * n
+    sideways = np.linalg.norm(across, axis=1)
+    b1 = across / sideways[:, None]
+    return b1, np.cross(n, b1), sideways
 
 
 def _errors_of(frame: _Frame, state: _State, lidar: int) -> tuple[Array, int]:
@@ -472,18 +540,26 @@ def _weights(residuals: Array) -> Array:
     return np.asarray(np.where(size > BEYOND, 0.0, np.minimum(1.0, HUBER / np.maximum(size, 1e-9))))
 
 
-def _scales(system: _System, weights: Array, leverage: Array, scale: Array) -> Array:
-    """By how much rows scatter more than stated, and never less: (2, 2).
+def _spread(frame: _Frame, system: _System, weights: Array, leverage: Array) -> Array:
+    """What rows scatter by more than stated: along beams a factor, across an angle, (2, 2).
 
-    The splines take up a part of the scatter, the leverage of the rows.
+    The splines take up a part of the scatter, the leverage of the rows. Along, no factor is less
+    than 1; across, the variance of an angle is added to what hits leave open: beams that do not
+    point where they should, and the glow of tape, move the edges of the pole.
     """
     found = np.ones((2, 2))
     for lidar in (0, 1):
         own = system.lidar == lidar
-        w = weights[own]
+        w, sigma = weights[own], system.sigma[own]
         left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
-        square = (w * system.residuals[own] ** 2).sum(axis=0) / np.maximum(left, 1.0)
-        found[lidar] = np.maximum(scale[lidar] * np.sqrt(square), 1.0)
+        known = np.isfinite(sigma[:, 1])
+        off = np.where(known[:, None], sigma, 0.0) * system.residuals[own]
+        stated = system.stated[own]
+        along = (w * off**2)[known, 0] / stated[known, 0] ** 2
+        found[lidar, 0] = max(1.0, float(np.sqrt(along.sum() / max(left[0], 1.0))))
+        swung = JITTERS[:, None] * frame.seen[lidar].rows.ranges[known]
+        across = (w * off**2)[known, 1] / (stated[known, 1] ** 2 + swung**2)
+        found[lidar, 1] = JITTERS[int(np.argmax(across.sum(axis=1) <= left[1]))]
     return found
 
 

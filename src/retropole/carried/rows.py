@@ -13,6 +13,7 @@ w/√3. Rings whose beams have one azimuth leave the same open: they count as on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ DIVERGENCE, RANGE_NOISE, STEP = 0.003, 0.015, float(np.radians(0.2))
 """Of a sensor that is not known: full angle of the beam, rad, 1 σ of the range, metres, and step
 between beams, rad: as those of the table of sensors mostly are."""
 
-NARROWEST = 0.2
+NARROWEST = 0.1
 """A middle is not known better than this part of a step, whatever the interval says: beams are as
 far from even."""
 
@@ -117,14 +118,21 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     # A gap within, hits of another turn, or a part that is hidden: not the middle of the pole.
     sound = (hits <= counts + 1) & (span < 0.3)
     sound &= np.logical_and.reduceat(track.is_whole[order], first)
-    own, of_ring, of_sweep = mean(azimuth), ring[first], sweep[first]
+    # Across the end of the tape of a pole that leans, a ring meets a part of its width.
+    of_sweep = sweep[first]
+    sound &= np.r_[False, np.diff(of_sweep) == 0] & np.r_[np.diff(of_sweep) == 0, False]
+    own, of_ring = mean(azimuth), ring[first]
     beside = (np.diff(of_sweep) == 0) & (np.diff(of_ring) <= 2)
     beside &= np.abs(np.diff(own)) < SAME_AZIMUTH * step
     beside &= np.diff(hits) == 0
     run = np.cumsum(np.r_[True, ~beside])
     sharing = np.bincount(run)[run].astype(float)
-    away, level = mean(ranges), np.linalg.norm(direction[:, :2], axis=1)
-    width = hits * step * away * level
+    away = mean(ranges)
+    # Across a pole that leans, an azimuth moves less than sideways.
+    east = np.stack([-direction[:, 1], direction[:, 0], 0 * away], axis=1)
+    aside = np.cross(track.directions[of_sweep], direction)
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    width = hits * step * away * np.abs(np.einsum("ni,ni->n", east, aside))
     several = sound & (hits > 1)
     if np.count_nonzero(several) > 50:
         wide = float(np.clip(np.mean((width - 2 * radius)[sound] / away[sound]), 0.0, WIDEST))
@@ -138,8 +146,20 @@ def _wrapped(angle: Array) -> Array:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> tuple[Array, Array]:
-    """Depth of each row before the axis, and 1 σ of its middle across the pole, metres.
+class Open(NamedTuple):
+    """Depth of each row before the axis, and 1 σ of its middle across the pole, (N,) metres.
+
+    σ is infinite where hits are missing. ``beyond`` is the share of each row's hits whose middle
+    passes beside the pole: only an edge of the beam, or a glow, met it.
+    """
+
+    depth: Array
+    sigma: Array
+    beyond: Array
+
+
+def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> Open:
+    """Say what the hits of each row leave open.
 
     Parameters
     ----------
@@ -151,11 +171,6 @@ def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> t
         Of the pole, metres.
     wider
         Logarithm of how much wider than taken beams are.
-
-    Returns
-    -------
-    depth, sigma : ndarray
-        (N,) each, metres; σ infinite where hits are missing.
     """
     reach = radius + 0.5 * rows.divergence * np.exp(wider) * rows.ranges
     single = not np.isfinite(rows.step)
@@ -163,15 +178,18 @@ def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> t
     span = np.zeros_like(reach) if single else (rows.hits - 1) * step
     whole = np.minimum(reach - span / 2, span / 2 + step - reach)
     half = reach if single else np.clip(whole, NARROWEST * step, reach)
-    depth = np.zeros_like(reach)
+    depth, beyond = np.zeros_like(reach), np.zeros_like(reach)
     number = np.arange(int(rows.hits.max(initial=1)))
     for k in number:
         there = k < rows.hits
         place = k * step - span / 2
         mean = (_area(place + half, radius) - _area(place - half, radius)) / (2 * half)
+        inside = np.clip(place + half, -radius, radius) - np.clip(place - half, -radius, radius)
         depth += np.where(there, mean, 0.0)
+        beyond += np.where(there, 1 - inside / (2 * half), 0.0)
     missing = span / 2 + step - reach < -TOO_FEW * step
-    return depth / rows.hits, np.where(missing, np.inf, half / np.sqrt(3))
+    sigma = np.where(missing, np.inf, half / np.sqrt(3))
+    return Open(depth / rows.hits, sigma, beyond / rows.hits)
 
 
 def _area(y: Array, radius: float) -> Array:

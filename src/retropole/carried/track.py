@@ -36,9 +36,9 @@ JUMP = 0.4
 """The middle of a pole's returns moves by so much from sweep to sweep where it stands, metres: as
 rings enter and leave."""
 
-BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
-"""What is so close beside a return, rad, and nearer by so much, metres, may hide a part of the
-pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
+BESIDE, IN_FRONT = float(np.radians(0.5)), -0.03
+"""What is so close beside a return, rad, and no farther behind it, metres, may hide a part of the
+pole's width: the widest step of the table of sensors is 0.6°; the sides of a hand are behind it."""
 
 LONGEST_GAP = 5.0
 """The pole may be out of view for so long, s, and still be told by where it comes back."""

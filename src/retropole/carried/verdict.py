@@ -20,8 +20,9 @@ MAX_LEFT_OUT = 0.05
 """Share of the rows that count less than half. Of walks without mistakes it was 0.004 to 0.009
 (tuning seeds 0 to 8, typical errors)."""
 
-MAX_SCALE = 2.5
-"""Rows scatter no more than so many times what is stated: with the errors of the field, 1.5."""
+MAX_SCALE, MAX_JITTER = 2.5, 0.006
+"""Ranges scatter no more than so many times what is stated, and edges by no more than an angle,
+rad: with the errors of the field, 1.3 and 0.002."""
 
 MAX_MOTION = 3.0, 3.0
 """Largest noise of the acceleration of a place, m²/s³, and of the lean, 1/s³, that a person gives
@@ -104,17 +105,17 @@ def _apart(one: Adjusted, other: Adjusted) -> float:
 def _check_fit(best: Adjusted) -> None:
     """Refuse what does not fit one pole that a person carries."""
     motion = (float(best.motion[0]), float(best.motion[2]))
-    scale = float(best.scale.max())
-    fails = best.left_out > MAX_LEFT_OUT or scale > MAX_SCALE
+    scale, jitter = (float(each) for each in best.spread.max(axis=0))
+    fails = best.left_out > MAX_LEFT_OUT or scale > MAX_SCALE or jitter > MAX_JITTER
     if not best.converged or fails or motion[0] > MAX_MOTION[0] or motion[1] > MAX_MOTION[1]:
         did = "" if best.converged else "; the adjustment came to no rest"
         raise Refusal(
             "walk_does_not_fit",
             f"{best.left_out:.1%} of the returns are off the pole (no more than "
-            f"{MAX_LEFT_OUT:.0%} may be), they scatter {scale:.1f} times as stated "
-            f"({MAX_SCALE:g}), and the pole accelerates with a noise of {motion[0]:.2g} m²/s³ "
-            f"({MAX_MOTION[0]:g}) and {motion[1]:.2g} /s³ ({MAX_MOTION[1]:g}){did}: record one "
-            "walk with one pole",
+            f"{MAX_LEFT_OUT:.0%} may be), ranges scatter {scale:.1f} times as stated "
+            f"({MAX_SCALE:g}), edges by {1e3 * jitter:.1f} mrad ({1e3 * MAX_JITTER:g}), and the "
+            f"pole accelerates with a noise of {motion[0]:.2g} m²/s³ ({MAX_MOTION[0]:g}) and "
+            f"{motion[1]:.2g} /s³ ({MAX_MOTION[1]:g}){did}: record one walk with one pole",
             {"left_out": best.left_out, "scale": scale, "motion": motion[0], "turn": motion[1]},
         )
 
