@@ -5,8 +5,9 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.systematic import Sizes
-from retropole.carried import adjustment
-from retropole.carried.adjustment import Adjusted, Seen, adjust
+from retropole.carried import linear
+from retropole.carried.adjustment import Adjusted, adjust
+from retropole.carried.linear import Seen
 from retropole.carried.rows import rows_of
 from retropole.carried.start import Start
 from tests.carried.walks import RADIUS, SeenWalk, seen_walk
@@ -34,27 +35,27 @@ def test_derivatives_are_those_of_the_residuals() -> None:
     walk = seen_walk(4.0)
     seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
     start = Start(walk.T_target_source, walk.offset, 0.01, False)
-    frame = adjustment._frame_of(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+    frame = linear.frame_of(start, walk.tracks, (seen[0], seen[1]), RADIUS)
     rng = np.random.default_rng(1)
-    errors = np.zeros(len(frame.prior) - adjustment.CLOCK)
-    coefs = adjustment._first_coefs(frame, start, walk.tracks)
-    state = adjustment._State(coefs, start.T_target_source, np.r_[walk.offset, errors])
+    errors = np.zeros(len(frame.prior) - linear.CLOCK)
+    coefs = linear.first_coefs(frame, start, walk.tracks)
+    state = linear.State(coefs, start.T_target_source, np.r_[walk.offset, errors])
     scale = np.ones((2, 2))
-    system = adjustment._system(frame, state, scale)
+    system = linear.linearised(frame, state, scale)
     step = 1e-4 * np.minimum(frame.prior, 1.0) * rng.normal(size=len(frame.prior))
     moved = 1e-6 * rng.normal(size=coefs.shape)
 
     def residuals(sign: float) -> np.ndarray:
-        at = adjustment._State(
+        at = linear.State(
             coefs + sign * moved,
             se3.retract(state.T, sign * step[:6]),
             state.border + sign * step[6:],
         )
-        return adjustment._system(frame, at, scale).residuals.ravel()
+        return linear.linearised(frame, at, scale).residuals.ravel()
 
     change = (residuals(1.0) - residuals(-1.0)) / 2
-    linear = system.by_coefs @ moved.ravel() + system.by_border @ step
-    assert np.median(np.abs(change - linear)) < 0.02 * np.median(np.abs(linear))
+    expected = system.by_coefs @ moved.ravel() + system.by_border @ step
+    assert np.median(np.abs(change - expected)) < 0.02 * np.median(np.abs(expected))
 
 
 @pytest.mark.full

@@ -7,7 +7,8 @@ import pytest
 
 from retropole.base.errors import Refusal
 from retropole.base.systematic import Sizes
-from retropole.carried.adjustment import Adjusted, Seen, adjust
+from retropole.carried.adjustment import Adjusted, adjust
+from retropole.carried.linear import Seen
 from retropole.carried.rows import rows_of
 from retropole.carried.start import Start
 from retropole.carried.verdict import check_tracks, chosen

@@ -12,7 +12,8 @@ from ..base.errors import Refusal
 from ..base.sensors import Sensor
 from ..base.systematic import sizes_of
 from ..base.uncertainty import floor
-from .adjustment import Adjusted, Seen, adjust
+from .adjustment import Adjusted, adjust
+from .linear import Seen
 from .rows import rows_of
 from .start import FEWEST, WIDEST, Start, find_starts
 from .track import Track, find_track
