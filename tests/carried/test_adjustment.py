@@ -25,7 +25,8 @@ def test_an_exact_walk_ends_at_the_truth() -> None:
     step = se3.local(found.T_target_source, walk.T_target_source)
     sigma = np.sqrt(np.diag(found.covariance))
     assert found.converged
-    assert np.all(np.abs(step) < 2 * sigma[:6])
+    # Derivatives at measured points, not at those of the model, would pull it by 2 σ.
+    assert np.all(np.abs(step) < sigma[:6])
     assert abs(found.offset - walk.offset) < 1e-3
     assert found.left_out < 0.01
 

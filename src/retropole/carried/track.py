@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
+from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, threshold_for
@@ -36,9 +36,12 @@ JUMP = 0.4
 """The middle of a pole's returns moves by so much from sweep to sweep where it stands, metres: as
 rings enter and leave."""
 
-BESIDE, IN_FRONT = float(np.radians(0.5)), -0.03
-"""What is so close beside a return, rad, and no farther behind it, metres, may hide a part of the
-pole's width: the widest step of the table of sensors is 0.6°; the sides of a hand are behind it."""
+BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
+"""What is so close beside a return, rad, and nearer by so much, metres, may hide a part of the
+pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
+
+DIFFUSE = 300
+"""So many returns of the whole sweep, evenly taken, stand for it where a pole is alone."""
 
 LONGEST_GAP = 5.0
 """The pole may be out of view for so long, s, and still be told by where it comes back."""
@@ -166,6 +169,9 @@ def _poles_in(
         if len(group) < MIN_POLE_POINTS:
             continue
         some = np.sort(near_box(columns, bright[group]))
+        if np.ptp(cloud.intensity[some]) == 0:
+            # Nothing else is near: a few diffuse returns still say that there are such.
+            some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
         part = cloud.select(some)
         level = float(chosen.at(ranges[bright[group]]).min())
         for pole in extract_poles(part, sensor=sensor, threshold=level, radius=radius).poles:
