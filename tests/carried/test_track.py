@@ -7,9 +7,17 @@ import pytest
 
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
-from retropole.carried.track import Found, _longest_way, _not_standing, find_track
+from retropole.base.sensors import Threshold
+from retropole.carried.track import (
+    Found,
+    _longest_way,
+    _not_standing,
+    _poles_in,
+    find_track,
+)
 from retropole.simulation import EXACT
 from retropole.simulation.walks import simulate_walk
+from tests.carried.walks import RADIUS, seen_walk
 
 
 def found(sweep: int, x: float) -> Found:
@@ -63,3 +71,19 @@ def test_the_carried_pole_is_found_in_a_street() -> None:
     along = walk.walks[0].axis(times) @ T[:3, :3].T
     across = away - np.einsum("ni,ni->n", away, along)[:, None] * along
     assert np.linalg.norm(across, axis=1).max() < walk.walks[0].size[0] + 1e-6
+
+
+def test_a_pole_is_found_where_nothing_else_is_near() -> None:
+    track = seen_walk(1.0).tracks[0]
+    pole = track.xyz[track.sweep == 0]
+    around = np.linspace(1.0, 5.0, 400)
+    far = 20.0 * np.stack([np.cos(around), np.sin(around), 0.05 * np.cos(9 * around)], axis=1)
+    cloud = PointCloud(
+        np.concatenate([pole, far]),
+        np.repeat([255.0, 10.0], [len(pole), len(far)]),
+        time=np.zeros(len(pole) + len(far)),
+    )
+    ranges = np.linalg.norm(cloud.xyz, axis=1)
+    poles = _poles_in(cloud, ranges, Threshold(200.0, "given"), None, RADIUS, 0)
+    assert len(poles) == 1
+    assert len(poles[0].xyz) >= len(pole) - 2
