@@ -10,7 +10,7 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
 from ..base.uncertainty import predicted_error
-from .adjustment import Adjusted
+from .adjustment import MAX_STEPS, Adjusted
 from .track import Track
 
 MAX_CROWDED = 0.2
@@ -92,6 +92,13 @@ def chosen(solutions: Sequence[Adjusted]) -> Adjusted:
                 {"offset_s": best.offset, "other_offset_s": other.offset},
             )
     _check_geometry(best)
+    if not best.converged:
+        raise Refusal(
+            "walk_does_not_fit",
+            f"the adjustment came to no rest in {MAX_STEPS} steps, though {1 - best.left_out:.1%} "
+            "of the returns fit: record one walk with one pole again",
+            {"left_out": best.left_out},
+        )
     return best
 
 
@@ -107,15 +114,14 @@ def _check_fit(best: Adjusted) -> None:
     motion = (float(best.motion[0]), float(best.motion[2]))
     scale, jitter = (float(each) for each in best.spread.max(axis=0))
     fails = best.left_out > MAX_LEFT_OUT or scale > MAX_SCALE or jitter > MAX_JITTER
-    if not best.converged or fails or motion[0] > MAX_MOTION[0] or motion[1] > MAX_MOTION[1]:
-        did = "" if best.converged else "; the adjustment came to no rest"
+    if fails or motion[0] > MAX_MOTION[0] or motion[1] > MAX_MOTION[1]:
         raise Refusal(
             "walk_does_not_fit",
             f"{best.left_out:.1%} of the returns are off the pole (no more than "
             f"{MAX_LEFT_OUT:.0%} may be), ranges scatter {scale:.1f} times as stated "
             f"({MAX_SCALE:g}), edges by {1e3 * jitter:.1f} mrad ({1e3 * MAX_JITTER:g}), and the "
             f"pole accelerates with a noise of {motion[0]:.2g} m²/s³ ({MAX_MOTION[0]:g}) and "
-            f"{motion[1]:.2g} /s³ ({MAX_MOTION[1]:g}){did}: record one walk with one pole",
+            f"{motion[1]:.2g} /s³ ({MAX_MOTION[1]:g}): record one walk with one pole",
             {"left_out": best.left_out, "scale": scale, "motion": motion[0], "turn": motion[1]},
         )
 
