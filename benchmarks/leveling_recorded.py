@@ -14,6 +14,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
@@ -55,9 +56,9 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for pair in [each for each in PAIRS if not each.is_composed][:: arguments.every]:
         given = load(pair.name, arguments.data)
-        found = [
-            alone(*each) for each in zip((given.target, given.source), given.sensors, strict=True)
-        ]
+        clouds = given.target, given.source
+        with threadpool_limits(1):
+            found = [alone(*each) for each in zip(clouds, given.sensors, strict=True)]
         words = [each if isinstance(each, str) else f"{each.height:.3f}" for each in found]
         a, b = found
         row = ["", "", "", ""]

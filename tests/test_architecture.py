@@ -19,7 +19,7 @@ LAYERS = (
     # which poses there may be, the poses of all LiDARs, what follows from them.
     *("io", "extraction", "alignment", "surfaces", "hypotheses", "adjustment", "verdict"),
     # The method and its answer.
-    *("pipeline", "checking", "ground", "result"),
+    *("pipeline", "checking", "ground", "carried", "result"),
     # Around the method, and what people touch.
     *("simulation", "planning", "fusion", "export", "report"),
     "api",

@@ -73,6 +73,15 @@ Code = Literal[
     "nowhere_seen",
     "not_linked",
     "pose_contradicted",
+    # carried
+    "no_times",
+    "no_walk",
+    "two_walks",
+    "no_common_walk",
+    "too_little_walk",
+    "several_walks_fit",
+    "walk_does_not_fit",
+    "clock_jumps",
     # level
     "too_little_ground",
     "two_grounds",

@@ -149,22 +149,47 @@ class Cylinder:
         the beam's width there. The range is then that of the closest approach.
         """
         start = origin - self.centre
-        ray_along, start_along = rays @ self.axis, float(start @ self.axis)
-        ray_across = rays - ray_along[:, None] * self.axis
-        start_across = start - start_along * self.axis
-        a = np.einsum("ni,ni->n", ray_across, ray_across)
-        b = ray_across @ start_across
-        c = float(start_across @ start_across)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            closest = -b / a
-            distance = np.sqrt(np.maximum(c - b * b / a, 0.0))
-            chord = np.sqrt(np.maximum(self.radius**2 - distance**2, 0.0) / a)
-            ranges = closest - chord
-            hit = distance <= self.radius + 0.5 * divergence * np.maximum(closest, 0.0)
-            along = start_along + ranges * ray_along
-            hit &= (ranges > 0) & (np.abs(along) <= self.length / 2)
-            cosine = np.sqrt(np.maximum(1 - (distance / self.radius) ** 2, 0.0)) * np.sqrt(a)
-        return Intersection(np.where(hit, ranges, np.inf), np.where(hit, cosine, 0.0))
+        return meet(start, self.axis, rays, (self.radius, self.length), divergence)
+
+
+def meet(
+    start: Array, axis: Array, rays: Array, size: tuple[float, float], divergence: float
+) -> Intersection:
+    """Intersect rays with a cylinder, or each with a cylinder as it is at the time of the ray.
+
+    Parameters
+    ----------
+    start
+        (3,) or (N, 3) where the rays start, seen from the middle of the cylinder, metres.
+    axis
+        (3,) or (N, 3) unit vector of the cylinder.
+    rays
+        (N, 3) unit directions.
+    size
+        Radius and length of the cylinder, metres.
+    divergence
+        Full angle of the beams, rad.
+    """
+    radius, length = size
+    ray_along, start_along = _dot(rays, axis), _dot(start, axis)
+    ray_across = rays - ray_along[:, None] * axis
+    start_across = start - start_along[..., None] * axis
+    a, b = _dot(ray_across, ray_across), _dot(ray_across, start_across)
+    c = _dot(start_across, start_across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        closest = -b / a
+        distance = np.sqrt(np.maximum(c - b * b / a, 0.0))
+        chord = np.sqrt(np.maximum(radius**2 - distance**2, 0.0) / a)
+        ranges = closest - chord
+        hit = distance <= radius + 0.5 * divergence * np.maximum(closest, 0.0)
+        along = start_along + ranges * ray_along
+        hit &= (ranges > 0) & (np.abs(along) <= length / 2)
+        cosine = np.sqrt(np.maximum(1 - (distance / radius) ** 2, 0.0)) * np.sqrt(a)
+    return Intersection(np.where(hit, ranges, np.inf), np.where(hit, cosine, 0.0))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 Surface = Rectangle | Box | Cylinder

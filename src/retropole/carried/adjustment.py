@@ -1,0 +1,334 @@
+"""Pose, clocks and the motion of the pole, adjusted together over a whole walk.
+
+In a frame W whose z axis is the mean direction of the pole, its axis at a height h is at
+``(x + u h, y + v h, h)``. x, y, u and v are cubic B-splines in time, held together by white noise
+on their acceleration, ``∫ ẍ² / q dt``, whose size q the data say. A row of returns (`rows`), moved
+along its beam by the depth of the cylinder, is off the axis by::
+
+    e = P − (x + u Z, y + v Z, Z),     b₁·e ~ σ_r |d_⊥| / √k,     b₂·e ~ w / √3,
+
+b₁ being the beam across the axis, and b₂ across both. The source's clock runs ahead by
+``τ + κ (t − t_m)``. The systematic errors of both LiDARs (`base.systematic`) are unknowns with a
+prior. The normal equations have a band for the splines, and a border for all else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+from scipy.sparse import csr_array, hstack
+
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from .linear import (
+    CLOCK,
+    KNOT,
+    OFFSET,
+    POSE,
+    Frame,
+    Seen,
+    State,
+    System,
+    axes_at,
+    curvature,
+    curvature_band,
+    first_coefs,
+    frame_of,
+    linearised,
+)
+from .start import Start
+from .track import Track
+
+NOISE = (0.2, 0.2, 0.08, 0.08)
+"""Noise of the acceleration to start from: of x and y, m²/s³, and of u and v, 1/s³."""
+
+HUBER, BEYOND = 2.5, 12.0
+"""Residuals count less from so many σ on, and not at all beyond."""
+
+MAX_STEPS = 40
+"""Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
+
+WINDOW, FEWEST_IN_WINDOW = 5.0, 40
+"""Windows in which the clocks' offset is looked at: s, and rows of the source."""
+
+LEAST_MOTION = 1e-3
+"""No noise of the motion is less: of a pole that never leans it would fall forever."""
+
+REST, SETTLED = 0.05, 0.15
+"""A step that moves nothing by more σ is the last, where the noise of the motion changes by less
+than this, of its logarithm: the pose hardly depends on it."""
+
+FASTER = 1.6
+"""Power to which a change of the noise is raised: it comes to rest in half of the steps (EM comes
+there slowly where the data leave much of the motion open)."""
+
+HELD = 1e-6
+"""The offset of all is held to so much, s, where each window has its own."""
+
+JITTERS = np.r_[0.0, np.geomspace(5e-5, 0.02, 60), np.inf]
+"""Angles that are tried for what moves the edges of the pole, rad."""
+
+FULL_STEPS = 5
+"""After so many steps, half of each is gone."""
+
+DRAWS = 4
+"""Draws of the motion: over hundreds of knots, few tell its spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The maximum, and what is known there.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4).
+    covariance
+        (7, 7) over ``[φ, δ, τ]``, rad, m and s, target axes.
+    offset, drift
+        By how much the source's clock is ahead at the middle of the walk, s, and its rate.
+    motion
+        (4,) noise of the acceleration, as `NOISE`.
+    residuals, weights, times, lidar
+        (N, 2) along the beam and across, in σ; (N, 2) their weights; (N,) s by the target's clock,
+        and whose they are.
+    axes
+        (S, 4) x, y, u and v at (S,) `at`, s.
+    at
+        Where the axes are given.
+    T_walk_target
+        (4, 4) to the frame W.
+    spread
+        (2, 2) how the rows of each LiDAR scatter beyond what is stated: along beams a factor,
+        across an angle, rad.
+    clock_windows
+        (K, 2) offset of the clocks in windows of `WINDOW` beside that of all, and its 1 σ, s.
+    converged, cost
+        Whether steps came to rest; the sum of the robust losses with the priors.
+    """
+
+    T_target_source: Array
+    covariance: Array
+    offset: float
+    drift: float
+    motion: Array
+    residuals: Array
+    weights: Array
+    times: Array
+    lidar: IntArray
+    axes: Array
+    at: Array
+    T_walk_target: Array
+    spread: Array
+    clock_windows: Array
+    converged: bool
+    cost: float
+
+    @property
+    def left_out(self) -> float:
+        """Share of the rows that count less than half."""
+        return float(np.mean(self.weights.min(axis=1) < 0.5))
+
+
+def adjust(
+    start: Start,
+    tracks: tuple[Track, Track],
+    seen: tuple[Seen, Seen],
+    radius: float,
+) -> Adjusted:
+    """Adjust a walk from a start.
+
+    Parameters
+    ----------
+    start
+        As `find_starts` gives it.
+    tracks, seen
+        Of the target and the source.
+    radius
+        Of the pole, metres.
+    """
+    frame = frame_of(start, tracks, seen, radius)
+    state = State(
+        first_coefs(frame, start, tracks),
+        start.T_target_source,
+        np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
+    )
+    motion, spread = np.array(NOISE), np.array([[1.0, 0.0], [1.0, 0.0]])
+    # Draws for what the data leave open of the motion: equal inputs give equal answers.
+    draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
+    converged = False
+    for number in range(MAX_STEPS):
+        system = linearised(frame, state, spread)
+        weights = _weights(system.residuals)
+        step = _solve(frame, state, system, weights, motion, draws)
+        moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
+        # What hits leave open follows the motion and is not differentiated: full steps may go to
+        # and fro about the end.
+        part = 1.0 if number < FULL_STEPS else 0.5
+        state = State(
+            state.coefs + part * step.coefs,
+            se3.retract(state.T, part * step.border[POSE]),
+            state.border + part * step.border[OFFSET:],
+        )
+        grown = (np.maximum(step.motion, LEAST_MOTION) / motion) ** FASTER
+        motion = np.maximum(motion * grown, LEAST_MOTION)
+        if number > 2:
+            spread = _spread(frame, system, weights, step.leverage)
+        if (
+            number >= FULL_STEPS
+            and moved[:7].max() < REST
+            and np.abs(np.log(grown)).max() < SETTLED
+        ):
+            converged = True
+            break
+    system = linearised(frame, state, spread)
+    weights = _weights(system.residuals)
+    step = _solve(frame, state, system, weights, motion, draws)
+    at = np.asarray(frame.first + KNOT * np.arange(frame.count - 3))
+    size = np.abs(system.residuals)
+    robust = np.where(size < HUBER, 0.5 * size**2, HUBER * np.minimum(size, BEYOND) - HUBER**2 / 2)
+    own = (state.border / frame.prior[OFFSET:])[1:]
+    second = curvature(state.coefs) ** 2 * KNOT / motion
+    cost = robust.sum() + 0.5 * (own @ own) + 0.5 * second.sum()
+    cost += 0.5 * len(second) * np.log(motion).sum()
+    return Adjusted(
+        state.T,
+        step.covariance[:CLOCK, :CLOCK],
+        float(state.border[0]),
+        float(state.border[1]),
+        motion,
+        system.residuals,
+        weights,
+        system.times,
+        system.lidar,
+        axes_at(frame, state.coefs, at),
+        at,
+        frame.T_walk_target,
+        spread,
+        _clock_windows(frame, state, system, weights, motion, draws),
+        converged,
+        float(cost),
+    )
+
+
+def _weights(residuals: Array) -> Array:
+    size = np.abs(residuals)
+    return np.asarray(np.where(size > BEYOND, 0.0, np.minimum(1.0, HUBER / np.maximum(size, 1e-9))))
+
+
+def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Array:
+    """What rows scatter by more than stated: along beams a factor, across an angle, (2, 2).
+
+    The splines take up a part of the scatter, the leverage of the rows. Along, no factor is less
+    than 1; across, the variance of an angle is added to what hits leave open: beams that do not
+    point where they should, and the glow of tape, move the edges of the pole.
+    """
+    found = np.ones((2, 2))
+    for lidar in (0, 1):
+        own = system.lidar == lidar
+        w, sigma = weights[own], system.sigma[own]
+        left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
+        known = np.isfinite(sigma[:, 1])
+        off = np.where(known[:, None], sigma, 0.0) * system.residuals[own]
+        stated = system.stated[own]
+        along = (w * off**2)[known, 0] / stated[known, 0] ** 2
+        found[lidar, 0] = max(1.0, float(np.sqrt(along.sum() / max(left[0], 1.0))))
+        swung = JITTERS[:, None] * frame.seen[lidar].rows.ranges[known]
+        across = (w * off**2)[known, 1] / (stated[known, 1] ** 2 + swung**2)
+        found[lidar, 1] = JITTERS[int(np.argmax(across.sum(axis=1) <= left[1]))]
+    return found
+
+
+class _Step(NamedTuple):
+    coefs: Array
+    border: Array
+    covariance: Array
+    motion: Array
+    leverage: Array
+
+
+def _solve(
+    frame: Frame,
+    state: State,
+    system: System,
+    weights: Array,
+    noise: Array,
+    draws: Array,
+) -> _Step:
+    """One step, the covariance of the border, and the noise of the motion that follows."""
+    w = weights.reshape(-1)
+    r = system.residuals.reshape(-1)
+    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
+    normal = (weighted.T @ system.by_coefs).tocoo()
+    band = curvature_band(frame.count, noise)
+    lower = normal.row >= normal.col
+    row, column = normal.row[lower], normal.col[lower]
+    np.add.at(band, (row - column, column), normal.data[lower])
+    side = np.asarray((weighted.T @ system.by_border).todense())
+    corner = np.asarray(
+        (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
+    ) + np.diag(frame.prior**-2)
+    held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
+    second = np.diff(state.coefs, n=2, axis=0) / KNOT**2 * KNOT / noise
+    pull = np.zeros_like(state.coefs)
+    for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
+        pull[k : len(pull) - 2 + k] += factor * second
+    g_coefs = weighted.T @ r + pull.ravel()
+    g_border = system.by_border.T @ (w * r) + held
+    factor = cholesky_banded(band, lower=True)
+    solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
+    schur = corner - side.T @ solved[:, :-1]
+    covariance = np.linalg.inv(schur)
+    border = -covariance @ (g_border - side.T @ solved[:, -1])
+    coefs = -(solved[:, -1] + solved[:, :-1] @ border)
+    # Draws of the posterior tell how much of the motion the data leave open (EM).
+    upper = np.zeros_like(factor)
+    for k in range(len(factor)):
+        upper[-1 - k, k:] = factor[k, : factor.shape[1] - k]
+    draws = solve_banded((0, len(factor) - 1), upper, draws)
+    leverage = weights * np.mean((system.by_coefs @ draws) ** 2, axis=1).reshape(-1, 2)
+    moved = state.coefs + coefs.reshape(-1, 4)
+    total = np.mean(curvature(moved) ** 2, axis=0)
+    for draw in draws.T:
+        total = total + np.mean(curvature(draw.reshape(-1, 4)) ** 2, axis=0) / draws.shape[1]
+    found = KNOT * total
+    both = np.repeat([found[:2].mean(), found[2:].mean()], 2)
+    return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
+
+
+def _clock_windows(
+    frame: Frame,
+    state: State,
+    system: System,
+    weights: Array,
+    motion: Array,
+    draws: Array,
+) -> Array:
+    """Give each window an offset of its own: (K, 2) the offset and its 1 σ, s."""
+    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    place[system.lidar == 0] = -1
+    place[(weights * system.offset_slopes**2).sum(axis=1) == 0] = -1
+    number, counts = np.unique(place[place >= 0], return_counts=True)
+    number = number[counts >= FEWEST_IN_WINDOW]
+    if len(number) < 2:
+        return np.zeros((0, 2))
+    windows = np.zeros((*system.residuals.shape, len(number)))
+    for k, own in enumerate(number):
+        windows[place == own, :, k] = system.offset_slopes[place == own]
+    wider = csr_array(hstack([system.by_border, windows.reshape(-1, len(number))]))
+    prior = np.r_[frame.prior, np.ones(len(number))]
+    prior[OFFSET] = HELD
+    step = _solve(
+        replace(frame, prior=prior),
+        state._replace(border=np.r_[state.border, np.zeros(len(number))]),
+        system._replace(by_border=wider),
+        weights,
+        motion,
+        draws,
+    )
+    own = slice(len(frame.prior), None)
+    sigma = np.sqrt(np.diag(step.covariance)[own])
+    return np.stack([step.border[own], sigma], axis=1)

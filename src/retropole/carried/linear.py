@@ -1,0 +1,362 @@
+"""The equations of a walk, linearised: residuals of all rows and their derivatives.
+
+The frame W, the splines, and what each unknown does to a row (`adjustment` has the equations). The
+border has the pose, the clocks, and the systematic errors of both LiDARs (`base.systematic`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
+
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.systematic import Sizes, band_of
+from .rows import Rows, left_open
+from .start import Start
+from .track import Track
+
+KNOT = 0.1
+"""Between two knots of the splines, s: half of it gives the same answer."""
+
+DRIFT = 30e-6
+"""1 σ of by how much the clocks' rates differ: quartz oscillators are within ± 50 ppm."""
+
+BEYOND_EDGE = 0.5
+"""1 σ of how deep hits are whose beam passes beside the pole, as a part of its radius: at its edge
+where a part of the beam meets it, as deep as the rest where tape glows (chosen)."""
+
+DEEPER_AFAR = 1e-3
+"""1 σ of how the depth of hits changes with the range beside the model: the farther, the less of
+a beam's edge is bright enough. In simulated fields it was 0.1 to 1.1 mm for each metre (tuning
+seeds 25 to 29)."""
+
+POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
+"""Among the unknowns of the border: the pose, the clocks' offset and the drift."""
+
+DEVICE = 12
+"""Errors of a whole LiDAR, after which come those of its rings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one LiDAR saw: its rows, and the sizes of its errors."""
+
+    rows: Rows
+    sizes: Sizes
+
+
+class State(NamedTuple):
+    """Coefficients (M, 4) of the splines, pose (4, 4), and the border without the pose."""
+
+    coefs: Array
+    T: Array
+    border: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What does not change from step to step: the frame W, the knots, 1 σ of the border."""
+
+    T_walk_target: Array
+    first: float
+    middle: float
+    count: int
+    radius: float
+    seen: tuple[Seen, Seen]
+    bands: tuple[IntArray, IntArray]
+    prior: Array
+
+
+def frame_of(
+    start: Start, tracks: tuple[Track, Track], seen: tuple[Seen, Seen], radius: float
+) -> Frame:
+    """Lay the frame W and the knots about the walk as a start has it."""
+    target = tracks[0]
+    up = target.directions.mean(axis=0)
+    up /= np.linalg.norm(up)
+    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    side /= np.linalg.norm(side)
+    R = np.stack([side, np.cross(up, side), up])
+    T = se3.from_rt(R, -R @ target.points.mean(axis=0))
+    times = np.r_[seen[0].rows.times, seen[1].rows.times - start.offset]
+    first = float(times.min()) - 0.5
+    count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
+    bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
+    for each in seen:
+        band = np.unique(_bands(each.rows))
+        s = each.sizes
+        bands.append(band)
+        prior.append(
+            np.array(
+                [
+                    np.hypot(s.zero, s.tape),
+                    np.hypot(s.scale, DEEPER_AFAR),
+                    s.encoder,
+                    s.encoder,
+                    s.wobble,
+                    s.wobble,
+                ]
+                + 4 * [s.bend]
+                + [s.width, BEYOND_EDGE]
+            )
+        )
+        prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
+    return Frame(
+        T, first, float(times.mean()), count, radius, seen, (bands[0], bands[1]),
+        np.concatenate(prior),
+    )  # fmt: skip
+
+
+def _bands(rows: Rows) -> IntArray:
+    """(N,) whose errors each row shares: its ring's, or where there are none, its elevation's."""
+    if rows.rings[0] >= 0:
+        return rows.rings
+    return band_of(rows.directions, np.array([0.0, 0.0, 1.0]))
+
+
+class System(NamedTuple):
+    """Linearised rows: residuals (N, 2) in σ, and derivatives by splines and border."""
+
+    residuals: Array
+    by_coefs: csr_array
+    by_border: csr_array
+    times: Array
+    lidar: IntArray
+    offset_slopes: Array
+    sigma: Array
+    stated: Array
+
+
+def _basis(u: Array) -> Array:
+    """(N, 4) uniform cubic B-splines at a part u (N,) of a knot interval."""
+    return np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 3 * (u + u**2 - u**3) + 1, u**3], 1) / 6
+
+
+def _slope(u: Array) -> Array:
+    """(N, 4) their derivatives by time."""
+    parts = [-((1 - u) ** 2), 3 * u**2 - 4 * u, 1 + 2 * u - 3 * u**2, u**2]
+    return np.stack(parts, axis=1) / (2 * KNOT)
+
+
+def _interval(frame: Frame, times: Array) -> tuple[IntArray, Array]:
+    place = np.clip((times - frame.first) / KNOT, 0, frame.count - 3 - 1e-9)
+    number = place.astype(np.int64)
+    return number, place - number
+
+
+def axes_at(frame: Frame, coefs: Array, times: Array) -> Array:
+    """Give (N, 4) x, y, u and v at times (N,)."""
+    number, u = _interval(frame, times)
+    near = coefs[number[:, None] + np.arange(4)]
+    return np.asarray(np.einsum("nk,nkc->nc", _basis(u), near))
+
+
+def first_coefs(frame: Frame, start: Start, tracks: tuple[Track, Track]) -> Array:
+    """Splines through the lines of both tracks."""
+    lines, times = [], []
+    for track, T, ahead in zip(
+        tracks, (np.eye(4), start.T_target_source), (0.0, start.offset), strict=True
+    ):
+        T_walk = frame.T_walk_target @ T
+        point, along = se3.apply(T_walk, track.points), track.directions @ T_walk[:3, :3].T
+        kept = np.abs(along[:, 2]) > 0.3
+        slope = along[kept, :2] / along[kept, 2:]
+        lines.append(np.hstack([point[kept, :2] - slope * point[kept, 2:], slope]))
+        times.append(track.times[kept] - ahead)
+    at = np.concatenate(times)
+    number, u = _interval(frame, at)
+    rows, weight = _basis(u), 1 / 0.02**2
+    band = np.zeros((4, frame.count))
+    right = np.zeros((frame.count, 4))
+    for a in range(4):
+        np.add.at(right, number + a, weight * rows[:, a, None] * np.concatenate(lines))
+        for b in range(a + 1):
+            np.add.at(band[a - b], number + b, weight * rows[:, a] * rows[:, b])
+    band += curvature_band(frame.count, np.array([0.2]))[:4]
+    return np.asarray(cho_solve_banded((cholesky_banded(band, lower=True), True), right))
+
+
+def curvature(coefs: Array) -> Array:
+    """Give (M − 2, 4) second derivatives at the knots."""
+    return np.diff(coefs, n=2, axis=0) / KNOT**2
+
+
+def curvature_band(count: int, noise: Array) -> Array:
+    """Give the lower band of the prior's matrix, for an interleaved spline of each noise."""
+    own = np.zeros((3, count))
+    stencil = np.array([1.0, -2.0, 1.0]) / KNOT**2
+    for a in range(3):
+        for b in range(a + 1):
+            own[a - b, b : count - 2 + b] += stencil[a] * stencil[b] * KNOT
+    own[0] += 1e-8
+    several = len(noise)
+    band = np.zeros((4 * several, count * several))
+    for k in range(3):
+        band[k * several] = (own[k][:, None] / noise).ravel()
+    return band
+
+
+def linearised(frame: Frame, state: State, spread: Array) -> System:
+    """Linearise the rows of both LiDARs."""
+    parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in (0, 1)]
+    both = _Linear(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    rows, width = len(both.residuals), both.by_border.shape[2]
+    column = 4 * (both.interval[:, None] + np.arange(4))[:, :, None] + np.arange(4)
+    column = np.broadcast_to(column[:, None], (rows, 2, 4, 4)).reshape(-1)
+    ends = np.arange(0, 32 * rows + 1, 16)
+    shape = (2 * rows, 4 * frame.count)
+    J = csr_array((both.by_coefs.reshape(-1), column, ends), shape=shape)
+    column = np.repeat(both.columns[:, None], 2, axis=1).reshape(-1)
+    ends = np.arange(0, 2 * rows * width + 1, width)
+    shape = (2 * rows, len(frame.prior))
+    K = csr_array((both.by_border.reshape(-1), column, ends), shape=shape)
+    lidar = np.repeat([0, 1], [len(part.residuals) for part in parts])
+    slopes = both.by_border[:, :, OFFSET]
+    return System(both.residuals, J, K, both.times, lidar, slopes, both.sigma, both.stated)
+
+
+class _Linear(NamedTuple):
+    """Linearised rows of one LiDAR.
+
+    Residuals (N, 2), knot intervals (N,), derivatives by splines (N, 2, 4, 4) and by the border
+    (N, 2, C) with its columns (N, C), times (N,), σ and what is stated of it (N, 2).
+    """
+
+    residuals: Array
+    interval: IntArray
+    by_coefs: Array
+    by_border: Array
+    columns: IntArray
+    times: Array
+    sigma: Array
+    stated: Array
+
+
+def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
+    """Linearise the rows of the target (0) or the source (1)."""
+    rows = frame.seen[lidar].rows
+    band = np.searchsorted(frame.bands[lidar], _bands(rows))
+    errors, first = _errors_of(frame, state, lidar)
+    count = len(frame.bands[lidar])
+    own = errors[DEVICE:].reshape(3, count)[:, band]
+    d = rows.directions
+    level = np.linalg.norm(d[:, :2], axis=1)
+    cosine, sine = d[:, 0] / level, d[:, 1] / level
+    twice, thrice = (cosine + 1j * sine) ** 2, (cosine + 1j * sine) ** 3
+    bends = np.stack([twice.real, twice.imag, thrice.real, thrice.imag], axis=1)
+    east = np.stack([-sine, cosine, 0 * sine], axis=1)
+    north = np.cross(d, east)
+    turn = errors[2] * cosine + errors[3] * sine + own[2]
+    lift = errors[4] * cosine + errors[5] * sine + bends @ errors[6:10] + own[1]
+    true = d + (turn * level)[:, None] * east + lift[:, None] * north
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    ranges = rows.ranges - errors[0] - errors[1] * rows.ranges - own[0]
+
+    T = np.eye(4) if lidar == 0 else state.T
+    T_walk = frame.T_walk_target @ T
+    R = T_walk[:3, :3]
+    stamp = rows.times
+    late = stamp - state.border[0] - frame.middle
+    times = stamp if lidar == 0 else stamp - state.border[0] - state.border[1] * late
+    number, u = _interval(frame, times)
+    near = state.coefs[number[:, None] + np.arange(4)]
+    basis = _basis(u)
+    axis = np.einsum("nk,nkc->nc", basis, near)
+    moving = np.einsum("nk,nkc->nc", _slope(u), near)
+
+    ray, e_east = true @ R.T, east @ R.T
+    n = np.concatenate([axis[:, 2:], np.ones((len(axis), 1))], axis=1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    b1, b2, sideways = _across(ray, n)
+    lever = np.abs(np.einsum("ni,ni->n", e_east, b2)) * ranges * level
+    left = left_open(rows, lever, frame.radius, errors[10])
+    wider = left_open(rows, lever, frame.radius, errors[10] + 0.1)
+    depth = left.depth + errors[11] * frame.radius * left.beyond
+    P = ranges[:, None] * ray + T_walk[:3, 3]
+    Z = P[:, 2] + depth / sideways * ray[:, 2]
+    e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
+
+    b = np.stack([b1, b2], axis=1)
+    stated = np.stack(
+        [rows.range_noise * sideways / np.sqrt(rows.hits), left.sigma * np.sqrt(rows.sharing)],
+        axis=1,
+    )
+    sigma = np.stack(
+        [spread[0] * stated[:, 0], np.hypot(stated[:, 1], spread[1] * rows.ranges)], axis=1
+    )
+    # Where hits are missing, the depth is not known either.
+    sigma[~np.isfinite(sigma[:, 1])] = np.inf
+    b = b / sigma[:, :, None]
+    residual = np.einsum("nri,ni->nr", b[:, :, :2], e)
+    # Derivatives where the beam should have met the pole: at what was measured, their errors and
+    # those of the residuals are the same ones, and what multiplies them does not vanish.
+    back = np.einsum("ni,ni->n", b1[:, :2], e) / sideways
+    aside = np.einsum("ni,ni->n", b2[:, :2], e)
+    ranges = ranges - back
+    ray = (ranges + depth / sideways)[:, None] * ray - aside[:, None] * b2
+    Z = T_walk[2, 3] + ray[:, 2]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    b1, b2, sideways = _across(ray, n)
+    b = np.stack([b1, b2], axis=1) / sigma[:, :, None]
+    e_east = e_east - np.einsum("ni,ni->n", e_east, ray)[:, None] * ray
+    e_north = np.cross(ray, e_east)
+    # By the splines: x and y at the basis, u and v at it times the height.
+    by_axis = -np.concatenate([b[:, :, :2], b[:, :, :2] * Z[:, None, None]], axis=2)
+    by_coefs = basis[:, None, :, None] * by_axis[:, :, None, :]
+    if lidar == 0:
+        by_pose = np.zeros((len(d), 2, 8))
+    else:
+        arm = (ranges + depth / sideways)[:, None] * (ray @ frame.T_walk_target[:3, :3])
+        b_target = b @ frame.T_walk_target[:3, :3]
+        turned = np.cross(arm[:, None], b_target)
+        # Later on the clock is earlier in the walk: the axis is where it was.
+        speed = np.concatenate([moving[:, :2] + moving[:, 2:] * Z[:, None]], axis=1)
+        by_time = np.einsum("nri,ni->nr", b[:, :, :2], speed)
+        by_pose = np.concatenate(
+            [turned, b_target, by_time[:, :, None], (by_time * late[:, None])[:, :, None]], axis=2
+        )
+    along = -np.einsum("nri,ni->nr", b, ray)
+    right = np.einsum("nri,ni->nr", b, e_east) * (ranges * level)[:, None]
+    up = np.einsum("nri,ni->nr", b, e_north) * ranges[:, None]
+    deeper = (
+        np.einsum("nri,ni->nr", b, ray) * ((wider.depth - left.depth) / (0.1 * sideways))[:, None]
+    )
+    beyond = np.einsum("nri,ni->nr", b, ray) * (frame.radius * left.beyond / sideways)[:, None]
+    by_errors = np.stack(
+        [along, along * ranges[:, None], right * cosine[:, None], right * sine[:, None]]
+        + [up * each[:, None] for each in (cosine, sine, *bends.T)]
+        + [deeper, beyond, along, up, right],
+        axis=2,
+    )
+    columns = np.concatenate(
+        [
+            np.broadcast_to(np.arange(8), (len(d), 8)),
+            np.broadcast_to(first + np.arange(DEVICE), (len(d), DEVICE)),
+            first + DEVICE + band[:, None] + count * np.arange(3),
+        ],
+        axis=1,
+    )
+    return _Linear(
+        residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, times, sigma,
+        stated,
+    )  # fmt: skip
+
+
+def _across(ray: Array, n: Array) -> tuple[Array, Array, Array]:
+    """Beams (N, 3) across axes (N, 3), what is across both, and the sine of the angle between."""
+    across = ray - np.einsum("ni,ni->n", ray, n)[:, None] * n
+    sideways = np.linalg.norm(across, axis=1)
+    b1 = across / sideways[:, None]
+    return b1, np.cross(n, b1), sideways
+
+
+def _errors_of(frame: Frame, state: State, lidar: int) -> tuple[Array, int]:
+    """Errors of a LiDAR, and where they stand in the border."""
+    sizes = [DEVICE + 3 * len(bands) for bands in frame.bands]
+    first = 8 + sum(sizes[:lidar])
+    return state.border[first - OFFSET : first - OFFSET + sizes[lidar]], first

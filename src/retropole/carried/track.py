@@ -1,0 +1,264 @@
+"""The carried pole in every sweep of a recording.
+
+Each sweep is searched as a cloud of its own, since what moves is what is sought. What shines in one
+place all the time is no carried pole, and of what is left the longest way that a person can walk
+is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud, every_nth
+from ..base.errors import Refusal
+from ..base.se3 import lengths
+from ..base.sensors import Sensor, Threshold, threshold_for
+from ..extraction.acceptance_shape import MIN_POLE_POINTS
+from ..extraction.lines import LINK, clusters
+from ..extraction.poles import extract_poles, near_box
+
+STANDS = 0.4
+"""What is found within `SAME_PLACE` in more than this part of the sweeps stands there."""
+
+SAME_PLACE = 0.2
+"""Distance of the same pole that stands, in another sweep, metres: what noise moves the middle of
+its returns by."""
+
+FASTEST = 2.5
+"""Nobody carries a pole faster, m/s (chosen: a person who runs)."""
+
+JUMP = 0.4
+"""The middle of a pole's returns moves by so much from sweep to sweep where it stands, metres: as
+rings enter and leave."""
+
+BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
+"""What is so close beside a return, rad, and nearer by so much, metres, may hide a part of the
+pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
+
+DIFFUSE = 300
+"""So many returns of the whole sweep, evenly taken, stand for it where a pole is alone."""
+
+LONGEST_GAP = 5.0
+"""The pole may be out of view for so long, s, and still be told by where it comes back."""
+
+
+class Found(NamedTuple):
+    """A pole in one sweep: number of the sweep, middle (3,) and direction (3,), and its returns."""
+
+    sweep: int
+    time: float
+    point: Array
+    direction: Array
+    xyz: Array
+    times: Array
+    rings: IntArray
+    is_whole: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The carried pole as one LiDAR saw it, in that LiDAR's frame and by its clock.
+
+    Attributes
+    ----------
+    times, points, directions
+        (S,) s, (S, 3) metres and (S, 3) unit vectors that run on from sweep to sweep, of the S
+        sweeps in which the pole was found.
+    xyz, stamps, rings, sweep
+        (N, 3) its returns, their (N,) times, rings (−1 where none are numbered) and the place of
+        their sweep among the S.
+    is_whole
+        (N,) whether nothing stands in front close beside a return: a hand, or the person.
+    sweeps
+        How many sweeps were recorded.
+    crowded
+        Share of the sweeps with a pole in which more than one moves.
+    """
+
+    times: Array
+    points: Array
+    directions: Array
+    xyz: Array
+    stamps: Array
+    rings: IntArray
+    sweep: IntArray
+    is_whole: BoolArray
+    sweeps: int
+    crowded: float
+
+
+def find_track(
+    sweeps: Iterable[PointCloud],
+    sensor: Sensor | None = None,
+    *,
+    threshold: float | None = None,
+    radius: float = DEFAULT_RADIUS,
+) -> Track:
+    """Find the carried pole in a recording.
+
+    Parameters
+    ----------
+    sweeps
+        One after the other, in the LiDAR's frame, with intensity and with a time for each point.
+    sensor
+        What recorded them; None where it is not known.
+    threshold
+        Intensity from which a return counts as retro-reflective; None for the sensor's, or that
+        of the first sweep.
+    radius
+        Of the pole, metres.
+
+    Raises
+    ------
+    Refusal
+        ``no_times`` where points have no times, and ``no_walk`` where no pole that moves is seen
+        in `MIN_SWEEPS`.
+    """
+    found: list[Found] = []
+    chosen: Threshold | None = None
+    count = 0
+    for count, cloud in enumerate(sweeps, start=1):
+        if cloud.time is None or cloud.intensity is None:
+            missing = "times" if cloud.time is None else "intensities"
+            raise Refusal(
+                "no_times",
+                f"the points of {cloud.source or 'a sweep'} have no {missing}: of a pole that "
+                "moves, each return must say when; record with a time for each point",
+                {"points": len(cloud)},
+            )
+        ranges = lengths(cloud.xyz - cloud.origin)
+        if chosen is None:
+            chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
+        found += _poles_in(cloud, ranges, chosen, sensor, radius, count - 1)
+    moving = _not_standing(found, count)
+    chain = _longest_way(moving)
+    if len(chain) < MIN_SWEEPS:
+        raise Refusal(
+            "no_walk",
+            f"a pole that moves was found in {len(chain)} of {count} sweeps, {MIN_SWEEPS} are "
+            "needed: carry the pole 3 to 8 m from the LiDARs, where both see most of it",
+            {"sweeps": count, "found": len(chain), "standing": len(found) - len(moving)},
+        )
+    per_sweep = np.bincount([each.sweep for each in moving])
+    return _track_of(chain, count, float(np.mean(per_sweep[per_sweep > 0] > 1)))
+
+
+MIN_SWEEPS = 40
+"""In fewer sweeps a pole is no walk: 4 s at 10 Hz (chosen; of 20 s walks, 150 and more are)."""
+
+
+def _poles_in(
+    cloud: PointCloud,
+    ranges: Array,
+    chosen: Threshold,
+    sensor: Sensor | None,
+    radius: float,
+    sweep: int,
+) -> list[Found]:
+    """Search what is about each bright cluster: most of a sweep is far from any."""
+    assert cloud.intensity is not None
+    bright = np.flatnonzero(cloud.intensity >= chosen.at(ranges))
+    columns = np.ascontiguousarray(cloud.xyz.T)
+    found = []
+    for group in clusters(cloud.xyz[bright], LINK):
+        if len(group) < MIN_POLE_POINTS:
+            continue
+        some = np.sort(near_box(columns, bright[group]))
+        if np.ptp(cloud.intensity[some]) == 0:
+            # Nothing else is near: a few diffuse returns still say that there are such.
+            some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
+        part = cloud.select(some)
+        level = float(chosen.at(ranges[bright[group]]).min())
+        for pole in extract_poles(part, sensor=sensor, threshold=level, radius=radius).poles:
+            assert part.time is not None
+            rings = np.full(len(part), -1) if part.ring is None else part.ring
+            times = part.time[pole.index]
+            found.append(
+                Found(
+                    sweep,
+                    float(times.mean()),
+                    pole.point,
+                    pole.direction,
+                    pole.xyz,
+                    times,
+                    rings[pole.index],
+                    _is_whole(part, pole.index),
+                )
+            )
+    return found
+
+
+def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
+    """Whether nothing stands in front beside each of some returns (M,) of a pole."""
+    ranges = lengths(cloud.xyz - cloud.origin)
+    rays = (cloud.xyz - cloud.origin) / ranges[:, None]
+    others = ranges < ranges[index].max() - IN_FRONT
+    others[index] = False
+    beside = rays[index] @ rays[others].T > np.cos(BESIDE)
+    hides = beside & (ranges[others] < ranges[index, None] - IN_FRONT)
+    return np.asarray(~hides.any(axis=1))
+
+
+def _not_standing(found: list[Found], sweeps: int) -> list[Found]:
+    """Leave out the poles that are in one place in many of the sweeps."""
+    if not found:
+        return []
+    tree = KDTree([each.point for each in found])
+    near = tree.query_ball_point(tree.data, SAME_PLACE)
+    of = np.array([each.sweep for each in found])
+    return [
+        each
+        for each, there in zip(found, near, strict=True)
+        if len(np.unique(of[there])) <= STANDS * sweeps
+    ]
+
+
+def _longest_way(found: list[Found]) -> list[Found]:
+    """The longest chain of poles, one a sweep, that a person can walk."""
+    if not found:
+        return []
+    time, sweep = (np.array([getattr(f, name) for f in found]) for name in ("time", "sweep"))
+    point = np.array([each.point for each in found])
+    length, before = np.zeros(len(found)), np.full(len(found), -1)
+    for k in range(len(found)):
+        first = int(np.searchsorted(sweep, sweep[k] - 50))
+        back = np.arange(first, k)
+        back = back[(sweep[back] < sweep[k]) & (time[k] - time[back] < LONGEST_GAP)]
+        step = lengths(point[back] - point[k])
+        allowed = step < FASTEST * (time[k] - time[back]) + JUMP
+        length[k] = 1.0
+        if allowed.any():
+            # Of chains as long, the one with the shorter way.
+            gain = np.where(allowed, length[back] - 0.5 * step, -np.inf)
+            best = int(np.argmax(gain))
+            length[k] += max(gain[best], 0.0)
+            before[k] = back[best] if gain[best] > 0 else -1
+    chain, k = [], int(np.argmax(length))
+    while k >= 0:
+        chain.append(found[k])
+        k = int(before[k])
+    return chain[::-1]
+
+
+def _track_of(chain: list[Found], sweeps: int, crowded: float) -> Track:
+    directions = [chain[0].direction]
+    for each in chain[1:]:
+        sign = 1.0 if each.direction @ directions[-1] >= 0 else -1.0
+        directions.append(sign * each.direction)
+    return Track(
+        times=np.array([each.time for each in chain]),
+        points=np.array([each.point for each in chain]),
+        directions=np.array(directions),
+        xyz=np.concatenate([each.xyz for each in chain]),
+        stamps=np.concatenate([each.times for each in chain]),
+        rings=np.concatenate([each.rings for each in chain]),
+        is_whole=np.concatenate([each.is_whole for each in chain]),
+        sweep=np.repeat(np.arange(len(chain)), [len(each.xyz) for each in chain]),
+        sweeps=sweeps,
+        crowded=crowded,
+    )

@@ -1,0 +1,172 @@
+"""When a walk is no answer: what each LiDAR saw, what fits, and what the walk leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import Refusal
+from ..base.uncertainty import predicted_error
+from .adjustment import MAX_STEPS, Adjusted
+from .track import Track
+
+MAX_CROWDED = 0.2
+"""Share of the sweeps in which more than one pole moves: a wrong pole in a few is left out."""
+
+MAX_LEFT_OUT = 0.05
+"""Share of the rows that count less than half. Of walks without mistakes it was 0.004 to 0.009
+(tuning seeds 0 to 8, typical errors)."""
+
+MAX_SCALE, MAX_JITTER = 2.5, 0.006
+"""Ranges scatter no more than so many times what is stated, and edges by no more than an angle,
+rad: with the errors of the field, 1.3 and 0.002."""
+
+MAX_MOTION = 3.0, 3.0
+"""Largest noise of the acceleration of a place, m²/s³, and of the lean, 1/s³, that a person gives
+a pole: people have 0.2 and 0.1, two poles that are taken for one 6 and more."""
+
+MAX_JUMP, JUMP_SIGMAS = 0.003, 5.0
+"""The clocks' offset in a window differs by no more, s, than this, nor by more σ."""
+
+MAX_ERROR, AT = 0.25, 30.0
+"""1 σ of where a point lands at a range, metres, beyond which a walk is no answer."""
+
+LITTLE_WALK, NARROW_WALK, LITTLE_LEAN = 0.7, 0.3, float(np.radians(4.0))
+"""Root mean squares of the way along its longest direction and across it, metres, and of the
+lean, rad, below which the message names them."""
+
+DECIDED = 30.0
+"""So much more, in units of a logarithm of odds, must the best explanation fit: rows in their
+hundreds are not independent to the last."""
+
+SAME_OFFSET = 0.02
+"""Solutions whose clocks and poses agree are one: within this, s, and 5 σ."""
+
+
+def check_tracks(tracks: Sequence[Track]) -> None:
+    """Refuse tracks in which more than one pole moves.
+
+    Raises
+    ------
+    Refusal
+        ``two_walks``.
+    """
+    worst = max(track.crowded for track in tracks)
+    if worst > MAX_CROWDED:
+        raise Refusal(
+            "two_walks",
+            f"in {worst:.0%} of the sweeps more than one pole moves, no more than "
+            f"{MAX_CROWDED:.0%} may: carry one pole alone",
+            {"crowded": worst},
+        )
+
+
+def chosen(solutions: Sequence[Adjusted]) -> Adjusted:
+    """Take the solution that fits best, where it is the only one that fits and the walk tells.
+
+    Parameters
+    ----------
+    solutions
+        Of every start, at least one.
+
+    Raises
+    ------
+    Refusal
+        ``walk_does_not_fit``, ``clock_jumps``, ``several_walks_fit`` and ``too_little_walk``.
+    """
+    best = min(solutions, key=lambda each: each.cost)
+    _check_fit(best)
+    _check_clock(best)
+    for other in solutions:
+        is_other = abs(other.offset - best.offset) > SAME_OFFSET or _apart(best, other) > 5.0
+        if is_other and other.cost < best.cost + DECIDED:
+            off = se3.difference(best.T_target_source, other.T_target_source)
+            raise Refusal(
+                "several_walks_fit",
+                f"clock offsets of {best.offset:.3f} s and {other.offset:.3f} s fit alike, with "
+                f"poses {np.degrees(off.rotation):.1f}° and {off.translation:.2f} m apart: walk "
+                "with turns, and lean the pole to all sides",
+                {"offset_s": best.offset, "other_offset_s": other.offset},
+            )
+    _check_geometry(best)
+    if not best.converged:
+        raise Refusal(
+            "walk_does_not_fit",
+            f"the adjustment came to no rest in {MAX_STEPS} steps, though {1 - best.left_out:.1%} "
+            "of the returns fit: record one walk with one pole again",
+            {"left_out": best.left_out},
+        )
+    return best
+
+
+def _apart(one: Adjusted, other: Adjusted) -> float:
+    """How far two poses are apart, in σ of both."""
+    step = se3.local(one.T_target_source, other.T_target_source)
+    both = (one.covariance + other.covariance)[:6, :6]
+    return float(np.sqrt(step @ np.linalg.solve(both, step)))
+
+
+def _check_fit(best: Adjusted) -> None:
+    """Refuse what does not fit one pole that a person carries."""
+    motion = (float(best.motion[0]), float(best.motion[2]))
+    scale, jitter = (float(each) for each in best.spread.max(axis=0))
+    fails = best.left_out > MAX_LEFT_OUT or scale > MAX_SCALE or jitter > MAX_JITTER
+    if fails or motion[0] > MAX_MOTION[0] or motion[1] > MAX_MOTION[1]:
+        raise Refusal(
+            "walk_does_not_fit",
+            f"{best.left_out:.1%} of the returns are off the pole (no more than "
+            f"{MAX_LEFT_OUT:.0%} may be), ranges scatter {scale:.1f} times as stated "
+            f"({MAX_SCALE:g}), edges by {1e3 * jitter:.1f} mrad ({1e3 * MAX_JITTER:g}), and the "
+            f"pole accelerates with a noise of {motion[0]:.2g} m²/s³ ({MAX_MOTION[0]:g}) and "
+            f"{motion[1]:.2g} /s³ ({MAX_MOTION[1]:g}): record one walk with one pole",
+            {"left_out": best.left_out, "scale": scale, "motion": motion[0], "turn": motion[1]},
+        )
+
+
+def _check_clock(best: Adjusted) -> None:
+    """Refuse clocks whose offset changes within the walk by more than they drift."""
+    offset, sigma = best.clock_windows.T
+    jumps = (np.abs(offset) > MAX_JUMP) & (np.abs(offset) > JUMP_SIGMAS * sigma)
+    if jumps.any():
+        worst = int(np.argmax(np.abs(offset) * jumps))
+        raise Refusal(
+            "clock_jumps",
+            f"in a window of 5 s the clocks' offset is {1e3 * offset[worst]:+.1f} ± "
+            f"{1e3 * sigma[worst]:.1f} ms beside that of the walk: let the clocks synchronise "
+            "first, and record again",
+            {"jump_s": float(offset[worst]), "sigma_s": float(sigma[worst])},
+        )
+
+
+def _check_geometry(best: Adjusted) -> None:
+    """Refuse a walk that leaves the pose open, and say what it lacked."""
+    error = predicted_error(best.covariance[:6, :6], (AT,))[0].sigma_m
+    if error <= MAX_ERROR:
+        return
+    along, across, lean = extent_of(best)
+    lacks = [
+        words
+        for words, is_so in (
+            (f"the pole hardly moved ({along:.1f} m to either side)", along < LITTLE_WALK),
+            (f"it was carried along a line ({across:.1f} m beside it)", across < NARROW_WALK),
+            (f"it hardly leaned ({np.degrees(lean):.0f}°)", lean < LITTLE_LEAN),
+        )
+        if is_so
+    ]
+    why = ", ".join(lacks) or "the walk was short"
+    raise Refusal(
+        "too_little_walk",
+        f"{AT:g} m away a point would be off by {error:.2g} m, 1 σ, no more than {MAX_ERROR:g} m "
+        f"may be: {why}; walk on, to and fro and across, and lean the pole to all sides",
+        {"sigma_m": error, "along_m": along, "across_m": across, "lean_rad": lean},
+    )
+
+
+def extent_of(best: Adjusted) -> tuple[float, float, float]:
+    """Root mean square of the way along and across its longest direction, m, and lean, rad."""
+    place, lean = best.axes[:, :2], best.axes[:, 2:]
+    spread: Array = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(place.T)), 0.0))
+    return float(spread[1]), float(spread[0]), float(np.sqrt(lean.var(axis=0).sum()))

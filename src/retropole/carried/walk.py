@@ -1,0 +1,136 @@
+"""The method on one page: from two recordings of a walk to a pose and a clock offset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
+from ..base.errors import Refusal
+from ..base.sensors import Sensor
+from ..base.systematic import sizes_of
+from ..base.uncertainty import floor
+from .adjustment import Adjusted, adjust
+from .linear import Seen
+from .rows import rows_of
+from .start import FEWEST, WIDEST, Start, find_starts
+from .track import Track, find_track
+from .verdict import check_tracks, chosen
+
+MOST_STARTS = 4
+"""So many starts are adjusted at most: each takes about a second."""
+
+APART = 0.1
+"""Starts with one sign whose offsets are nearer to each other, s, fall into one basin."""
+
+
+@dataclass(frozen=True, eq=False)
+class WalkCalibration:
+    """The answer of a walk.
+
+    Attributes
+    ----------
+    T_target_source, covariance
+        (4, 4), and (6, 6) over ``[φ, δ]``, rad and m, target axes, with unmodelled errors.
+    offset, offset_sigma, drift
+        By how much the source's clock is ahead at the middle of the walk, s, its 1 σ, and rate.
+    tracks
+        What the target and the source saw.
+    adjusted
+        What else the adjustment says.
+    """
+
+    T_target_source: Array
+    covariance: Array
+    offset: float
+    offset_sigma: float
+    drift: float
+    tracks: tuple[Track, Track]
+    adjusted: Adjusted
+
+
+def calibrate_walk(
+    target: Iterable[PointCloud],
+    source: Iterable[PointCloud],
+    *,
+    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
+    thresholds: tuple[float | None, float | None] = (None, None),
+    radius: float = DEFAULT_RADIUS,
+) -> WalkCalibration:
+    """Find pose and clock offset of two LiDARs before which one pole is carried.
+
+    Parameters
+    ----------
+    target, source
+        The sweeps of each, with intensity and with a time for each point by the LiDAR's clock.
+    sensors
+        What recorded them; None where it is not known.
+    thresholds
+        Intensity from which a return counts as retro-reflective; None asks the sensor.
+    radius
+        Of the pole, metres.
+
+    Raises
+    ------
+    Refusal
+        Where a recording shows no walk, and where the walk carries no answer.
+    """
+    of_both = zip((target, source), sensors, thresholds, strict=True)
+    tracks = [find_track(each, s, threshold=t, radius=radius) for each, s, t in of_both]
+    return calibrate_tracks((tracks[0], tracks[1]), sensors, radius)
+
+
+def calibrate_tracks(
+    tracks: tuple[Track, Track], sensors: tuple[Sensor | None, Sensor | None], radius: float
+) -> WalkCalibration:
+    """Find pose and clock offset from what both LiDARs saw of the pole.
+
+    Parameters
+    ----------
+    tracks
+        Of the target and the source.
+    sensors, radius
+        As of `calibrate_walk`.
+
+    Raises
+    ------
+    Refusal
+        As `calibrate_walk`.
+    """
+    check_tracks(tracks)
+    starts = distinct(find_starts(*tracks))
+    if not starts:
+        raise Refusal(
+            "no_common_walk",
+            f"with clocks that differ by up to {WIDEST:g} s, no {FEWEST} sweeps of the target are "
+            "there in which the source sees the pole too: record both at once, and walk where "
+            "both see it",
+            {"target": len(tracks[0].times), "source": len(tracks[1].times)},
+        )
+    target, source = (
+        Seen(rows_of(track, sensor, radius), sizes_of(sensor))
+        for track, sensor in zip(tracks, sensors, strict=True)
+    )
+    best = chosen([adjust(start, tracks, (target, source), radius) for start in starts])
+    covariance = best.covariance[:6, :6] + floor()
+    return WalkCalibration(
+        best.T_target_source,
+        covariance,
+        best.offset,
+        float(np.sqrt(best.covariance[6, 6])),
+        best.drift,
+        tracks,
+        best,
+    )
+
+
+def distinct(starts: Sequence[Start]) -> list[Start]:
+    """Leave out starts in the basin of a better one, and all but the best few."""
+    kept: list[Start] = []
+    for start in starts:
+        same = [k for k in kept if k.flipped == start.flipped]
+        if all(abs(k.offset - start.offset) > APART for k in same):
+            kept.append(start)
+    return kept[:MOST_STARTS]

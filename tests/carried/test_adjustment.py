@@ -1,0 +1,66 @@
+"""Exact walks: the adjustment ends at the truth, with the derivatives of its rows."""
+
+import numpy as np
+import pytest
+
+from retropole.base import se3
+from retropole.base.systematic import Sizes
+from retropole.carried import linear
+from retropole.carried.adjustment import Adjusted, adjust
+from retropole.carried.linear import Seen
+from retropole.carried.rows import rows_of
+from retropole.carried.start import Start
+from tests.carried.walks import RADIUS, SeenWalk, seen_walk
+
+
+def adjusted(walk: SeenWalk, start: Start) -> Adjusted:
+    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
+    return adjust(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+
+
+def test_an_exact_walk_ends_at_the_truth() -> None:
+    walk = seen_walk()
+    near = se3.retract(walk.T_target_source, np.array([0.01, -0.01, 0.02, 0.03, 0.02, -0.03]))
+    found = adjusted(walk, Start(near, walk.offset + 0.01, 0.01, False))
+    step = se3.local(found.T_target_source, walk.T_target_source)
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert found.converged
+    # Derivatives at measured points, not at those of the model, would pull it by 2 σ.
+    assert np.all(np.abs(step) < sigma[:6])
+    assert abs(found.offset - walk.offset) < 1e-3
+    assert found.left_out < 0.01
+
+
+def test_derivatives_are_those_of_the_residuals() -> None:
+    """The depth of the cylinder hardly changes by the pose and is not differentiated."""
+    walk = seen_walk(4.0)
+    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
+    start = Start(walk.T_target_source, walk.offset, 0.01, False)
+    frame = linear.frame_of(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+    rng = np.random.default_rng(1)
+    errors = np.zeros(len(frame.prior) - linear.CLOCK)
+    coefs = linear.first_coefs(frame, start, walk.tracks)
+    state = linear.State(coefs, start.T_target_source, np.r_[walk.offset, errors])
+    scale = np.ones((2, 2))
+    system = linear.linearised(frame, state, scale)
+    step = 1e-4 * np.minimum(frame.prior, 1.0) * rng.normal(size=len(frame.prior))
+    moved = 1e-6 * rng.normal(size=coefs.shape)
+
+    def residuals(sign: float) -> np.ndarray:
+        at = linear.State(
+            coefs + sign * moved,
+            se3.retract(state.T, sign * step[:6]),
+            state.border + sign * step[6:],
+        )
+        return linear.linearised(frame, at, scale).residuals.ravel()
+
+    change = (residuals(1.0) - residuals(-1.0)) / 2
+    expected = system.by_coefs @ moved.ravel() + system.by_border @ step
+    assert np.median(np.abs(change - expected)) < 0.02 * np.median(np.abs(expected))
+
+
+@pytest.mark.full
+def test_an_upright_pole_leaves_the_tilt_open() -> None:
+    walk = seen_walk(lean=0.0)
+    found = adjusted(walk, Start(walk.T_target_source, walk.offset, 0.01, False))
+    assert np.sqrt(found.covariance[5, 5]) > 10 * np.sqrt(found.covariance[0, 0])

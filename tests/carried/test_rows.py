@@ -1,0 +1,46 @@
+"""Rows of exact hits: their depth and their middle are as close to the axis as they are said."""
+
+import numpy as np
+
+from retropole.base.datatypes import Array
+from retropole.carried.rows import Rows, left_open, rows_of
+from tests.carried.walks import RADIUS, STEP, axis_at, seen_walk
+
+
+def off_axis(rows: Rows) -> tuple[Array, Array, Array]:
+    """How far rows of the target are off the true axis, along beams and across, and 1 σ, metres."""
+    middle, n = axis_at(rows.times)
+    d = rows.directions
+    across = d - np.einsum("ni,ni->n", d, n)[:, None] * n
+    sideways = np.linalg.norm(across, axis=1)
+    b1 = across / sideways[:, None]
+    b2 = np.cross(n, b1)
+    east = np.stack([-d[:, 1], d[:, 0], 0 * d[:, 0]], axis=1)
+    lever = np.abs(np.einsum("ni,ni->n", east, b2)) * rows.ranges
+    depth, sigma, _ = left_open(rows, lever, RADIUS)
+    off = rows.ranges[:, None] * d - middle
+    return (
+        np.einsum("ni,ni->n", off, b1) + depth,
+        np.einsum("ni,ni->n", off, b2),
+        sigma,
+    )
+
+
+def test_rows_are_off_by_what_their_hits_leave_open() -> None:
+    rows = rows_of(seen_walk().tracks[0], None, RADIUS)
+    along, across, sigma = off_axis(rows)
+    known = np.isfinite(sigma)
+    assert known.mean() > 0.97
+    assert abs(rows.step - STEP) < 1e-9
+    assert abs(along[known].mean()) < 1e-4
+    assert 0.85 < np.std(across[known] / sigma[known]) < 1.4
+
+
+def test_the_width_of_beams_is_seen_in_the_width_of_the_pole() -> None:
+    assert rows_of(seen_walk().tracks[0], None, RADIUS).divergence < 5e-4
+
+
+def test_rings_with_one_azimuth_share_what_they_leave_open() -> None:
+    leaning = rows_of(seen_walk(6.0).tracks[0], None, RADIUS).sharing
+    upright = rows_of(seen_walk(6.0, lean=0.0).tracks[0], None, RADIUS).sharing
+    assert np.median(upright) > 2 * np.median(leaning)

@@ -1,0 +1,89 @@
+"""The carried pole among what stands: found in each sweep, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import Refusal
+from retropole.base.sensors import Threshold
+from retropole.carried.track import (
+    Found,
+    _longest_way,
+    _not_standing,
+    _poles_in,
+    find_track,
+)
+from retropole.simulation import EXACT
+from retropole.simulation.walks import simulate_walk
+from tests.carried.walks import RADIUS, seen_walk
+
+
+def found(sweep: int, x: float) -> Found:
+    """A pole in one sweep at a place along x, metres."""
+    none = np.zeros(0, dtype=np.int64)
+    return Found(
+        sweep, 0.1 * sweep, np.array([x, 4.0, 0.0]), np.array([0.0, 0.0, 1.0]),
+        np.zeros((0, 3)), np.zeros(0), none, none.astype(bool),
+    )  # fmt: skip
+
+
+def test_what_stands_is_left_out_and_a_pole_that_rests_is_not() -> None:
+    standing = [found(k, -3.0) for k in range(100)]
+    carried = [found(k, 0.08 * max(k - 30, 0)) for k in range(100)]
+    kept = _not_standing(sorted(standing + carried, key=lambda each: each.sweep), 100)
+    assert len(kept) == 100
+    assert min(each.point[0] for each in kept) >= 0.0
+
+
+def test_a_way_that_nobody_walks_is_not_taken() -> None:
+    carried = [found(k, 0.08 * k) for k in range(50)]
+    elsewhere = [found(k, 20.0 + 3.0 * k) for k in range(0, 50, 7)]
+    way = _longest_way(sorted(carried + elsewhere, key=lambda each: each.sweep))
+    assert [each.sweep for each in way] == list(range(50))
+    assert max(each.point[0] for each in way) < 10.0
+
+
+def test_points_without_times_are_refused() -> None:
+    cloud = PointCloud(np.ones((5, 3)), np.arange(5.0))
+    with pytest.raises(Refusal) as refused:
+        find_track([cloud])
+    assert refused.value.reason.code == "no_times"
+
+
+def test_recordings_without_a_walk_are_refused() -> None:
+    cloud = PointCloud(np.ones((5, 3)), np.arange(5.0), time=np.zeros(5))
+    with pytest.raises(Refusal) as refused:
+        find_track([cloud, replace(cloud)])
+    assert refused.value.reason.code == "no_walk"
+
+
+@pytest.mark.full
+def test_the_carried_pole_is_found_in_a_street() -> None:
+    walk = simulate_walk("street", np.random.default_rng(3), seconds=8.0, noise=EXACT)
+    recorder = walk.recorders[0]
+    track = find_track(walk.record(0, np.random.default_rng(1)), recorder.sensor)
+    assert len(track.times) > 50
+    T = np.linalg.inv(recorder.T_world_sensor)
+    times = track.stamps
+    away = walk.walks[0].hand(times) @ T[:3, :3].T + T[:3, 3] - track.xyz
+    along = walk.walks[0].axis(times) @ T[:3, :3].T
+    across = away - np.einsum("ni,ni->n", away, along)[:, None] * along
+    assert np.linalg.norm(across, axis=1).max() < walk.walks[0].size[0] + 1e-6
+
+
+def test_a_pole_is_found_where_nothing_else_is_near() -> None:
+    track = seen_walk(1.0).tracks[0]
+    pole = track.xyz[track.sweep == 0]
+    around = np.linspace(1.0, 5.0, 400)
+    far = 20.0 * np.stack([np.cos(around), np.sin(around), 0.05 * np.cos(9 * around)], axis=1)
+    cloud = PointCloud(
+        np.concatenate([pole, far]),
+        np.repeat([255.0, 10.0], [len(pole), len(far)]),
+        time=np.zeros(len(pole) + len(far)),
+    )
+    ranges = np.linalg.norm(cloud.xyz, axis=1)
+    poles = _poles_in(cloud, ranges, Threshold(200.0, "given"), None, RADIUS, 0)
+    assert len(poles) == 1
+    assert len(poles[0].xyz) >= len(pole) - 2

@@ -1,0 +1,69 @@
+"""Walks that are no answer are refused for what they lack; the same walk without it is taken."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.base.errors import Refusal
+from retropole.base.systematic import Sizes
+from retropole.carried.adjustment import Adjusted, adjust
+from retropole.carried.linear import Seen
+from retropole.carried.rows import rows_of
+from retropole.carried.start import Start
+from retropole.carried.verdict import check_tracks, chosen
+from tests.carried.walks import RADIUS, SeenWalk, seen_walk
+
+
+def adjusted(walk: SeenWalk) -> Adjusted:
+    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
+    start = Start(walk.T_target_source, walk.offset, 0.01, False)
+    return adjust(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+
+
+@pytest.fixture(scope="module")
+def sound() -> Adjusted:
+    return adjusted(seen_walk())
+
+
+def code_of(*solutions: Adjusted) -> str:
+    with pytest.raises(Refusal) as refused:
+        chosen(solutions)
+    return refused.value.reason.code
+
+
+def test_a_sound_walk_is_taken(sound: Adjusted) -> None:
+    assert chosen([sound]) is sound
+
+
+def test_another_solution_that_fits_as_well_is_no_answer(sound: Adjusted) -> None:
+    other = replace(sound, offset=sound.offset + 0.4, cost=sound.cost + 5)
+    assert code_of(sound, other) == "several_walks_fit"
+    assert chosen([sound, replace(other, cost=sound.cost + 500)]) is sound
+
+
+def test_what_does_not_fit_is_refused(sound: Adjusted) -> None:
+    assert code_of(replace(sound, motion=40 * np.ones(4))) == "walk_does_not_fit"
+    assert code_of(replace(sound, weights=0 * sound.weights)) == "walk_does_not_fit"
+    assert code_of(replace(sound, converged=False)) == "walk_does_not_fit"
+
+
+def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
+    steady = np.array([[1e-4, 2e-4], [-1e-4, 2e-4]])
+    jump = np.array([[0.02, 0.0], [0.0, 0.0]])
+    assert chosen([replace(sound, clock_windows=steady)]) is not None
+    assert code_of(replace(sound, clock_windows=steady + jump)) == "clock_jumps"
+
+
+def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:
+    upright = replace(sound, covariance=1e4 * sound.covariance, axes=sound.axes * [1, 1, 0, 0])
+    with pytest.raises(Refusal, match="hardly leaned"):
+        chosen([upright])
+
+
+def test_two_carried_poles_are_refused() -> None:
+    target, source = seen_walk(3.0).tracks
+    with pytest.raises(Refusal) as refused:
+        check_tracks([target, replace(source, crowded=0.5)])
+    assert refused.value.reason.code == "two_walks"
+    check_tracks([target, replace(source, crowded=0.1)])
