@@ -298,6 +298,7 @@ def with_pole_moved(pair: SimulatedPair, which: int, step: Array) -> SimulatedPa
     return record(at, recorders, np.random.default_rng(0))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seed", first_of(SKEW))
 def test_a_pole_that_was_displaced_between_the_recordings(seed: int) -> None:
     """By 5 cm across both poles, their distance tells; along their plane, the pose has it all."""

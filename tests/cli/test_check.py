@@ -39,6 +39,7 @@ def run(site: Path, result: str, recording: str, *words: str) -> tuple[int, str]
     return done.returncode, done.stdout
 
 
+@pytest.mark.full
 def test_exit_codes_and_words(site: Path) -> None:
     code, text = run(site, "r", "same")
     assert code == 0, text

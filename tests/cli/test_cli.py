@@ -158,6 +158,7 @@ def test_version_is_that_of_the_package() -> None:
     assert done.stdout.startswith("retropole, version ")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("command", ["calibrate", "detect"])
 def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
     command: str, clouds: tuple[PointCloud, PointCloud], tmp_path: Path

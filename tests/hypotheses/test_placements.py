@@ -56,6 +56,7 @@ def test_more_placements_are_more_accurate() -> None:
     assert np.median(four) < 0.6 * np.median(one)
 
 
+@pytest.mark.full
 def test_a_lidar_that_moved_between_is_refused(harbor: list[SimulatedPair]) -> None:
     other = simulate_pair("harbor", np.random.default_rng(9))
     answer = calibrate([harbor[0].target, other.target], [harbor[0].source, other.source])

@@ -100,6 +100,7 @@ def test_every_pose_brings_the_points_that_contradict_it() -> None:
     assert sum(len(unpacked(cloud.contradicting["a"])) for cloud in clouds) > 100
 
 
+@pytest.mark.full
 def test_marked_points_of_many_placements_stay_few() -> None:
     result, (placement,) = made_up(count=500)
     clouds = of_result(result, *[placement] * 50).clouds

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pypcd4.pypcd4 import PointCloud as OtherReader
 
 from retropole.io import read_cloud
@@ -29,6 +30,7 @@ def test_what_is_written_reads_back_here_and_elsewhere(tmp_path: Path) -> None:
         np.testing.assert_array_equal(ours.intensity, theirs.numpy(("intensity",))[:, 0])
 
 
+@pytest.mark.full
 def test_several_sweeps_are_a_folder_and_leave_none_of_a_run_before(tmp_path: Path) -> None:
     for frames in (4, 3):
         pair = simulate_pair("bare", np.random.default_rng(1), frames=frames)

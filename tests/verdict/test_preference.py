@@ -38,6 +38,7 @@ def test_the_truth_is_preferred_to_a_movement_that_matters(
     assert preferences(street.target, street.source, there, (T,))[0] == pytest.approx(-found[0])
 
 
+@pytest.mark.full
 def test_what_is_below_the_noise_is_not_preferred(street: SimulatedPair) -> None:
     T = street.T_target_source
     near = se3.retract(T, 0.01 * LIFT)
