@@ -70,7 +70,7 @@ def assert_harmless(folder: Path, size: int) -> None:
 
 
 def test_bombs_are_harmless(tmp_path: Path) -> None:
-    assert_harmless(tmp_path, 2**27)
+    assert_harmless(tmp_path, 2**28)
 
 
 @pytest.mark.nightly
