@@ -189,7 +189,8 @@ def meet(
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...i,...i->...", a, b))
+    """Scalar products of rows with rows, or of all rows with one vector."""
+    return np.asarray(a @ b if b.ndim == 1 else np.einsum("...i,...i->...", a, b))
 
 
 Surface = Rectangle | Box | Cylinder
