@@ -147,7 +147,6 @@ def test_several_placements_give_one_answer() -> None:
         rp.calibrate(targets, [tables().source, np.ones((5, 2))])
 
 
-@pytest.mark.full
 def test_without_intensity_it_is_refused_and_says_what_to_give() -> None:
     result = rp.calibrate(tables().target, tables().source[:, :3])
     assert result.status == "refused"

@@ -127,7 +127,6 @@ def steering_in(text: str) -> set[str]:
     return found - {"\n"}
 
 
-@pytest.mark.full
 def test_no_text_of_a_document_steers_a_page() -> None:
     count = 0
     for kind, html in pages():
