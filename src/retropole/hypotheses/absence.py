@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import pdtr
 
+from ..alignment.likelihood import closest_approach
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Hypothesis, Match, Placement, Pole, Scan
 from ..base.sensors import Threshold
@@ -84,17 +85,17 @@ def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     rays = cloud.xyz - cloud.origin
     ranges = se3.lengths(rays)
     beams = rays / np.maximum(ranges, 1e-9)[:, None]
-    middle = se3.apply(T, pole.point[None])[0] - cloud.origin
-    axis = T[:3, :3] @ pole.direction
-    # Where beam and axis are nearest to each other: t along the one and s along the other.
-    cosine, ahead, along = beams @ axis, beams @ middle, float(axis @ middle)
-    sine = np.maximum(1.0 - cosine**2, 1e-9)
-    t, s = (ahead - cosine * along) / sine, (cosine * ahead - along) / sine
-    apart = se3.lengths(t[:, None] * beams - middle - s[:, None] * axis)
-    is_near = (t > 0) & (apart <= MOVED) & (np.abs(s) <= pole.length / 2)
-    reaches = is_near & (ranges >= t - MOVED)
+    point, axis = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
+    toward = point - cloud.origin
+    # Those that pass the middle of the pole farther away pass all of it.
+    room = MOVED + pole.length / 2
+    some = np.flatnonzero(toward @ toward - (beams @ toward) ** 2 <= room**2)
+    by, ranges = closest_approach(cloud.origin, beams[some], point, axis), ranges[some]
+    t, along = by.ranges, by.ranges * (beams[some] @ axis) - toward @ axis
+    is_near = (np.abs(by.lateral_offset) <= MOVED) & (np.abs(along) <= pole.length / 2)
+    reaches = is_near & (t > 0) & (ranges >= t - MOVED)
     expected = np.count_nonzero(reaches) * DEFAULT_RADIUS / MOVED
     threshold = Threshold(found.threshold, found.threshold_source, found.threshold_least)
-    is_bright = cloud.intensity >= threshold.at(ranges)
+    is_bright = cloud.intensity[some] >= threshold.at(ranges)
     seen = np.count_nonzero(reaches & is_bright & (ranges <= t + MOVED))
     return bool(pdtr(seen, expected) <= ABSENT)
