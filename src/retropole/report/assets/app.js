@@ -256,7 +256,7 @@
   let picked = null;
   function pick(at) {
     const cloud = held.find(isOn), [part] = panes();
-    const n = pickPoint(cloud.decoded, IDENTITY, view.lens(part), at, 8);
+    const n = pickPoint(cloud.decoded, view.lens(part), at, 8);
     if (n === null) return;
     const point = pointOf(cloud.decoded, n), strength = cloud.decoded.levels?.values, limit = 65535 * limitOf(cloud);
     const bright = [];

@@ -27,22 +27,22 @@ function decodeCloud(packed) {
   return { ...packed, xyz, intensity, levels, count: xyz.length / 3 };
 }
 
-/** Decode marked points into [x, y, z], metres. */
-function decodePoints(packed) {
-  const xyz = new Uint16Array(bytesOf(packed.xyz).buffer), { low, size } = packed;
-  return Array.from({ length: xyz.length / 3 }, (_, n) => low.map((v, k) => v + (size[k] * xyz[3 * n + k]) / 65535));
-}
-
-/** One point of a cloud, metres. */
+/** One decoded point, metres. */
 function pointOf({ xyz, low, size }, n) {
   return low.map((v, k) => v + (size[k] * xyz[3 * n + k]) / 65535);
 }
 
-/** Pick the point of a cloud that is drawn nearest to a pixel, of those within `reach` pixels rather one in front; null if there is none. */
-function pickPoint(cloud, T, lens, [x, y], reach) {
+/** Decode marked points into [x, y, z], metres. */
+function decodePoints(packed) {
+  const decoded = { ...packed, xyz: new Uint16Array(bytesOf(packed.xyz).buffer) };
+  return Array.from({ length: decoded.xyz.length / 3 }, (_, n) => pointOf(decoded, n));
+}
+
+/** Pick the point of a cloud, in its own frame, that is drawn nearest to a pixel, of those within `reach` pixels rather one in front; null if there is none. */
+function pickPoint(cloud, lens, [x, y], reach) {
   let picked = null, least = Infinity;
   for (let n = 0; n < cloud.count; n++) {
-    const v = lens.toView(applyPose(T, pointOf(cloud, n)));
+    const v = lens.toView(pointOf(cloud, n));
     if (v[2] > -NEAR || -v[2] >= least) continue;
     const [a, b] = lens.toPixel(v), away = Math.hypot(a - x, b - y) / reach;
     if (away <= 1 && -v[2] * (1 + away) < least) [picked, least] = [n, -v[2] * (1 + away)];
