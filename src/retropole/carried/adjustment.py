@@ -272,7 +272,7 @@ def _solve(
         (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
     ) + np.diag(frame.prior**-2)
     held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
-    second = np.diff(state.coefs, n=2, axis=0) / KNOT**2 * KNOT / noise
+    second = curvature(state.coefs) * KNOT / noise
     pull = np.zeros_like(state.coefs)
     for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
         pull[k : len(pull) - 2 + k] += factor * second

@@ -315,7 +315,7 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
         b_target = b @ frame.T_walk_target[:3, :3]
         turned = np.cross(arm[:, None], b_target)
         # Later on the clock is earlier in the walk: the axis is where it was.
-        speed = np.concatenate([moving[:, :2] + moving[:, 2:] * Z[:, None]], axis=1)
+        speed = moving[:, :2] + moving[:, 2:] * Z[:, None]
         by_time = np.einsum("nri,ni->nr", b[:, :, :2], speed)
         by_pose = np.concatenate(
             [turned, b_target, by_time[:, :, None], (by_time * late[:, None])[:, :, None]], axis=2
