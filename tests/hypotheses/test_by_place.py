@@ -29,8 +29,8 @@ from retropole.hypotheses.by_place import (
     check_held,
     check_told,
     choose_by_place,
+    confirmed_by_place,
     has_rival,
-    told_apart,
 )
 from retropole.hypotheses.placements import (
     Chosen,
@@ -194,7 +194,7 @@ def test_what_stands_off_the_ground_tells_two_poles_apart_where_the_overlap_does
         scored = PlacementHypotheses(placement, answer.hypotheses)
         choices = find_recurring([scored])
         # The best last: its place in the list does not count.
-        return pair, told_apart(
+        return pair, confirmed_by_place(
             Chosen(answer.hypotheses, (), refusal, tuple(choices[::-1]), scored=(scored,))
         )
 
@@ -204,7 +204,7 @@ def test_what_stands_off_the_ground_tells_two_poles_apart_where_the_overlap_does
     assert_near(told.hypotheses[0].match.T_target_source, pair.T_target_source, 3.0, 0.3)
     assert told.paired == told.choices[0].paired
     assert told_in("bare", 0)[1] is None
-    assert told_apart(Chosen((), (), refusal)) is None
+    assert confirmed_by_place(Chosen((), (), refusal)) is None
 
 
 def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> None:

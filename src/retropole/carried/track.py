@@ -30,7 +30,7 @@ SAME_PLACE = 0.2
 its returns by."""
 
 FASTEST = 2.5
-"""Nobody carries a pole faster, m/s (chosen: a person who runs)."""
+"""No person carries a pole faster, m/s (chosen: a person who runs)."""
 
 JUMP = 0.4
 """The middle of a pole's returns moves by so much from sweep to sweep where it stands, metres: as
@@ -44,7 +44,7 @@ DIFFUSE = 300
 """So many returns of the whole sweep, evenly taken, stand for it where a pole is alone."""
 
 LONGEST_GAP = 5.0
-"""The pole may be out of view for so long, s, and still be told by where it comes back."""
+"""The pole may be out of view for so long, s, and still be recognised by where it comes back."""
 
 
 class Found(NamedTuple):

@@ -68,7 +68,7 @@ def calibrate_walk(
     sensors
         What recorded them; None where it is not known.
     thresholds
-        Intensity from which a return counts as retro-reflective; None asks the sensor.
+        Intensity from which a return counts as retro-reflective; None for the sensor's.
     radius
         Of the pole, metres.
 

@@ -210,7 +210,7 @@ def _lifts(grounds: Grounds, T: Array) -> bool:
     return lifts([under(each, T) for each in grounds], T)
 
 
-def told_apart(chosen: Chosen) -> Chosen | None:
+def confirmed_by_place(chosen: Chosen) -> Chosen | None:
     """Take the hypothesis that what stands off the ground confirms, and leaves no rival.
 
     LiDARs far from each other meet a surface in lines that lie apart: few returns have a neighbour
@@ -232,10 +232,10 @@ def told_apart(chosen: Chosen) -> Chosen | None:
         return None
     grounds = _grounds([each.placement for each in chosen.scored])
     first = [choice.joint.match.T_target_source for choice in chosen.choices[:MOST_REFINED]]
-    told = [_told(grounds, T) for T in first]
-    k = min(range(len(told)), key=lambda k: told[k].conflicting - told[k].agreeing)
+    counts = [_told(grounds, T) for T in first]
+    k = min(range(len(counts)), key=lambda k: counts[k].conflicting - counts[k].agreeing)
     best = chosen.choices[k]
-    if told[k].total < MIN_TOTAL or told[k].contradicted > MAX_CONTRADICTED:
+    if counts[k].total < MIN_TOTAL or counts[k].contradicted > MAX_CONTRADICTED:
         return None
     others = [each for each in chosen.hypotheses if each.match is not best.joint.match]
     if _rivals(grounds, first[k], [each.match for each in others]):

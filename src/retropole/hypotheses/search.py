@@ -18,7 +18,7 @@ from ..surfaces import visibility
 from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
 from .absence import without_absent
-from .by_place import STAND_TWO, choose_by_place, has_rival, told_apart
+from .by_place import STAND_TWO, choose_by_place, confirmed_by_place, has_rival
 from .candidate_confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed, poles_agree
 from .choice import choose_best
 from .one_pole import MOST_POLES
@@ -98,13 +98,13 @@ def choose_with_candidates(
                 ):
                     return attempt
         # The last settled, and by all poles.
-        for told in map(told_apart, reversed(attempts)):
+        for confirmed in map(confirmed_by_place, reversed(attempts)):
             if (
-                told is not None
-                and poles_agree(told.paired, radius)
-                and not has_rival(told.paired, radius)
+                confirmed is not None
+                and poles_agree(confirmed.paired, radius)
+                and not has_rival(confirmed.paired, radius)
             ):
-                return told
+                return confirmed
     if by_place and first.refusal.code in BY_PLACE:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
