@@ -23,7 +23,7 @@ from tests.paths import PACKAGE, ROOT
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
-PAGES += sorted(DOCS.glob("*.md"))
+PAGES += sorted(DOCS.rglob("*.md"))
 NEEDED = ("sphinx", "myst_parser", "furo", "latex2mathml")
 
 

@@ -239,7 +239,7 @@ def test_figures_of_every_day_hold(day: int) -> None:
 
 def test_every_mark_is_read() -> None:
     """A mark that is written otherwise would leave its table out, and nobody would know."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     marks = sum(page.read_text(encoding="utf-8").count("figures: python ") for page in pages)
     done = figures()
     assert done.returncode == 0, done.stderr
@@ -254,7 +254,7 @@ def test_the_readme_says_what_the_comparison_says() -> None:
     (readme,) = [
         t for t in tables((ROOT / "README.md").read_text(encoding="utf-8")) if t.head[0] == "method"
     ]
-    page = tables((ROOT / "docs/compare.md").read_text(encoding="utf-8"))
+    page = tables((ROOT / "docs/evidence/compare.md").read_text(encoding="utf-8"))
     (compared,) = [t for t in page if t.head[:2] == ("method", "runs")]
     own = [row[2:5] for row in compared.rows if not row[0].endswith("+count")]
     assert sorted(row[1:4] for row in readme.rows) == sorted(own)
