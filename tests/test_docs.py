@@ -170,6 +170,17 @@ def test_command_lines_exist(page: str, words: list[str]) -> None:
         assert given <= len(arguments), f"{page}: {' '.join(words)}"
 
 
+def test_parts_that_the_program_writes_are_fresh() -> None:
+    """Where one is not: python docs/make_pages.py."""
+    spec = importlib.util.spec_from_file_location("make_pages", DOCS / "make_pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    for name, (page, _) in pages.PARTS.items():
+        assert (DOCS / page).read_text(encoding="utf-8") == pages.fresh(name), page
+
+
 @pytest.mark.full
 def test_every_code_has_its_entry_on_the_page(site: Path) -> None:
     anchors = Links(site / "reasons.html").anchors
