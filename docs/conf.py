@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from docutils import nodes
@@ -16,6 +17,8 @@ author = "The retropole authors"
 project_copyright = author
 version = release = retropole.__version__
 
+# Pages that only include a file from above this folder: in a clone that file itself is read.
+source_suffix = {".rst": "restructuredtext", ".md": "markdown", ".inc": "markdown"}
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
@@ -43,6 +46,15 @@ html_show_sphinx = False
 html_math_renderer = "mathml"
 
 
+def outside(app: Sphinx, page: str, source: list[str]) -> None:
+    """Turn links to files above this folder to the pages that include them."""
+    source[0] = re.sub(
+        r"\]\((?:\.\./)+(CHANGELOG|CONTRIBUTING|SECURITY)\.md",
+        lambda found: f"](/{found[1].lower()}.inc",
+        source[0],
+    )
+
+
 def equation(display: str) -> Any:
     """Make a visitor that writes an equation as MathML, which browsers set without any script."""
 
@@ -66,5 +78,6 @@ def no_made_up_arguments(
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the way equations are written."""
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
+    app.connect("source-read", outside)
     app.connect("autodoc-process-signature", no_made_up_arguments)
     return {"parallel_read_safe": True}
