@@ -126,7 +126,8 @@ def command_lines() -> Iterator[tuple[str, list[str]]]:
     """Every command line of retropole in a code block or in backticks that shows one."""
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        shown = re.findall(r"^ *```(?:sh|)\n(.*?)^ *```", text, flags=re.S | re.M)
+        blocks = re.findall(r"^ *```(\S*)[^\n]*\n(.*?)^ *```", text, flags=re.S | re.M)
+        shown = [block for language, block in blocks if language in ("", "sh")]
         shown += re.findall(r"`(retropole [^`\n]+)`", text)
         for line in "\n".join(shown).replace("\\\n", " ").splitlines():
             for part in re.split(r"\s(?:&&|\|\||\||>>?|<)\s", line):

@@ -56,9 +56,9 @@ def copied(folder: Path, old: str = "", new: str = "") -> Path:
     """A copy of a page whose table has no chance, one cell of it altered."""
     (folder / "docs").mkdir()
     (folder / "README.md").write_text("")
-    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
     assert old in page
-    (folder / "docs/lamppost.md").write_text(page.replace(old, new), encoding="utf-8")
+    (folder / "docs/cases.md").write_text(page.replace(old, new), encoding="utf-8")
     return folder
 
 
@@ -73,9 +73,10 @@ def test_an_altered_cell_is_named(tmp_path: Path) -> None:
     root = copied(tmp_path, "| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
     done = figures("--share", "0.05", "--root", str(root))
     assert done.returncode == 1, done.stderr
-    assert "docs/lamppost.md:17, row 'XT32', column '3 m up': said 10.6 m, measured 10.5 m" in (
-        done.stdout
-    )
+    page = (root / "docs/cases.md").read_text(encoding="utf-8")
+    line = page[: page.index("<!-- figures: ")].count("\n") + 1
+    said = f"docs/cases.md:{line}, row 'XT32', column '3 m up': said 10.6 m, measured 10.5 m"
+    assert said in done.stdout
     assert "24 figures, 1 differ" in done.stdout
 
 
@@ -86,12 +87,12 @@ def test_a_page_as_it_is_passes(tmp_path: Path) -> None:
 
 def test_written_tables_hold_what_is_printed(tmp_path: Path) -> None:
     root = written(tmp_path, "")
-    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
     stale = page.replace("| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
     assert stale != page
-    (root / "docs/lamppost.md").write_text(stale, encoding="utf-8")
+    (root / "docs/cases.md").write_text(stale, encoding="utf-8")
     assert figures("--write", "--root", str(root)).returncode == 0
-    fresh = (root / "docs/lamppost.md").read_text(encoding="utf-8")
+    fresh = (root / "docs/cases.md").read_text(encoding="utf-8")
     assert tables(fresh) == tables(page)
 
 
