@@ -19,12 +19,13 @@ from msgspec.structs import replace
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
-from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
+from ..base.uncertainty.confirmation import CLEAR_Z_MARGIN, DECEIVING, TOGETHER, Confirmation
 from ..surfaces.consistency import (
     SAME_SHIFT,
     Standing,
     best_lifts,
     best_shifts,
+    coincides,
     consistency,
     grounds_in,
     is_ground_on_ground,
@@ -116,7 +117,11 @@ def confirm(
         along=_way(T, shifted[least]) if least < len(shifted) else None,
         z_margin=min(margins, default=0.0),
         better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
-        redundant=_are_redundant(paired),
+        redundant=_are_redundant(paired)
+        and not any(
+            margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < 2
+            for margin, pose in zip(margins, poses, strict=True)
+        ),
         trusted=trusted,
     )
 
@@ -230,6 +235,21 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     )
 
 
+def _poles_against(
+    paired: Sequence[PairedPlacement], scenes: Sequence[tuple[Standing, Standing]], T: Array
+) -> int:
+    """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
+
+    Posts of a row lie on their neighbours where it is shifted by a post: then the one pole that
+    does not is all that speaks against the shift, and it may have been carried.
+    """
+    return sum(
+        not (coincides(target.xyz, there, se3.inverse(T)) or coincides(source.xyz, here, T))
+        for each, (here, there) in zip(paired, scenes, strict=True)
+        for target, source in zip(each.target_poles, each.source_poles, strict=True)
+    )
+
+
 def is_in_conflict(found: Confirmation) -> bool:
     """Whether so many voxels conflict with a pose that nothing else makes up for it."""
     return found.total >= MIN_TOTAL and found.contradicted > MAX_CONFLICTING
@@ -294,8 +314,8 @@ def _lead_words(sigmas: float) -> str:
 
 
 def _held_by_poles(found: Confirmation) -> str:
-    """Say which direction the two poles alone hold, which cannot check each other."""
+    """Say which direction only the poles constrain, where they cannot check each other."""
     if found.along is None:
-        return "Two poles alone hold the pose"
+        return "Only the poles constrain the pose"
     x, y, z = found.along
-    return f"Two poles alone hold the pose along ({x:.1f}, {y:.1f}, {z:.1f}) of the target"
+    return f"Only the poles constrain it along ({x:.1f}, {y:.1f}, {z:.1f}) of the target"

@@ -154,8 +154,12 @@ class Confirmation(
 
     @property
     def chance_words(self) -> str:
-        """How likely the pose is wrong: ``below 0.1 % (where 31 % of recordings deceive)``."""
-        return f"{self.chance} (where {percent(self.deceiving)} of recordings deceive)"
+        """How likely the pose is wrong, and what that assumes of recordings like these.
+
+        ``0.9 % (assuming that poles were moved or mistaken in 31 % of recordings)``.
+        """
+        assumed = f"poles were moved or mistaken in {percent(self.deceiving)} of recordings"
+        return f"{self.chance} (assuming that {assumed})"
 
     @property
     def chance(self) -> str:
