@@ -122,6 +122,24 @@ def test_links_between_sources_exist(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
+def test_pages_that_the_code_names_exist() -> None:
+    files = [p for name in ("src", "benchmarks", "studies", "tests") for p in named(ROOT / name)]
+    said = {(p.name, page) for p in files for page in re.findall(r"docs/[\w/]+\.md", text_of(p))}
+    assert len(said) > 20
+    assert not {(name, page) for name, page in said if not (ROOT / page).is_file()}
+    errors = re.findall(r'"(\w+)\.html"', text_of(PACKAGE / "cli" / "errors.py"))
+    assert errors
+    assert all((DOCS / f"{page}.md").is_file() for page in errors)
+
+
+def named(folder: Path) -> list[Path]:
+    return [*folder.rglob("*.py"), *folder.rglob("*.toml")]
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def command_lines() -> Iterator[tuple[str, list[str]]]:
     """Every command line of retropole in a code block or in backticks that shows one."""
     for page in PAGES:
