@@ -116,10 +116,20 @@ def test_site_loads_nothing_from_elsewhere(site: Path) -> None:
         assert not [link for link in Links(page).loaded if urlsplit(link).netloc], page.name
 
 
+def anchors_of(page: Path) -> set[str]:
+    """The anchors of a page's headings as GitHub makes them, for whoever reads it in a clone."""
+    headings = re.findall(r"^#+ (.+)$", text_of(page), flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", one).lower().replace(" ", "-") for one in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_sources_exist(page: Path) -> None:
-    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), target
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text_of(page)):
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        if anchor and found.suffix == ".md":
+            assert anchor in anchors_of(found), target
 
 
 def test_pages_that_the_code_names_exist() -> None:
