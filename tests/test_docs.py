@@ -16,7 +16,8 @@ from urllib.parse import unquote, urlsplit
 import click
 import pytest
 
-from retropole.base.reasons import reasons
+from retropole.base.reasons import page as page_of
+from retropole.base.reasons import reasons, tables
 from retropole.base.sensors import SENSORS
 from retropole.cli import cli
 from tests.paths import PACKAGE, ROOT
@@ -137,9 +138,9 @@ def test_pages_that_the_code_names_exist() -> None:
     said = {(p.name, page) for p in files for page in re.findall(r"docs/[\w/]+\.md", text_of(p))}
     assert len(said) > 20
     assert not {(name, page) for name, page in said if not (ROOT / page).is_file()}
-    errors = re.findall(r'"(\w+)\.html"', text_of(PACKAGE / "cli" / "errors.py"))
-    assert errors
-    assert all((DOCS / f"{page}.md").is_file() for page in errors)
+    prefixed = {f"{one}_few_points" for one in tables().prefixes}
+    anchors = {f"docs/reasons.md#{one}" for one in anchors_of(DOCS / "reasons.md")}
+    assert {page_of(code) for code in (*reasons(), *prefixed)} <= anchors
 
 
 def named(folder: Path) -> list[Path]:
