@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -118,17 +118,18 @@ Made = TypeVar("Made")
 
 
 def kept(make: Callable[[PointCloud], Made]) -> Callable[[PointCloud], Made]:
-    """Make something of a cloud once, for as long as the cloud is in use: every step asks for it.
+    """Make something of a cloud once, for as long as the cloud is in use: every step needs it.
 
-    It must not hold on to the cloud.
+    It may be the cloud itself, and must not refer to it otherwise: the cloud would never be freed.
     """
-    made: WeakKeyDictionary[PointCloud, Made] = WeakKeyDictionary()
+    made: WeakKeyDictionary[PointCloud, tuple[Made, ...]] = WeakKeyDictionary()
 
     @wraps(make)
     def given(cloud: PointCloud) -> Made:
         if cloud not in made:
-            made[cloud] = make(cloud)
-        return made[cloud]
+            found = make(cloud)
+            made[cloud] = () if found is cloud else (found,)
+        return made[cloud][0] if made[cloud] else cast(Made, cloud)
 
     return given
 
