@@ -52,15 +52,19 @@ def reason_entries() -> str:
 
 def command_entries() -> str:
     """Every command's own help, as the installed command line prints it."""
-    commands: list[tuple[str, click.Command]] = []
+    top = click.Context(cli, info_name="retropole", **cli.context_settings)
+    commands: list[tuple[str, click.Context]] = []
     for name, command in sorted(cli.commands.items()):
+        context = click.Context(command, parent=top, info_name=name, show_default=True)
+        commands.append((name, context))
         inner = command.commands if isinstance(command, click.Group) else {}
-        commands += [(name, command), *((f"{name} {sub}", inner[sub]) for sub in sorted(inner))]
+        for sub in sorted(inner):
+            below = click.Context(inner[sub], parent=context, info_name=sub, show_default=True)
+            commands.append((f"{name} {sub}", below))
     parts = []
-    for name, command in commands:
-        context = click.Context(command, info_name=f"retropole {name}", show_default=True)
+    for name, context in commands:
         context.terminal_width = HELP_WIDTH
-        parts.append(f"## {name}\n\n```text\n{command.get_help(context)}\n```\n\n")
+        parts.append(f"## {name}\n\n```text\n{context.command.get_help(context)}\n```\n\n")
     return "".join(parts)
 
 
