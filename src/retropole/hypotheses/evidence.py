@@ -50,6 +50,9 @@ TURN = np.radians(15.0)
 MAX_RIVALS = 3
 """So many other hypotheses are, too; all other angles about a pole, where the place gave that."""
 
+REDUNDANT_POLES = 3
+"""So many poles check each other: two fit a wrong pose as exactly as the right one."""
+
 MAX_WRONG = 0.03
 """An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
 100 to 129 of benchmarks/deception.py a mirrored street states 4 %, the least of all wrong answers
@@ -119,7 +122,7 @@ def confirm(
         better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
         redundant=_are_redundant(paired)
         and not any(
-            margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < 2
+            margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < REDUNDANT_POLES
             for margin, pose in zip(margins, poses, strict=True)
         ),
         trusted=trusted,
@@ -225,7 +228,7 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """
     if is_by_place(paired):
         return False
-    if max(len(each.target_poles) for each in paired) > 2:
+    if max(len(each.target_poles) for each in paired) >= REDUNDANT_POLES:
         return True
     two = [each for each in paired if len(each.target_poles) == 2]
     return any(
@@ -240,8 +243,8 @@ def _poles_against(
 ) -> int:
     """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
 
-    Posts of a row lie on their neighbours where it is shifted by a post: then the one pole that
-    does not is all that speaks against the shift, and it may have been carried.
+    Posts of a row lie on their neighbours where it is shifted by a post: only the poles that do not
+    speak against the shift, and one or two may have been carried.
     """
     return sum(
         not (coincides(target.xyz, there, se3.inverse(T)) or coincides(source.xyz, here, T))
