@@ -12,8 +12,6 @@ Seeds below 1000 are for setting constants; those from 1000 on state figures.
 
 from __future__ import annotations
 
-import argparse
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,8 +65,12 @@ def draw(seed: int) -> Draw:
     place = SURROUNDINGS[scene](rng)
     clear = place.clear
     u = rng.uniform()
-    kind = "elsewhere" if u < ELSEWHERE else "facade" if u < ELSEWHERE + FACADE else (
-        "cars moved" if rng.uniform() < MOVED else "same"
+    kind = (
+        "elsewhere"
+        if u < ELSEWHERE
+        else "facade"
+        if u < ELSEWHERE + FACADE
+        else ("cars moved" if rng.uniform() < MOVED else "same")
     )
     then = [*place.surfaces, *cars(clear, rng)]
     pieces = []
@@ -98,4 +100,12 @@ def draw(seed: int) -> Draw:
     pose = pose_in(clear, rng)
     lidar = scan(now, sensor, pose, rng, noise=FIELD, device=draw_device(sensor, FIELD, rng)).cloud
     rough = pose[:3, 3] + rng.normal(0, 2.0, 3) * [1, 1, 0.5]
-    return Draw(scene, kind, PointCloud(xyz + ORIGIN), lidar, se3.from_rt(np.eye(3), ORIGIN) @ pose, rough + ORIGIN, model)
+    return Draw(
+        scene,
+        kind,
+        PointCloud(xyz + ORIGIN),
+        lidar,
+        se3.from_rt(np.eye(3), ORIGIN) @ pose,
+        rough + ORIGIN,
+        model,
+    )

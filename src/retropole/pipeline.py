@@ -37,7 +37,7 @@ from .hypotheses.joint_choice import Choices, check_linked, choose_poses, linked
 from .hypotheses.links import link_by_candidates, link_by_place, with_own_candidates
 from .hypotheses.pairs import Pair, find_pairs, poles_of
 from .hypotheses.placements import Chosen, leave_one_out
-from .hypotheses.prior import RotationPrior
+from .hypotheses.prior import PosePrior
 from .hypotheses.scans import SiteScans, Views, find_scans, patches_of, views_of
 from .hypotheses.search import choose, choose_with_candidates
 from .surfaces.scans import find_poles
@@ -103,7 +103,7 @@ class Options:
     thresholds: tuple[float | None, float | None] = (None, None)
     poles: int | None = None
     scene: bool = True
-    prior: RotationPrior | None = None
+    prior: PosePrior | None = None
     by_hand: str | None = None
     trust_poles: bool = False
     deceiving: float | None = None

@@ -15,7 +15,7 @@ from ..adjustment.answer import SiteCalibration
 from ..base.datatypes import Placement, Scan
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..hypotheses.prior import rotation_prior
+from ..hypotheses.prior import PosePrior, pose_prior
 from ..hypotheses.scans import SiteScans
 from ..pipeline import Options
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
@@ -57,6 +57,9 @@ def calibrate(
     up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
+    map: bool = False,
+    prior_xyz: Sequence[float] | None = None,
+    prior_sigma_m: float = DEFAULT_CONFIG.prior_sigma_m,
     mast_sway_deg: float | None = None,
     hypothesis: str | None = None,
     target_topic: str | None = None,
@@ -104,6 +107,9 @@ def calibrate(
     prior_rpy_deg, prior_sigma_deg
         Expected roll, pitch and yaw of the source in the target's frame, degrees, instead of `up`;
         and 1 σ of either.
+    map, prior_xyz, prior_sigma_m
+        The target is a map: a cloud in any coordinates, put together from many places. Where the
+        source roughly is in it, metres, and 1 σ of that.
     mast_sway_deg
         1 σ of the angle that the masts of both LiDARs sway by, degrees: recordings of one or two
         sweeps do not show it. None takes what the sweeps show.
@@ -183,9 +189,9 @@ def calibrate_with(
             [pair.source.cloud for pair in pairs],
             options=replace(
                 known_of(pairs[0], config),
-                poles=config.poles,
+                poles=0 if config.map and config.poles is None else config.poles,
                 scene=config.refine,
-                prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+                prior=prior_of(config),
                 by_hand=config.hypothesis,
                 trust_poles=config.trust_poles,
                 deceiving=config.deceiving_share,
@@ -204,6 +210,12 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, placements=calibration.placements)
+
+
+def prior_of(config: RunConfig) -> PosePrior | None:
+    """Say what is known of the pose beforehand: of a map, where in it the source is."""
+    distance = None if config.prior_xyz is None else config.prior_sigma_m
+    return pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg, distance)
 
 
 def known_of(pair: InputPair, config: RunConfig) -> Options:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from ..base.errors import UsageError, said
 from ..base.sensors import name_from
 from ..hypotheses.choice import is_hypothesis_name
-from ..hypotheses.prior import rotation_prior
+from ..hypotheses.prior import pose_prior
 from ..result import RunConfig
 from ..result.options import OPTIONS, UNITS, radius_in_metres
 
@@ -66,7 +66,11 @@ def checked_options(config: RunConfig) -> RunConfig:
         raise UsageError("at is the distance for need, how accurate the answer must be: give both")
     if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
         raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
-    rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
+    pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
+    if config.prior_xyz is not None and not config.map:
+        raise UsageError("prior_xyz (--prior-xyz) is a place in a map: give map (--map) as well")
+    if config.map and not config.refine:
+        raise UsageError("a map gives the pose by its surfaces: leave out refine (--no-refine)")
     sensors = (name_from(Path(), name) for name in (config.sensor_target, config.sensor_source))
     named = dict(zip(("sensor_target", "sensor_source"), sensors, strict=True))
     files = (("angles", config.angles), ("angles_source", config.angles_source))

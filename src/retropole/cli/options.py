@@ -99,6 +99,7 @@ METRES = Number(min=0, min_open=True, max=1000)
 
 METAVARS = {
     "prior_rpy_deg": "R P Y",
+    "prior_xyz": "E N H",
     "hypothesis": "LETTER",
     "target_topic": "NAME",
     "source_topic": "NAME",
@@ -110,7 +111,10 @@ METAVARS = {
 }
 """What stands for the values of options in the help, where their type says too little."""
 
-NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
+NAMES = {
+    **{"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"},
+    "prior_sigma_m": "--prior-sigma-m",
+}
 """Options that are not called as their fields without the unit."""
 
 SENSORS = ("sensor_target", "sensor_source", "threshold_target", "threshold_source")
@@ -196,5 +200,5 @@ def _type(field: str, kind: inspect.Type) -> Any:
             number = (Radius if field == "radius_m" else Number)(
                 into, min=least, min_open=kind.ge is None, max=scale * kind.le
             )
-            return (number,) * 3 if field == "prior_rpy_deg" else number
+            return (number,) * 3 if field in ("prior_rpy_deg", "prior_xyz") else number
     return None
