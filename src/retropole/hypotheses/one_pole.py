@@ -341,7 +341,7 @@ def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[
     # Shifts of more than half of the cells are those the other way.
     shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
     reach = MAX_SIGMAS * prior.distance_sigma + POSES_APART[1]
-    is_far = np.hypot(shifts[:, None], shifts) > reach
+    near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)
     turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / MAX_SIGMAS)
     found = []
     for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
@@ -349,13 +349,13 @@ def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[
         cells = np.conj(fft.rfft2(_cells(above[1] @ R[:3, :3].T)))
         for quarter, other in zip(quarters, over, strict=True):
             total = fft.irfft2((other * cells).sum(axis=0), s=(CELLS, CELLS))
-            total[is_far] = 0.0
-            for k in np.argpartition(total, -PER_TURN, axis=None)[-PER_TURN:]:
-                i, j = np.unravel_index(k, total.shape)
+            heights = total.reshape(-1)[near]
+            for k in np.argpartition(heights, -PER_TURN)[-PER_TURN:]:
+                i, j = np.unravel_index(near[k], total.shape)
                 step = se3.from_rt(np.eye(3), np.r_[shifts[i], shifts[j], 0.0])
                 T = se3.inverse(levels[0]) @ quarter @ step @ R @ levels[1]
-                if total[i, j] > 0.0 and turned.allows(T):
-                    found.append(GroundPeak(T, float(total[i, j])))
+                if turned.allows(T):
+                    found.append(GroundPeak(T, float(heights[k])))
     found.sort(key=lambda peak: -peak.height)
     return list(_apart(found))
 
