@@ -48,8 +48,8 @@ PARTLY = 0.3
 RIDGE = 1.0
 """Weight of the squares of the standardised weights: that of one line."""
 
-MISSED = 3.0
-"""A pole that is missed counts as so many other things that are taken for one."""
+MISSED = 10.0
+"""A pole that is missed costs as much as so many things taken for one, which must still match."""
 
 LIMITS = -2.0, -1.0, 0.0, 1.0, 2.0
 

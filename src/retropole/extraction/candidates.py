@@ -1,13 +1,8 @@
-"""Candidate poles: lines that a strict rule rejects, but that look like a pole in a bad place.
+"""Candidate poles: lines that a strict rule rejects, but that are as probably poles as not.
 
-They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
-of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
-(`hypotheses.candidate_confirmation`).
-
-Poles whose tape is too dim for the threshold: old, far, or met at its edges.
-
-By a low threshold much else is bright, so that what is found there is doubtful
-(docs/detection.md, Candidate poles).
+They stand near a wall, beside a vest or another bright thing, have three to five returns, or tape
+that is too dim for the threshold. Nothing rests on them until the other LiDAR and the scene confirm
+them (`hypotheses.candidate_confirmation`; docs/detection.md, Candidate poles).
 """
 
 from __future__ import annotations
@@ -104,7 +99,7 @@ def with_candidates(
 
 
 def _failure_of(around: Surroundings, radius: float) -> Failure | None:
-    """Say what no odds excuse: too thick a line, one along the rings, and a few stray returns."""
+    """Say what no log-odds excuse: a few stray returns, a thick line, and one along the rings."""
     cloud, line = around.cloud, around.line
     if len(line.index) < MIN_POLE_POINTS and cloud.ring is not None:
         # A dim return on the line is a hit, too: some rings meet only the edges of a pole.
@@ -140,8 +135,8 @@ def with_dimmer_candidates(
     Returns
     -------
     Detection
-        The same, with more `candidates`, those it has first; at most `MAX_POLES`. Itself
-        where its threshold was given.
+        The same, with more `candidates`, the most probable ones, at most `MAX_POLES`. Itself where
+        its threshold was given.
     """
     assert cloud.intensity is not None
     chosen = _threshold_of(detection)

@@ -47,8 +47,8 @@ third of `LINK`, so that stray points on bright ground do not connect. Sensitivi
 false; at 0.56: 3 fewer false."""
 
 MAX_POLES = 8
-"""Poles taken out of one group at most, and candidates that are kept of a cloud, those with the
-most returns; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
+"""Poles taken out of one group at most, and candidates that are kept of a cloud, the most probable
+ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
 effect."""
 
 ENOUGH_SHARE = 0.9
@@ -146,15 +146,14 @@ def find_lines(
     part
         (P,) index of the bright points to search.
     free
-        (N,) which points of the cloud are bright and on no line yet. The points of the lines that
-        are found are taken out of it.
+        (N,) which points of the cloud are bright and on no line yet; those of the lines that are
+        found are taken out of it.
     bright
-        (N,) which of them count where they are beside a line.
+        (N,) which speak against a line that they are beside.
     sought
         What to look for.
     is_saturated
-        Whether a bright surface is most of the cluster: of few points, or thick, a line says
-        nothing there.
+        Whether a bright surface is most of the cluster, so that lines abound in it.
 
     Returns
     -------
