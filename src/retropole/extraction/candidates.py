@@ -2,7 +2,7 @@
 
 They stand near a wall, beside a vest or another bright thing, have three to five returns, or tape
 that is too dim for the threshold. Nothing rests on them until the other LiDAR and the scene confirm
-them (`hypotheses.candidate_confirmation`; docs/detection.md, Candidate poles).
+them (`hypotheses.candidate_confirmation`; docs/evidence/detection.md, Candidate poles).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Confirmed poles (`poles`) and candidates (`candidates`) are found by it; `Sought` says how strictly.
 
-What *Sensitivity* means beside a constant: docs/detection.md.
+What *Sensitivity* means beside a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
