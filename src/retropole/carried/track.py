@@ -19,8 +19,9 @@ from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, threshold_for
 from ..extraction.acceptance_shape import MIN_POLE_POINTS
+from ..extraction.line_search import near_box
 from ..extraction.lines import LINK, clusters
-from ..extraction.poles import extract_poles, near_box
+from ..extraction.poles import extract_poles
 
 STANDS = 0.4
 """What is found within `SAME_PLACE` in more than this part of the sweeps stands there."""
