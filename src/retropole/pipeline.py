@@ -43,6 +43,7 @@ from .hypotheses.search import choose, choose_with_candidates
 from .surfaces.scans import find_poles
 from .surfaces.static import check_poles, check_recordings
 from .verdict.fitness import judge
+from .verdict.map import of_map
 from .verdict.preference import check_near_poles
 from .verdict.similarity import check_similarity, explain
 from .verdict.site import check_decided, confirm_links, radius_denied
@@ -249,6 +250,7 @@ def calibrate_placements(
                 cause = explain(
                     refusal, placements, hypotheses, radius=radius, thresholds=thresholds
                 )
+                cause = of_map(cause) if placements[0].target.cloud.is_map else cause
                 answer = state_refusal(cause, placements, hypotheses, seconds, confirmation)
                 answer = list_hypotheses(answer, chosen, by_hand)
                 return Answered(origins.moved_back(answer))
