@@ -22,6 +22,7 @@ import retropole
 from retropole.base.reasons import Explanation, tables
 from retropole.base.sensors import SENSORS, Sensor
 from retropole.cli import cli
+from retropole.cli.brief import HELP_ALL
 from retropole.io.packets.models import MODELS
 
 DOCS = Path(__file__).parent
@@ -51,7 +52,7 @@ def reason_entries() -> str:
 
 
 def command_entries() -> str:
-    """Every command's own help, as the installed command line prints it."""
+    """Every command's whole help, as the installed command line prints it."""
     top = click.Context(cli, info_name="retropole", **cli.context_settings)
     commands: list[tuple[str, click.Context]] = []
     for name, command in sorted(cli.commands.items()):
@@ -64,6 +65,7 @@ def command_entries() -> str:
     parts = []
     for name, context in commands:
         context.terminal_width = HELP_WIDTH
+        context.meta[HELP_ALL] = True
         parts.append(f"## {name}\n\n```text\n{context.command.get_help(context)}\n```\n\n")
     return "".join(parts)
 

@@ -37,7 +37,7 @@ def test_no_intensity_never_gives_a_transform(
         ("calibrate", "only-one.pcd"),
         ("calibrate", "a.pcd", "b.pcd", "--radius", "-1"),
         ("calibrate", "a.pcd", "b.pcd", "--poles", "0"),
-        ("calibrate", "a.pcd", "b.pcd", "--sensor-target", "nonsense"),
+        ("calibrate", "a.pcd", "b.pcd", "--sensor", "nonsense"),
         ("detect", "missing.pcd"),
         ("info", "missing.bag"),
         ("info", "missing.pcd", "--frames", "1:x"),
@@ -59,7 +59,7 @@ def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path:
     [
         (("calibrate", "a", "b"), "--radius"),
         (("calibrate", "a", "b"), "--prior-sigma-deg"),
-        (("calibrate", "a", "b"), "--threshold-target"),
+        (("calibrate", "a", "b"), "--threshold"),
         (("check", "r", "a", "b"), "--sigma-deg"),
         (("check", "r", "a", "b"), "--tolerance-m"),
         (("detect", "a"), "--threshold"),
@@ -129,7 +129,7 @@ def test_every_command_is_a_module_of_its_name() -> None:
     assert isinstance(fleet, click.Group)
     inner = {f"fleet_{name}" for name in fleet.commands} & modules
     assert len(inner) == 2
-    others = {"__init__", "common", "errors", "live_merge", "options", "out"} | inner
+    others = {"__init__", "brief", "common", "errors", "live_merge", "options", "out"} | inner
     assert set(COMMANDS) == modules - others == set(cli.commands)
     for name, command in cli.commands.items():
         assert isinstance(command, click.Command)
@@ -147,8 +147,8 @@ def test_a_command_is_loaded_on_its_own() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (
         done.stdout.splitlines()[-1]
-        == "['retropole.cli.common', 'retropole.cli.errors', 'retropole.cli.options', "
-        "'retropole.cli.info']"
+        == "['retropole.cli.brief', 'retropole.cli.common', 'retropole.cli.errors', "
+        "'retropole.cli.options', 'retropole.cli.info']"
     )
 
 
@@ -184,6 +184,10 @@ def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
             (["check", "--tol"], {"--tolerance-deg", "--tolerance-m"}),
             (["cal"], {"calibrate"}),
             (["export", "r", "--to", "ros"], {"ros1", "ros2"}),
+            (["calibrate", "--sensor", "VLP-16", "--sensor", "xt"], {"XT32"}),
+            (["calibrate", "--unit", "m", "--unit", ""], {"m", "cm", "mm", "ft", "in"}),
+            (["calibrate", "--trust"], {"--trust-poles"}),
+            (["calibrate", "--sensor-"], set()),
         ]
     ),
 )

@@ -9,6 +9,7 @@ import click
 from click.core import ParameterSource
 
 from ..result import RunConfig
+from .brief import Brief
 from .calibrate import placed
 from .common import (
     EXIT_REFUSED,
@@ -27,7 +28,7 @@ RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
 EXITS = {"pass": 0, "partial": EXIT_WARNED, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
-@click.command()
+@click.command(cls=Brief)
 @placement_arguments
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
@@ -53,7 +54,7 @@ def certify(
 
     \b
     Examples:
-      retropole certify front.pcd rear.pcd --sensor-target XT32 --sensor-source VLP-16
+      retropole certify front.pcd rear.pcd --sensor XT32 --sensor VLP-16
       retropole certify front/ rear/
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
@@ -100,7 +101,7 @@ def certify(
 
 
 def _is_site(path: Path) -> bool:
-    """Whether what is given alone stands for a site: its file, or a folder."""
+    """Whether what is given alone is a site: its file, or a folder."""
     return path.suffix == ".toml" or path.is_dir()
 
 

@@ -12,7 +12,8 @@ import click
 
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
-from ..result.options import OPTIONS
+from ..result.options import OPTIONS, PAIRS
+from .brief import Brief
 from .common import BY_SITE_FILE, EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, listening, show
 from .options import CLOUD, DEGREES, METRES, Command, run_option
 
@@ -59,26 +60,22 @@ def tolerance_options(command: Command) -> Command:
     return rotation(translation(command))
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @run_option(
-    "target_topic",
-    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where TARGET is a bag]",
+    PAIRS["topic"],
+    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where it is a bag]",
 )
-@run_option("source_topic")
 @run_option(
-    "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
+    PAIRS["unit"], help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
-@run_option("unit_source", help="The same for SOURCE alone.")
 @run_option(
-    "intensity",
+    PAIRS["intensity"],
     help="Field of the new recordings' intensity.  [default: that of RESULT, where they have it]",
 )
-@run_option("intensity_source", help="The same for SOURCE alone.")
-@run_option("angles", help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
-@run_option("angles_source")
+@run_option(PAIRS["angles"], help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
 @click.option("--parent", help="Where RESULT is of a site: the name of the LiDAR of TARGET.")
 @click.option("--child", help="The same of SOURCE.")
 @tolerance_options
@@ -108,7 +105,7 @@ def check(
     quiet: bool,
     **asked: Any,
 ) -> int:
-    """Tell whether the LiDARs still stand as they stood when RESULT was made.
+    """Tell whether the LiDARs have moved since RESULT was made.
 
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
@@ -252,7 +249,7 @@ def _direction(
     return f"{preposition} ({unit[0]:+.2f} {unit[1]:+.2f} {unit[2]:+.2f}) of the target"
 
 
-@click.command("check")
+@click.command("check", cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("site", metavar="SITE.toml", type=CLOUD)
 @tolerance_options
@@ -266,7 +263,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Tell which LiDARs of a site still stand as they stood when RESULT was made.
+    """Tell which LiDARs of a site have moved since RESULT was made.
 
     RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
     recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
@@ -324,7 +321,7 @@ def site_in_words(answer: SiteCheck) -> str:
     elif answer.status == "moved":
         said.append("which of the LiDARs of a pair that moved it was, these pairs do not tell")
     if answer.untold:
-        said.append(f"not told whether they moved: {', '.join(answer.untold)}")
+        said.append(f"whether these moved is open: {', '.join(answer.untold)}")
     lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
+from .brief import Brief, more_option
 from .common import listening, say, show
 from .options import CLOUD, FILE, run_option, run_options
 from .out import out_folder
@@ -15,7 +16,7 @@ from .out import out_folder
 PICTURE = "detect.svg"
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("file", type=CLOUD)
 @out_folder("Folder for detect.svg.", PICTURE)
 @run_options("radius_m")
@@ -26,8 +27,8 @@ PICTURE = "detect.svg"
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
-@click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
-@click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")
+@more_option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
+@more_option("--lidar", help="Its name in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -77,7 +78,7 @@ def detect(
     if plan is not None:
         from ..api.plan_checking import load_plan
 
-        # A plan that cannot be read is told before the work.
+        # A plan that cannot be read is reported before the work.
         wanted = load_plan(plan, [] if lidar is None else [lidar])
     elif lidar is not None:
         raise click.UsageError("--lidar is a name of the plan: give --plan, too")

@@ -15,6 +15,7 @@ import numpy as np
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..base.files import path_in_text
 from ..result import RunConfig
+from .brief import Brief, more_option
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, run_options
 
@@ -44,7 +45,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
     return names
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -62,11 +63,11 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@click.option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
-@click.option("--child", help="The same of SOURCE.")
-@click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
+@more_option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
+@more_option("--child", help="The same of SOURCE.")
+@more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
-@click.option(
+@more_option(
     "--seed",
     type=SEED,
     default=0,
@@ -95,7 +96,7 @@ def evaluate(
     the other cloud's surfaces. The entropy is Renyi's quadratic entropy of both clouds together,
     downsampled to 0.1 m: the sharper they are, the larger is its sum and the smaller its -log.
     Sharp is not always right: a corridor rotated by 180 deg lies on itself. In the scene check,
-    patches (cubes of 1 m) agree with the transform, or contradict it: they stand where the other
+    patches (cubes of 1 m) agree with the transform, or contradict it: they are where the other
     LiDAR looked through. Compare transforms of the same two clouds only; figures of other clouds
     are on another scale.
 
@@ -119,7 +120,7 @@ def evaluate(
     \b
     Exit code:
       0    scored; of methods, at least one answered
-      2    a file or an option is wrong, or no method that was asked for is installed
+      2    a file or an option is wrong, or no method that was named is installed
       3    a cloud is too small to score by, the transform is a refused result, or all methods
            refused
     """
@@ -152,7 +153,8 @@ def evaluate(
         return _exit_code(found, as_json=as_json)
     T = read_transform(transform, parent=parent, child=child).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    read = {name: options[name] for name in (*TOPICS, "frames", *READING)}
+    of_reading = {field for pair in (*TOPICS, *READING) for field in pair[:2]} | {"frames"}
+    read = {name: value for name, value in options.items() if name in of_reading}
     with listening(quiet, options["frames"], hidden=as_json) as listener:
         given = transform if parent is None and child is None else T
         aligned = score(target, source, given, sigma=sigma, seed=seed, **listener._asdict(), **read)

@@ -10,6 +10,7 @@ import click
 from ..api import transforms
 from ..api.transforms import FORMATS, TREE_FORMATS
 from ..base.files import write_atomically
+from .brief import Brief
 from .common import echo_warning, fill_in, say, show
 from .options import CLOUD, FILE
 
@@ -25,7 +26,7 @@ TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
 TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .brief import more_option
 from .common import EXIT_WARNED, Group, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_export, fleet_network
@@ -45,8 +46,9 @@ fleet.add_command(fleet_export)
 @click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
 @click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
-@click.option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
-@run_options("radius_m", *SENSORS, "mast_sway_deg")
+@more_option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
+@run_options("radius_m", SENSORS[0])
+@run_options(SENSORS[1], "mast_sway_deg", more=True)
 @click.option("--strict", is_flag=True, help="Exit with 1 where a site is not ok.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")

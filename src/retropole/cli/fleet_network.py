@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .brief import Brief
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show, show_written
 from .fleet_check import protocol_option
 
@@ -29,7 +30,7 @@ nodes_option = click.option(
 )
 
 
-@click.command("network")
+@click.command("network", cls=Brief)
 @click.argument("dataset")
 @nodes_option
 @click.option("--out", metavar="FILE", required=True, help="Parquet file to write, or its URL.")
@@ -90,7 +91,7 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
     return 0 if found.used.all() else EXIT_MOVED
 
 
-@click.command("export")
+@click.command("export", cls=Brief)
 @click.argument("dataset")
 @nodes_option
 @click.option("--to", type=click.Choice(["g2o"]), required=True, help="Format to write.")

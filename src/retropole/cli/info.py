@@ -8,11 +8,12 @@ from typing import Any
 import click
 
 from ..result import RunConfig
+from .brief import Brief
 from .common import progress_on_terminal, show, show_written
 from .options import CLOUD, FILE, run_option, run_options
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("file", type=CLOUD)
 @run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
 @run_options("frames", "unit", "intensity", "angles")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .brief import Brief, more_option
 from .common import BY_OPTIONS, echo_warning, listening, show, show_written
 from .options import CLOUD, FILE, Number
 
@@ -18,7 +19,7 @@ CROSSFALL = 0.025
 """Of a road, as it is built to drain: so far the ground's normal may be from the plumb line."""
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[CLOUD]...")
 @click.option("-o", "--out", type=FILE, help="File to write.  [default: level.json by RESULT]")
@@ -99,7 +100,7 @@ def level(
     return 0
 
 
-LEVEL = click.option(
+LEVEL = more_option(
     "--level",
     "with_level",
     is_flag=True,

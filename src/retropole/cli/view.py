@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..result import RunConfig, result_file
+from .brief import Brief
 from .common import listening, say, show_written
 from .options import CLOUD, FILE, run_option, run_options
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from ..api.inputs import Listener
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
