@@ -235,7 +235,13 @@ def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> No
     words = "--radius", 0.021, "--poles", 2, "--no-refine", *named
     done = retropole_here("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
     assert done.returncode == 0, done.stderr
-    result = rp.calibrate(*files, radius=0.021, poles=2, refine=False, sensor_target="Pandar64")
+    result = rp.calibrate(
+        *files,
+        radius=0.021,
+        poles=2,
+        sensor=("Pandar64", "auto"),
+        options=rp.RunConfig(refine=False),
+    )
     result.save(tmp_path / "python")
     theirs, ours = (
         json.loads((tmp_path / name / "result.json").read_text()) for name in ("r", "python")
