@@ -22,7 +22,7 @@ import retropole
 from retropole.base.reasons import Explanation, tables
 from retropole.base.sensors import SENSORS, Sensor
 from retropole.cli import cli
-from retropole.cli.brief import HELP_ALL
+from retropole.cli.options import HELP_ALL
 from retropole.io.packets.models import MODELS
 
 DOCS = Path(__file__).parent

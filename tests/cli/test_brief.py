@@ -6,7 +6,7 @@ import click
 import pytest
 
 from retropole.cli import COMMANDS, GROUPS
-from retropole.cli.brief import Brief, Option, more_option
+from retropole.cli.options import Brief, Option, more_option
 from tests.cli.commands import all_commands, retropole_here
 
 MOST_OPTIONS, MOST_LINES = 12, 45
@@ -29,7 +29,7 @@ def listed(shown: str) -> list[str]:
 def test_help_shows_few_options_and_help_all_all(name: str) -> None:
     command = COMMAND_LINES[name]
     options = [each for each in command.params if isinstance(each, click.Option)]
-    names = {each.opts[-1] for each in options if not each.hidden} | {"--help"}
+    names = {each.opts[-1] for each in options if not each.hidden} | {"--help", "--help-all"}
     brief = retropole_here(*name.split(), "--help").stdout
     whole = retropole_here(*name.split(), "--help-all")
     assert (whole.returncode, whole.stderr) == (0, "")

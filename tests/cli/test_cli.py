@@ -129,7 +129,7 @@ def test_every_command_is_a_module_of_its_name() -> None:
     assert isinstance(fleet, click.Group)
     inner = {f"fleet_{name}" for name in fleet.commands} & modules
     assert len(inner) == 2
-    others = {"__init__", "brief", "common", "errors", "live_merge", "options", "out"} | inner
+    others = {"__init__", "common", "errors", "live_merge", "options", "out"} | inner
     assert set(COMMANDS) == modules - others == set(cli.commands)
     for name, command in cli.commands.items():
         assert isinstance(command, click.Command)
@@ -147,8 +147,8 @@ def test_a_command_is_loaded_on_its_own() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (
         done.stdout.splitlines()[-1]
-        == "['retropole.cli.brief', 'retropole.cli.common', 'retropole.cli.errors', "
-        "'retropole.cli.options', 'retropole.cli.info']"
+        == "['retropole.cli.common', 'retropole.cli.errors', 'retropole.cli.options', "
+        "'retropole.cli.info']"
     )
 
 

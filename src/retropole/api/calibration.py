@@ -93,8 +93,7 @@ def calibrate(
         Called with the name of each step as it starts; while a recording of several frames is read,
         with which of how many.
     older
-        Keywords of the release before, which are fields of `options` now: they still work in this
-        release, with a `DeprecationWarning`.
+        Keywords of the release before: they still work, with a `DeprecationWarning`.
 
     Returns
     -------

@@ -47,23 +47,15 @@ def run_config(options: Mapping[str, object], others: RunConfig = DEFAULT_CONFIG
 def with_keywords(
     options: RunConfig, keywords: Mapping[str, object], older: Mapping[str, object]
 ) -> RunConfig:
-    """Put keywords of `calibrate` in the place of the options that they name; None names none.
+    """Put keywords that are not None in the place of the options that they name.
 
-    Parameters
-    ----------
-    options
-        All options.
-    keywords
-        Those of both LiDARs have one value, or those of target and source.
-    older
-        Keywords that are fields of `options` now. They still work, with a `DeprecationWarning`.
+    Those of `PAIRS` have one value, or target's and source's. `older` keywords are given by
+    `options` now; they still work, with a warning.
 
     Raises
     ------
-    UsageError
-        As `checked_options`.
-    TypeError
-        For a keyword that is no option.
+    UsageError, TypeError
+        As `checked_options`; for a keyword that is no option.
     """
     if not isinstance(options, RunConfig):
         raise UsageError(f"options is {options!r}, expected a RunConfig")
@@ -71,11 +63,10 @@ def with_keywords(
     for name in PAIRS.keys() & given:
         value = given.pop(name)
         given |= PAIRS[name].fields(*(value if isinstance(value, tuple | list) else (value,)))
-    for name in older:
-        if name not in map(keyword, RunConfig.__struct_fields__):
-            raise TypeError(f"calibrate() got an unexpected keyword argument {name!r}")
+    if unknown := older.keys() - set(map(keyword, RunConfig.__struct_fields__)):
+        raise TypeError(f"unexpected keyword argument: {', '.join(unknown)}")
     if older:
-        words = f"{', '.join(older)}: give them by sensor, threshold, topic, unit or options"
+        words = f"{', '.join(older)}: give them by options, or sensor, threshold, topic or unit"
         warnings.warn(words, DeprecationWarning, stacklevel=3)
     return run_config({**given, **older}, options)
 

@@ -46,13 +46,12 @@ class Grouped(Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List each with the begin of its first sentence, in one line."""
         width = max(map(len, COMMANDS))
+        limit = formatter.width - width - 6
         for title, names in GROUPS.items():
             with formatter.section(title):
+                commands = [(name, self.commands[name]) for name in names]
                 formatter.write_dl(
-                    [
-                        (f"{n:{width}}", self.commands[n].get_short_help_str(formatter.width - 15))
-                        for n in names
-                    ]
+                    [(f"{n:{width}}", c.get_short_help_str(limit)) for n, c in commands]
                 )
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
-from .brief import Brief, more_option
 from .common import BY_SITE_FILE, command_line, listening, result_told, say
 from .level import LEVEL, level_beside
 from .options import (
@@ -17,6 +16,8 @@ from .options import (
     READING,
     SENSORS,
     TOPICS,
+    Brief,
+    more_option,
     placement_arguments,
     run_options,
     verdict_options,
@@ -76,7 +77,6 @@ def calibrate(
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed to older-result.json
       3    refused: no transform; the reason is printed and in result.json
-      130  interrupted
     """
     from ..api.calibration import calibrate_with
 
@@ -152,7 +152,6 @@ def site_calibrate(
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed
       3    refused: no poses; the reason is printed and in site-result.json
-      130  interrupted
     """
     from ..api.calibration import calibrate_site
 

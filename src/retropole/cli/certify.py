@@ -9,7 +9,6 @@ import click
 from click.core import ParameterSource
 
 from ..result import RunConfig
-from .brief import Brief
 from .calibrate import placed
 from .common import (
     EXIT_REFUSED,
@@ -20,7 +19,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import READING, SENSORS, TOPICS, placement_arguments, run_options
+from .options import READING, SENSORS, TOPICS, Brief, placement_arguments, run_options
 from .out import out_folder
 
 EXIT_FAILED = 4
@@ -55,11 +54,9 @@ def certify(
     \b
     Examples:
       retropole certify front.pcd rear.pcd --sensor XT32 --sensor VLP-16
-      retropole certify front/ rear/
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
       retropole certify site.toml
-      retropole certify quay/ --out field-test
 
     \b
     Exit code:
@@ -68,7 +65,6 @@ def certify(
       2    a file or an option is wrong
       3    refused: too little to tell; the reason is printed
       4    fail
-      130  interrupted
     """
     from ..api import certification
     from ..base.files import write_together

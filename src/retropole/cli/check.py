@@ -13,9 +13,8 @@ import click
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
 from ..result.options import OPTIONS, PAIRS
-from .brief import Brief
 from .common import BY_SITE_FILE, EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, listening, show
-from .options import CLOUD, DEGREES, METRES, Command, run_option
+from .options import CLOUD, DEGREES, METRES, Brief, Command, run_option
 
 if TYPE_CHECKING:
     from ..api.checking import CheckedPair, CheckResult, Movement, SiteCheck
@@ -86,10 +85,7 @@ def tolerance_options(command: Command) -> Command:
     help="1 sigma of RESULT's rotation, about each axis.  [default: its covariance]",
 )
 @click.option(
-    "--sigma-m",
-    "sigma_translation",
-    type=METRES,
-    help="1 sigma of RESULT's translation, along each axis.",
+    "--sigma-m", "sigma_translation", type=METRES, help="1 sigma of RESULT's translation."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -129,7 +125,6 @@ def check(
       2    a file or an option is wrong
       3    cannot tell; the reason is printed
       4    moved
-      130  interrupted
     """
     from ..api.checking import CheckResult, check_recordings, read_stored
     from ..base.errors import Refusal
@@ -274,7 +269,6 @@ def site_check(
     \b
     Examples:
       retropole site check retropole-out tonight/site.toml
-      retropole site check quay/out tonight --tolerance-deg 0.2
       retropole site check retropole-out tonight --json | jq .moved
 
     \b
@@ -283,7 +277,6 @@ def site_check(
       2    a file or an option is wrong
       3    cannot tell of all LiDARs; the reasons are printed
       4    moved
-      130  interrupted
     """
     from ..api.checking import check_site
 

@@ -21,7 +21,6 @@ from msgspec import to_builtins
 
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
-from .brief import Brief
 
 if TYPE_CHECKING:
     from ..api.inputs import Input, Listener
@@ -43,8 +42,6 @@ class Group(click.Group):
 
     What click does then differs from version to version.
     """
-
-    command_class = Brief
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words that follow the group."""

@@ -8,9 +8,8 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .brief import Brief, more_option
 from .common import listening, say, show
-from .options import CLOUD, FILE, run_option, run_options
+from .options import CLOUD, FILE, Brief, more_option, run_option, run_options
 from .out import out_folder
 
 PICTURE = "detect.svg"
@@ -21,9 +20,7 @@ PICTURE = "detect.svg"
 @out_folder("Folder for detect.svg.", PICTURE)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
-@run_option(
-    "threshold_target", "--threshold", help="Intensity from which a return is retro-reflective."
-)
+@run_option("threshold_target", "--threshold")
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
@@ -49,9 +46,7 @@ def detect(
     \b
     Examples:
       retropole detect front.pcd
-      retropole detect front.pcd --threshold 120 --out look
       retropole detect front.pcd --page front.html
-      retropole detect front.pcd --json | jq .poles
       retropole detect drive.bag --topic /front --frames 0:20
       retropole detect front.pcd --plan retropole-plan
 

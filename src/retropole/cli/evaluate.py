@@ -15,9 +15,8 @@ import numpy as np
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..base.files import path_in_text
 from ..result import RunConfig
-from .brief import Brief, more_option
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
-from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, run_options
+from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, Brief, more_option, run_options
 
 if TYPE_CHECKING:
     from ..api.evaluation import Alignment, Compared, Errors
@@ -68,10 +67,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
 @more_option(
-    "--seed",
-    type=SEED,
-    default=0,
-    help="Seed of what methods draw, and of the points that all are scored on.",
+    "--seed", type=SEED, default=0, help="Of what methods draw, and of the points scored on."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
@@ -115,7 +111,6 @@ def evaluate(
       retropole evaluate front.pcd rear.pcd --transform theirs.txt --json
       retropole evaluate s/lidar0.pcd s/lidar1.pcd --transform r --truth s/truth.json
       retropole evaluate front.pcd rear.pcd --methods poles+scene,gicp,kiss
-      retropole evaluate front.pcd rear.pcd --methods poles,icp --json
 
     \b
     Exit code:
@@ -132,9 +127,9 @@ def evaluate(
     from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
 
+    config = RunConfig(**options)
+    T_true = None if truth is None else read_transform(truth).T_parent_child
     if transform is None:
-        T_true = None if truth is None else read_transform(truth).T_parent_child
-        config = RunConfig(**options)
         with listening(quiet, config.frames) as listener, _libraries_print_to_stderr():
             found = compare(
                 target, source, config, methods, T_true, listener, sigma=sigma, seed=seed
@@ -152,12 +147,10 @@ def evaluate(
             show(in_words(found, target, source))
         return _exit_code(found, as_json=as_json)
     T = read_transform(transform, parent=parent, child=child).T_parent_child
-    T_true = None if truth is None else read_transform(truth).T_parent_child
-    of_reading = {field for pair in (*TOPICS, *READING) for field in pair[:2]} | {"frames"}
-    read = {name: value for name, value in options.items() if name in of_reading}
-    with listening(quiet, options["frames"], hidden=as_json) as listener:
+    with listening(quiet, config.frames, hidden=as_json) as listener:
         given = transform if parent is None and child is None else T
-        aligned = score(target, source, given, sigma=sigma, seed=seed, **listener._asdict(), **read)
+        how = {"sigma": sigma, "seed": seed, "options": config, **listener._asdict()}
+        aligned = score(target, source, given, **how)
     errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
         figures = {

@@ -10,9 +10,8 @@ import click
 from ..api import transforms
 from ..api.transforms import FORMATS, TREE_FORMATS
 from ..base.files import write_atomically
-from .brief import Brief
 from .common import echo_warning, fill_in, say, show
-from .options import CLOUD, FILE
+from .options import CLOUD, FILE, Brief
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
@@ -99,15 +98,12 @@ def export(
     \b
     Examples:
       retropole export retropole-out --to ros2 --parent front_lidar --child rear_lidar
-      retropole export result.json --to json --out calibration.json
       retropole export result.json --to matrix --invert
       retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
       retropole export result.json --to launch --mounting base_to_front.yaml --child rear_lidar
       retropole export sensors_calibration.yaml --to urdf --parent front --child rear
       retropole export retropole-out --to mcap --out aligned.mcap
-      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
       retropole export site-result.json --to geojson --out lidars.geojson
-      retropole export site-result.json --to urdf --out site.urdf
       retropole export site-result.json --to ros2 --parent mast-a --child mast-b
 
     \b

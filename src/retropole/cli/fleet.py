@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .brief import more_option
 from .common import EXIT_WARNED, Group, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_export, fleet_network
-from .options import SENSORS, run_options
+from .options import SENSORS, Brief, more_option, run_options
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -38,7 +37,7 @@ fleet.add_command(fleet_network)
 fleet.add_command(fleet_export)
 
 
-@fleet.command()
+@fleet.command(cls=Brief)
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
 @cluster_options
@@ -83,7 +82,6 @@ def calibrate(
       retropole fleet calibrate recordings/ --out fleet --report fleet.html
       retropole fleet calibrate 'posts/*/site.toml' --out fleet --reports reports --workers 8
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tls://head:8786
-      retropole fleet calibrate sites.csv --out fleet --retry --time-limit 3600
 
     \b
     Exit code:
@@ -132,7 +130,7 @@ def calibrate(
     return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
 
 
-@fleet.command()
+@fleet.command(cls=Brief)
 @click.argument("dataset", metavar="DATASET")
 @click.option("--out", required=True, metavar="FILE", help="File or URL to write.")
 @click.option(
@@ -159,15 +157,12 @@ def report(dataset: str, out: str, reports: str | None, history: str | None, qui
     \b
     Examples:
       retropole fleet report fleet --out fleet.html
-      retropole fleet report fleet --reports reports --out fleet.html
       retropole fleet report fleet --history history --out fleet.html
-      retropole fleet report s3://city/fleet --out fleet.html
 
     \b
     Exit code:
       0    written
       2    DATASET cannot be read, or the page not be written
-      130  interrupted
     """
     from ..fleet.overview import overview_of
     from ..fleet.report import write_fleet_report

@@ -10,10 +10,9 @@ import click
 from ..base.errors import printable
 from ..base.quantities import counted
 from ..fleet import TIME_LIMIT
-from .brief import Brief, more_option
 from .check import tolerance_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
-from .options import Command, Number, Whole
+from .options import Brief, Command, Number, Whole, more_option
 
 if TYPE_CHECKING:
     from ..fleet.history.run import FleetCheck, SiteChange
@@ -116,7 +115,6 @@ def fleet_check(
     \b
     Examples:
       retropole fleet check tonight.csv --answers fleet --history history
-      retropole fleet check tonight/ --answers fleet --history history --json
       retropole fleet check sites.csv --history s3://city/history --scheduler tls://head:8786
 
     \b

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .brief import Brief, more_option
 from .common import BY_OPTIONS, echo_warning, listening, show, show_written
-from .options import CLOUD, FILE, Number
+from .options import CLOUD, FILE, Brief, Number, more_option
 
 if TYPE_CHECKING:
     from ..result.level import LevelDoc
@@ -74,7 +73,6 @@ def level(
       0    found
       2    RESULT or a recording cannot be read, or an option is wrong
       3    refused: too little ground is seen, or two levels of it; or RESULT has no poses
-      130  interrupted
     """
     from ..api.leveling import BaseLink, level_result
 
@@ -101,10 +99,7 @@ def level(
 
 
 LEVEL = more_option(
-    "--level",
-    "with_level",
-    is_flag=True,
-    help="Find roll, pitch and height over the ground, too, as 'retropole level' does.",
+    "--level", "with_level", is_flag=True, help="Do what 'retropole level' does as well."
 )
 
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..result.options import Frames
-from .brief import Brief, more_option
 from .common import echo_warning, json_text, listening, say, show, show_written
-from .options import CLOUD, FILE, METRES, Number, Whole, run_option
+from .options import CLOUD, FILE, METRES, Brief, Number, Whole, more_option, run_option
 
 if TYPE_CHECKING:
     from ..api.merging import Merged
@@ -133,7 +132,6 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
 )
 @more_option(
     "--to-topic",
-    default=None,
     metavar="TOPIC",
     help="With --live, the topic to publish on.  [default: /retropole/points, without -o]",
 )
@@ -179,7 +177,6 @@ def merge(
     \b
     Examples:
       retropole merge retropole-out -o both.ply --colour lidar
-      retropole merge retropole-out drive.bag drive.bag -o drive.mcap
       retropole merge site-result.json -o site.laz --voxel 0.05 --static
       retropole merge out --recording mast-a=a.bag --recording mast-b=b.bag -o day.laz
       retropole merge retropole-out --surfels -o surfels.ply

@@ -1,6 +1,7 @@
 """Options of commands, those of a run made of the fields of `RunConfig`: bounds and help are there.
 
-A command takes them by these fields: ``RunConfig(**options)``.
+A command takes them by these fields: ``RunConfig(**options)``. Its --help lists those that many
+need, and --help-all all.
 """
 
 from __future__ import annotations
@@ -8,10 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import inspect
 
@@ -27,13 +31,74 @@ from ..result.options import (
     frames_named,
     radius_in_metres,
 )
-from .brief import Option, more_option
 
 Command = Callable[..., int]
 
 CLOUD = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 OUT = click.Path(path_type=Path, file_okay=False)
+
+
+HELP_ALL = "retropole.help-all"
+"""Set in a context's `meta` where the whole help is wanted."""
+
+
+class Option(click.Option):
+    """An option; with `more`, --help-all alone lists it."""
+
+    def __init__(self, *names: Any, more: bool = False, **settings: Any) -> None:
+        super().__init__(*names, **settings)
+        self.more = more
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Give what the help lists, where it does."""
+        return None if self.more and HELP_ALL not in ctx.meta else super().get_help_record(ctx)
+
+
+more_option = partial(click.option, cls=Option, more=True)
+"""Make an option that --help-all alone lists."""
+
+
+class Brief(click.Command):
+    """A command whose --help ends at a form feed in its text; --help-all shows the rest as well."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """List all parameters, and --help-all and --help."""
+        *own, usual = super().get_params(ctx)
+        return [*own, _HELP_ALL, usual]
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the text, up to the form feed or all of it."""
+        text = cleandoc(self.help or "")
+        is_all = HELP_ALL in ctx.meta
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(text.replace("\f\n", "") if is_all else text.partition("\f")[0])
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, and how many more there are."""
+        super().format_options(ctx, formatter)
+        more = sum(getattr(each, "more", False) for each in self.params)
+        if more and HELP_ALL not in ctx.meta:
+            formatter.write(f"\n--help-all: {more} more\n")
+
+
+def _help_all(context: click.Context, option: click.Parameter, is_wanted: bool) -> None:
+    if is_wanted and not context.resilient_parsing:
+        context.meta[HELP_ALL] = True
+        click.echo(context.get_help())
+        context.exit()
+
+
+_HELP_ALL = Option(
+    ["--help-all"],
+    more=True,
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_help_all,
+    help="Show all options and examples, and exit.",
+)
 
 
 class Whole(click.IntRange):
@@ -128,9 +193,6 @@ TOPICS = (PAIRS["topic"],)
 WANTED = PAIRS["intensity"], PAIRS["angles"]
 READING = PAIRS["unit"], *WANTED
 
-AUTO = "auto"
-"""Stands for a LiDAR of a `Both` that has no value of its own."""
-
 
 class Both(Option):
     """An option of both LiDARs: given once for both, or for TARGET and again for SOURCE.
@@ -140,39 +202,30 @@ class Both(Option):
     """
 
     def __init__(self, *names: Any, pair: Pair, **settings: Any) -> None:
-        super().__init__(*names, multiple=True, expose_value=False, callback=_to_fields, **settings)
+        super().__init__(*names, multiple=True, expose_value=False, **settings)
         self.pair = pair
 
     def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
         """Have it parsed, and the older options."""
         super().add_to_parser(parser, ctx)
         for field in {self.pair.target, self.pair.source} - {self.name}:
-            parser.add_option(obj=self, opts=[_typed(field)], dest=field)
+            parser.add_option(obj=self, opts=[f"--{field.replace('_', '-')}"], dest=field)
 
     def handle_parse_result(
         self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
     ) -> tuple[Any, list[str]]:
-        """Put what older options say to the values."""
-        given, pair = list(opts.get(self.name or "") or ()), self.pair
-        first = None if pair.target == self.name else opts.get(pair.target)
-        second = opts.get(pair.source)
-        if first is not None or second is not None:
-            if len(given) > 1 or (given and first is not None):
+        """Give the command the fields, where either has a value; ``auto`` is none."""
+        pair, given = self.pair, list(opts.get(self.pair.name) or ())
+        older = [None if pair.target == pair.name else opts.get(pair.target), opts.get(pair.source)]
+        if any(each is not None for each in older):
+            if len(given) > 1 or (given and older[0] is not None):
                 raise click.UsageError(f"{self.opts[0]} is for TARGET and again for SOURCE", ctx)
-            opts = {**opts, self.name or "": [*[*given, first][:1], second]}
-        return super().handle_parse_result(ctx, opts, args)
-
-    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
-        """Take one value or two; None for what has none of its own."""
-        return tuple(
-            None if each in (None, AUTO) else self.type(each, self, ctx) for each in value or ()
-        )
-
-
-def _to_fields(context: click.Context, option: click.Parameter, values: tuple[Any, ...]) -> None:
-    assert isinstance(option, Both)
-    if values:
-        context.params |= option.pair.fields(*values)
+            given = [given[0] if given else older[0], older[1]]
+        if given and not ctx.resilient_parsing:
+            ctx.set_parameter_source(pair.name, ParameterSource.COMMANDLINE)
+            values = (None if v in (None, "auto") else self.type(v, self, ctx) for v in given)
+            ctx.params |= pair.fields(*values)
+        return None, args
 
 
 def placement_arguments(command: Command) -> Command:
@@ -217,45 +270,27 @@ def run_option(
     changes
         What is another here, as `Option` takes it.
     """
-    if isinstance(field, Pair):
-        return _both(field, changes)
-    name = name or NAMES.get(field, _typed(field.removesuffix("_m")))
-    return click.option(name, field, **_settings(field) | changes)
-
-
-def _both(pair: Pair, changes: dict[str, Any]) -> Callable[[Command], Command]:
-    """Make an option of both LiDARs."""
-    name = next(name for name, each in PAIRS.items() if each == pair)
-    settings = _settings(pair.target) | {"cls": Both, "pair": pair, "default": None} | changes
-    words, mark, default = settings["help"].partition("  [default")
-    once = "" if name != "angles" else "Once: TARGET's. "
-    settings["help"] = f"{words} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
-    return click.option(_typed(name), name, **settings)
-
-
-def _typed(field: str) -> str:
-    return f"--{field.replace('_', '-')}"
-
-
-def _settings(field: str) -> dict[str, Any]:
-    """Say what the option of a field of `RunConfig` is, as `Option` takes it."""
-    kind, words, is_rare = OPTIONS[field]
-    default = getattr(DEFAULT_CONFIG, field)
-    settings = {"cls": Option, "more": is_rare, "help": words, "default": default}
-    settings["metavar"] = METAVARS.get(field)
+    of = field.target if isinstance(field, Pair) else field
+    kind, words, is_rare = OPTIONS[of]
+    default = getattr(DEFAULT_CONFIG, of)
+    settings: dict[str, Any] = {"cls": Option, "more": is_rare, "metavar": METAVARS.get(of)}
     if isinstance(kind, inspect.BoolType):
-        return settings | {"is_flag": True, "flag_value": not default, "show_default": False}
-    if field == "frames":
+        settings |= {"is_flag": True, "flag_value": not default, "show_default": False}
+    else:
+        settings["type"] = _type(of, kind)
+    if of == "frames":
         settings["callback"] = _frames
-    if field == "sensor_target":
+    if of == "sensor_target":
         settings["shell_complete"] = _sensors
-    return settings | {"type": _type(field, kind)}
-
-
-def _sensors(context: click.Context, option: click.Parameter, incomplete: str) -> list[Any]:
-    """Complete the name of a sensor, or of a file that describes one."""
-    names = [name for name in KNOWN_SENSORS if name.lower().startswith(incomplete.lower())]
-    return names or [CompletionItem(incomplete, type="file")]
+    settings |= {"help": words, "default": default} | changes
+    if not isinstance(field, Pair):
+        name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
+        return click.option(name, field, **settings)
+    said, mark, default = settings["help"].partition("  [default")
+    once = "Once: TARGET's. " if field.name == "angles" else ""
+    words = f"{said} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
+    settings |= {"cls": Both, "pair": field, "default": None, "help": words}
+    return click.option(f"--{field.name}", field.name, **settings)
 
 
 def run_options(*fields: str | Pair, **changes: Any) -> Callable[[Command], Command]:
@@ -267,6 +302,12 @@ def run_options(*fields: str | Pair, **changes: Any) -> Callable[[Command], Comm
         return command
 
     return add
+
+
+def _sensors(context: click.Context, option: click.Parameter, incomplete: str) -> list[Any]:
+    """Complete the name of a sensor, or of a file that describes one."""
+    names = [name for name in KNOWN_SENSORS if name.lower().startswith(incomplete.lower())]
+    return names or [CompletionItem(incomplete, type="file")]
 
 
 def _type(field: str, kind: inspect.Type) -> Any:

@@ -12,9 +12,8 @@ import numpy as np
 from ..result import PLAN_FILE, PLAN_PAGE, RunConfig
 from ..result.options import PAIRS
 from ..result.pole_plan import FEWEST_POLES, LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
-from .brief import Brief, more_option
 from .common import command_line, listening, show, show_written
-from .options import CLOUD, METRES, READING, TOPICS, Number, Whole, run_option, run_options
+from .options import CLOUD, METRES, READING, Brief, Number, Whole, more_option, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -30,10 +29,7 @@ ANGLE = Number(min=-360, max=360)
 @click.argument("target", type=CLOUD, required=False)
 @click.argument("source", type=CLOUD, required=False)
 @click.option(
-    "--xyz",
-    type=(COORDINATE,) * 3,
-    metavar="X Y Z",
-    help="Where SOURCE is in TARGET's frame, to 1 m.",
+    "--xyz", type=(COORDINATE,) * 3, metavar="X Y Z", help="SOURCE in TARGET's frame, to 1 m."
 )
 @click.option(
     "--rpy-deg", type=(ANGLE,) * 3, metavar="R P Y", help="How it is turned there, to 10°."
@@ -64,12 +60,9 @@ ANGLE = Number(min=-360, max=360)
     "--placements", type=Whole(1, MOST_PLACEMENTS), default=1, help="How often they are set up."
 )
 @more_option(
-    "--length",
-    type=Number(min=SHORTEST, max=LONGEST),
-    default=2.0,
-    help="Length of the poles, metres.",
+    "--length", type=Number(min=SHORTEST, max=LONGEST), default=2.0, help="Of the poles, m."
 )
-@run_option("radius_m", more=True)
+@run_options("radius_m", more=True)
 @run_options("need_m", "at_m")
 @click.option(
     "--allow",
@@ -87,7 +80,7 @@ ANGLE = Number(min=-360, max=360)
     metavar="X Y X Y",
     help="Rectangle where they may not; repeat it.",
 )
-@run_options(PAIRS["sensor"], *TOPICS, "frames", "max_points", *READING, more=True)
+@run_options(PAIRS["sensor"], PAIRS["topic"], "frames", "max_points", *READING, more=True)
 @out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
 @more_option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -134,7 +127,6 @@ def plan(
       0    planned
       2    a file or an option is wrong
       3    refused: no such plan; the reason is printed
-      130  interrupted
     """
     from ..api.planning import Wish
     from ..report.pole_plan import describe_plan

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import click
 
-from .brief import Brief
 from .common import progress_on_terminal, say, show_written
-from .options import CLOUD, FILE
+from .options import CLOUD, FILE, Brief
 from .out import alone_beside
 
 
@@ -61,7 +60,6 @@ def report(
     Examples:
       retropole report retropole-out/result.json
       retropole report today/result.json front.pcd rear.pcd
-      retropole report today/result.json --out share/monday.html
       retropole report today --site "Pier 4, crane 2" --serial target 11002 --serial source 11007
       retropole report quay/site-result.json moved/*.pcd --serial mast-a 11002
 
@@ -69,7 +67,6 @@ def report(
     Exit code:
       0    written
       2    RESULT or a cloud cannot be read
-      130  interrupted
     """
     from ..base.files import write_atomically
     from ..result import result_file

@@ -9,9 +9,8 @@ import click
 
 from ..base.datatypes import MAX_POLES
 from ..result.options import PAIRS
-from .brief import Brief
 from .common import progress_on_terminal, show_written
-from .options import SEED, Whole, run_option, run_options
+from .options import SEED, Brief, Whole, run_option, run_options
 from .out import out_folder
 
 SWEEPS = click.option(
@@ -57,7 +56,6 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
     Examples:
       retropole simulate site posts --lidars 4 --seed 1 --out s
       retropole simulate site crane --lidars 8 --placements 4 --survey --out s
-      retropole simulate site truck --lidars 5 --nuisances field --out s
     """
     from ..api.simulation import simulate_site as run
     from ..api.simulation import write_site
@@ -129,7 +127,6 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
     Examples:
       retropole simulate street --seed 1 --out s
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
-      retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor VLP-16 --poles 3
       retropole simulate street --sensor OS1 --sensor Mid-360 --sweeps 20 --seed 1 --out m
       retropole calibrate m/lidar0 m/lidar1

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..result import RunConfig, result_file
-from .brief import Brief
 from .common import listening, say, show_written
-from .options import CLOUD, FILE, run_option, run_options
+from .options import CLOUD, FILE, Brief, run_option, run_options
 
 if TYPE_CHECKING:
     from ..api.inputs import Listener

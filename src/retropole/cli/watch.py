@@ -15,7 +15,6 @@ import click
 
 from ..api.choices import SOURCE_KINDS
 from ..result import CERTIFICATE, REPORT_FILE, RESULT_FILE, RunConfig
-from .brief import Brief, more_option
 from .common import (
     EXIT_INTERRUPTED,
     EXIT_MOVED,
@@ -26,7 +25,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import SENSORS, WANTED, Whole, run_option, run_options
+from .options import CLOUD, SENSORS, WANTED, Brief, Whole, more_option, run_option, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -74,15 +73,10 @@ class Stopped(Event):
 @run_option(SENSORS[1], more=True)
 @run_options("need_m", "at_m", *WANTED)
 @more_option(
-    "--sweeps",
-    type=Whole(3, 100),
-    default=15,
-    help="Number of sweeps of each LiDAR that are kept of a placement.",
+    "--sweeps", type=Whole(3, 100), default=15, help="Sweeps of each LiDAR kept of a placement."
 )
 @click.option(
-    "--plan",
-    type=click.Path(path_type=Path),
-    help="Folder of a plan: it says where each pole should be. Its LiDARs are named by --name.",
+    "--plan", type=CLOUD, help="Plan of where each pole should be, with LiDARs named by --name."
 )
 @more_option(
     "--name",
@@ -92,10 +86,7 @@ class Stopped(Event):
     help="Names of both LiDARs.  [default: by their topics, or target and source]",
 )
 @click.option(
-    "--check",
-    "stored",
-    type=click.Path(path_type=Path),
-    help="A result, or its folder: say whether the LiDARs have moved since.",
+    "--check", "stored", type=CLOUD, help="A result, or its folder: have the LiDARs moved since?"
 )
 @more_option("--domain", type=Whole(0, 232), help="Domain of ROS 2.  [default: ROS_DOMAIN_ID]")
 @click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
@@ -157,10 +148,7 @@ def watch(
       retropole watch velodyne:2368 velodyne:2369 --sensor VLP-16 --sensor auto
       retropole watch velodyne:2368 velodyne:2369 --from 192.168.1.201 --from 192.168.1.202
       retropole watch hesai:2368 hesai:2369 --angles front.csv --angles rear.csv
-      retropole watch ouster:7502:front.json ros2:/rear/points --interface eth0
-      retropole watch folder:in/front folder:in/rear --plan retropole-plan
       retropole watch replay:drive.bag:/front replay:drive.bag:/rear
-      retropole watch ros2:/front/points ros2:/rear/points --publish
       retropole watch ros2:/front/points ros2:/rear/points --check retropole-out
 
     \b

@@ -142,9 +142,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         tuple[Angle, Angle, Angle] | None,
         rare("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
     ] = None
-    prior_sigma_deg: Annotated[PriorSigma, rare("1 sigma of --up or --prior-rpy-deg, degrees.")] = (
-        10.0
-    )
+    prior_sigma_deg: Annotated[PriorSigma, rare("1 sigma of --up or --prior-rpy-deg.")] = 10.0
     hypothesis: Annotated[
         Text | None,
         rare(
@@ -154,10 +152,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     poles: Annotated[
         Poles | None,
-        rare(
-            "Exact number of poles that both see; 0: the pose is found from the surroundings "
-            "alone.  [default: any]"
-        ),
+        rare("Exact number of poles that both see; 0: none, the scene alone.  [default: any]"),
     ] = None
     refine: Annotated[bool, rare("Use the poles only.")] = True
     trust_poles: Annotated[
@@ -222,17 +217,12 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     unit: Annotated[
         Unit, told("Unit of the coordinates; 'retropole info' says which they look like.")
     ] = "m"
-    unit_source: Annotated[
-        Unit | None, told("The same for SOURCE, where it is another.  [default: that of --unit]")
-    ] = None
+    unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,
         rare("Field of the intensity, where several may be; 'retropole info' lists them."),
     ] = None
-    intensity_source: Annotated[
-        Text | None,
-        told("The same for SOURCE, where it is another.  [default: that of --intensity]"),
-    ] = None
+    intensity_source: Annotated[Text | None, SAME] = None
     angles: Annotated[
         Text | None,
         rare("Of packets, the file of the unit's own angles: Hesai's .csv, or .dat of an AT128."),
@@ -280,43 +270,33 @@ DEFAULT_CONFIG = RunConfig()
 
 
 class Pair(NamedTuple):
-    """The two fields of what each LiDAR has, which is given once for both or for each.
+    """Fields of what each LiDAR has: one value is of both, unless it is the target's `alone`.
 
-    Attributes
-    ----------
-    target, source
-        Names of the fields.
-    is_copied
-        Whether one value is written to both fields; otherwise to that of the target. A source
-        without a unit or a field of the intensity has the target's; angles are of one unit alone.
-    usual
-        What the source has where the second value is None, which leaves it as it is usually.
+    A second value that is None stands for `usual`: a source without a unit has the target's.
     """
 
+    name: str
     target: str
     source: str
-    is_copied: bool = True
+    alone: bool = False
     usual: object = None
 
     def fields(self, *values: object) -> dict[str, object]:
         """Give the values of both fields, of one value or those of target and source."""
         if len(values) > 2:
-            raise UsageError(f"{self.target}: one value for both LiDARs, or target's and source's")
-        first, second = values[0], values[-1]
-        if len(values) == 1 and not self.is_copied:
-            second = None
-        elif second is None:
-            second = self.usual
-        return ({} if first is None else {self.target: first}) | {self.source: second}
+            raise UsageError(f"{self.name}: one value for both LiDARs, or target's and source's")
+        second = self.usual if values[-1] is None else values[-1]
+        first = {} if values[0] is None else {self.target: values[0]}
+        return first | {self.source: None if len(values) == 1 and self.alone else second}
 
 
 PAIRS = {
-    "sensor": Pair("sensor_target", "sensor_source", usual="auto"),
-    "threshold": Pair("threshold_target", "threshold_source"),
-    "topic": Pair("target_topic", "source_topic"),
-    "unit": Pair("unit", "unit_source", is_copied=False, usual="m"),
-    "intensity": Pair("intensity", "intensity_source", is_copied=False, usual=""),
-    "angles": Pair("angles", "angles_source", is_copied=False),
+    "sensor": Pair("sensor", "sensor_target", "sensor_source", usual="auto"),
+    "threshold": Pair("threshold", "threshold_target", "threshold_source"),
+    "topic": Pair("topic", "target_topic", "source_topic"),
+    "unit": Pair("unit", "unit", "unit_source", alone=True, usual="m"),
+    "intensity": Pair("intensity", "intensity", "intensity_source", alone=True, usual=""),
+    "angles": Pair("angles", "angles", "angles_source", alone=True),
 }
 """By what the command line and Python call each."""
 
