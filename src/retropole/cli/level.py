@@ -99,7 +99,7 @@ def level(
 
 
 LEVEL = more_option(
-    "--level", "with_level", is_flag=True, help="Do what 'retropole level' does as well."
+    "--level", "with_level", is_flag=True, help="Find roll, pitch and height over the ground, too."
 )
 
 
