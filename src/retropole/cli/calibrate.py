@@ -51,8 +51,8 @@ def calibrate(
 ) -> int:
     """Find the transform that maps points of SOURCE into the frame of TARGET.
 
-    TARGET and SOURCE are point clouds with an intensity (.pcd, .ply, .las, .csv, ...), folders of
-    them, one for each sweep, ROS bags, or packets (.pcap). Both may be the same bag.
+    TARGET and SOURCE are point clouds with an intensity, folders of them, one for each sweep, ROS
+    bags, or packets (.pcap). Both may be the same bag.
 
     \b
     Examples:

@@ -209,7 +209,7 @@ class Both(Option):
         """Have it parsed, and the older options."""
         super().add_to_parser(parser, ctx)
         for field in {self.pair.target, self.pair.source} - {self.name}:
-            parser.add_option(obj=self, opts=[f"--{field.replace('_', '-')}"], dest=field)
+            parser.add_option(obj=self, opts=[typed(field)], dest=field)
 
     def handle_parse_result(
         self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
@@ -284,13 +284,17 @@ def run_option(
         settings["shell_complete"] = _sensors
     settings |= {"help": words, "default": default} | changes
     if not isinstance(field, Pair):
-        name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
-        return click.option(name, field, **settings)
+        return click.option(name or NAMES.get(field) or typed(field), field, **settings)
     said, mark, default = settings["help"].partition("  [default")
     once = "Once: TARGET's. " if field.name == "angles" else ""
     words = f"{said} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
     settings |= {"cls": Both, "pair": field, "default": None, "help": words}
     return click.option(f"--{field.name}", field.name, **settings)
+
+
+def typed(field: str) -> str:
+    """Write the name of a field as its option."""
+    return f"--{field.removesuffix('_m').replace('_', '-')}"
 
 
 def run_options(*fields: str | Pair, **changes: Any) -> Callable[[Command], Command]:

@@ -186,15 +186,10 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     threshold_target: Annotated[
         Intensity | None,
-        told(
-            "Intensity from which a return is retro-reflective.  "
-            "[default: auto, from the sensor or the cloud]"
-        ),
+        told("Intensity from which a return is retro-reflective.  [default: auto]"),
     ] = None
     threshold_source: Annotated[Intensity | None, SAME] = None
-    sensor_target: Annotated[
-        Text, told("Name of the sensor, such as VLP-16, or a .toml file that describes it.")
-    ] = "auto"
+    sensor_target: Annotated[Text, told("Sensor, such as VLP-16, or a .toml file of one.")] = "auto"
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
         Text | None, told("Topic of the bag; needed if it has several topics of point clouds.")
@@ -214,9 +209,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
             "brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
-    unit: Annotated[
-        Unit, told("Unit of the coordinates; 'retropole info' says which they look like.")
-    ] = "m"
+    unit: Annotated[Unit, told("Unit of coordinates; see 'retropole info'.")] = "m"
     unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,
