@@ -62,43 +62,33 @@ more_option = partial(click.option, cls=Option, more=True)
 class Brief(click.Command):
     """A command whose --help ends at a form feed in its text; --help-all shows the rest as well."""
 
-    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """List all parameters, and --help-all and --help."""
-        *own, usual = super().get_params(ctx)
-        return [*own, _HELP_ALL, usual]
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        words = "Show all options and examples, and exit."
+        flag: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
+        more_option("--help-all", callback=_all, help=words, **flag)(self)
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the text, up to the form feed or all of it."""
-        text = cleandoc(self.help or "")
-        is_all = HELP_ALL in ctx.meta
+        first, _, rest = cleandoc(self.help or "").partition("\f\n")
         formatter.write_paragraph()
         with formatter.indentation():
-            formatter.write_text(text.replace("\f\n", "") if is_all else text.partition("\f")[0])
+            formatter.write_text(first + rest if HELP_ALL in ctx.meta else first)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and how many more there are."""
         super().format_options(ctx, formatter)
-        more = sum(getattr(each, "more", False) for each in self.params)
+        # The one that shows them is none of them.
+        more = sum(getattr(each, "more", False) for each in self.params) - 1
         if more and HELP_ALL not in ctx.meta:
             formatter.write(f"\n--help-all: {more} more\n")
 
 
-def _help_all(context: click.Context, option: click.Parameter, is_wanted: bool) -> None:
+def _all(context: click.Context, option: click.Parameter, is_wanted: bool) -> None:
     if is_wanted and not context.resilient_parsing:
         context.meta[HELP_ALL] = True
         click.echo(context.get_help())
         context.exit()
-
-
-_HELP_ALL = Option(
-    ["--help-all"],
-    more=True,
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_help_all,
-    help="Show all options and examples, and exit.",
-)
 
 
 class Whole(click.IntRange):
