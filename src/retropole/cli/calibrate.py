@@ -64,10 +64,8 @@ def calibrate(
     \b
     More examples:
       retropole calibrate front/ rear/ --threshold auto --threshold 150 --out today
-      retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
       retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
       retropole calibrate front.pcd rear.pcd --up --level
-      retropole calibrate front.pcd rear.pcd --hypothesis b
       retropole calibrate front.pcap rear.pcap --frames 100:150
       retropole calibrate front.csv rear.csv --unit mm --plan retropole-plan
 

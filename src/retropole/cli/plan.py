@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 COORDINATE = Number(min=-1000, max=1000)
 ANGLE = Number(min=-360, max=360)
+AREA: dict[str, Any] = {"type": (COORDINATE,) * 4, "multiple": True, "metavar": "X Y X Y"}
 
 
 @click.command(cls=Brief)
@@ -67,19 +68,10 @@ ANGLE = Number(min=-360, max=360)
 @click.option(
     "--allow",
     "allowed",
-    type=(COORDINATE,) * 4,
-    multiple=True,
-    metavar="X Y X Y",
-    help="Rectangle where poles may be, in the frame of the plan; repeat it.",
+    **AREA,
+    help="Rectangle where poles may be, in the plan's frame; repeat it.",
 )
-@click.option(
-    "--forbid",
-    "forbidden",
-    type=(COORDINATE,) * 4,
-    multiple=True,
-    metavar="X Y X Y",
-    help="Rectangle where they may not; repeat it.",
-)
+@click.option("--forbid", "forbidden", **AREA, help="Rectangle where they may not; repeat it.")
 @run_options(PAIRS["sensor"], PAIRS["topic"], "frames", "max_points", *READING, more=True)
 @out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
