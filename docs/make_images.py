@@ -155,7 +155,7 @@ def draw_street(out: Path, wanted: Collection[str]) -> None:
             run("detect", scans[0], "--out", folder, "-q")
             shutil.copy(folder / "detect.svg", out / "detect.svg")
         if "plan" in wanted:
-            sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
+            sensors = ("--sensor", "Pandar64", "--sensor", "OS1")
             run("plan", *scans, *sensors, "--out", folder / "p", "-q")
             photograph(folder / "p" / "plan.html", out / "plan.png", "#place")
         if "report" in wanted:
