@@ -48,6 +48,7 @@ def calibrate(
     sensor_source: str = DEFAULT_CONFIG.sensor_source,
     threshold_target: float | None = None,
     threshold_source: float | None = None,
+    carried: bool = False,
     poles: int | None = None,
     refine: bool = DEFAULT_CONFIG.refine,
     trust_poles: bool = DEFAULT_CONFIG.trust_poles,
@@ -86,6 +87,10 @@ def calibrate(
     threshold_target, threshold_source
         Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
         cloud.
+    carried
+        A person carries one pole, and both recordings are of the whole walk, with a time for each
+        point. The answer has the offset of the clocks, `CalibrationResult.walk`. What follows up to
+        `hypothesis`, but for `need` and `at`, is of standing poles alone.
     poles
         Exact number of poles that both LiDARs see; None takes any number from one up.
     refine
@@ -167,6 +172,11 @@ def calibrate_with(
     """
     config = checked_options(config)
     listener.progress("read")
+    if config.carried:
+        from .carried import calibrate_walk
+
+        walk, recorded = calibrate_walk(target, source, config, listener)
+        return CalibrationResult(walk, placements=recorded)
     start = time.perf_counter()
     pairs = read_placements(target, source, config, listener)
     inputs = [each for pair in pairs for each in pair]

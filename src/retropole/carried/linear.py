@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from ..base.systematic import Sizes, band_of
+from ..base.systematic import RING_KINDS, Sizes, band_of
 from .rows import Rows, left_open
 from .start import Start
 from .track import Track
@@ -38,7 +38,19 @@ seeds 25 to 29)."""
 POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
 """Among the unknowns of the border: the pose, the clocks' offset and the drift."""
 
-DEVICE = 12
+DEVICE_NAMES = (
+    ("range offset", "m", 1),
+    ("range scale", "1", 1),
+    ("encoder", "rad", 2),
+    ("wobble of the axis", "rad", 2),
+    ("bent scan lines", "rad", 4),
+    ("width of the beam", "1", 1),
+    ("depth at the edges of the pole", "1", 1),
+)
+RING_NAMES = tuple((kind.name, kind.unit) for kind in RING_KINDS)
+"""Errors of a whole LiDAR in their order, their units and how many of each, and of each ring."""
+
+DEVICE = sum(count for _, _, count in DEVICE_NAMES)
 """Errors of a whole LiDAR, after which come those of its rings."""
 
 

@@ -128,7 +128,7 @@ def _check_fit(best: Adjusted) -> None:
 
 def _check_clock(best: Adjusted) -> None:
     """Refuse clocks whose offset changes within the walk by more than they drift."""
-    offset, sigma = best.clock_windows.T
+    _, offset, sigma = best.clock_windows.T
     jumps = (np.abs(offset) > MAX_JUMP) & (np.abs(offset) > JUMP_SIGMAS * sigma)
     if jumps.any():
         worst = int(np.argmax(np.abs(offset) * jumps))

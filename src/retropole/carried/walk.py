@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,8 +34,9 @@ class WalkCalibration:
     ----------
     T_target_source, covariance
         (4, 4), and (6, 6) over ``[φ, δ]``, rad and m, target axes, with unmodelled errors.
-    offset, offset_sigma, drift
-        By how much the source's clock is ahead at the middle of the walk, s, its 1 σ, and rate.
+    offset, offset_sigma, drift, middle
+        By how much the source's clock is ahead at the middle of the walk, s, its 1 σ, its rate, and
+        that middle by the target's clock, s.
     tracks
         What the target and the source saw.
     adjusted
@@ -47,6 +48,7 @@ class WalkCalibration:
     offset: float
     offset_sigma: float
     drift: float
+    middle: float
     tracks: tuple[Track, Track]
     adjusted: Adjusted
 
@@ -58,6 +60,7 @@ def calibrate_walk(
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
     radius: float = DEFAULT_RADIUS,
+    ahead: float | None = None,
 ) -> WalkCalibration:
     """Find pose and clock offset of two LiDARs before which one pole is carried.
 
@@ -71,6 +74,8 @@ def calibrate_walk(
         Intensity from which a return counts as retro-reflective; None for the sensor's.
     radius
         Of the pole, metres.
+    ahead
+        As of `calibrate_tracks`.
 
     Raises
     ------
@@ -79,11 +84,14 @@ def calibrate_walk(
     """
     of_both = zip((target, source), sensors, thresholds, strict=True)
     tracks = [find_track(each, s, threshold=t, radius=radius) for each, s, t in of_both]
-    return calibrate_tracks((tracks[0], tracks[1]), sensors, radius)
+    return calibrate_tracks((tracks[0], tracks[1]), sensors, radius, ahead)
 
 
 def calibrate_tracks(
-    tracks: tuple[Track, Track], sensors: tuple[Sensor | None, Sensor | None], radius: float
+    tracks: tuple[Track, Track],
+    sensors: tuple[Sensor | None, Sensor | None],
+    radius: float,
+    ahead: float | None = None,
 ) -> WalkCalibration:
     """Find pose and clock offset from what both LiDARs saw of the pole.
 
@@ -93,6 +101,9 @@ def calibrate_tracks(
         Of the target and the source.
     sensors, radius
         As of `calibrate_walk`.
+    ahead
+        By how much the source's clock is ahead as it is otherwise known, to within `WIDEST`, s.
+        None: not at all, or where the walks lie apart then, as if both began together.
 
     Raises
     ------
@@ -100,7 +111,11 @@ def calibrate_tracks(
         As `calibrate_walk`.
     """
     check_tracks(tracks)
-    starts = distinct(find_starts(*tracks))
+    if ahead is None:
+        ahead = apart(*tracks)
+    times, stamps = tracks[1].times - ahead, tracks[1].stamps - ahead
+    both = tracks[0], replace(tracks[1], times=times, stamps=stamps)
+    starts = distinct(find_starts(*both))
     if not starts:
         raise Refusal(
             "no_common_walk",
@@ -111,19 +126,32 @@ def calibrate_tracks(
         )
     target, source = (
         Seen(rows_of(track, sensor, radius), sizes_of(sensor))
-        for track, sensor in zip(tracks, sensors, strict=True)
+        for track, sensor in zip(both, sensors, strict=True)
     )
-    best = chosen([adjust(start, tracks, (target, source), radius) for start in starts])
+    best = chosen([adjust(start, both, (target, source), radius) for start in starts])
     covariance = best.covariance[:6, :6] + floor()
     return WalkCalibration(
         best.T_target_source,
         covariance,
-        best.offset,
+        best.offset + ahead,
         float(np.sqrt(best.covariance[6, 6])),
         best.drift,
+        float(best.times.mean()),
         tracks,
         best,
     )
+
+
+def apart(target: Track, source: Track) -> float:
+    """How far the clocks are apart where the walks do not overlap by half as they are, s; else 0.
+
+    Taken from where the pole was first seen.
+    """
+    begins, ends = ([each.times[k] for each in (target, source)] for k in (0, -1))
+    shorter = min(target.times[-1] - target.times[0], source.times[-1] - source.times[0])
+    if min(ends) - max(begins) >= shorter / 2:
+        return 0.0
+    return float(source.times[0] - target.times[0])
 
 
 def distinct(starts: Sequence[Start]) -> list[Start]:

@@ -28,7 +28,7 @@ from .out import out_folder
 @out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
-@run_options("poles", "up", "prior_rpy_deg", "prior_sigma_deg")
+@run_options("carried", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
 @click.option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
@@ -69,6 +69,7 @@ def calibrate(
       retropole calibrate front.csv rear.csv --unit mm
       retropole calibrate front.pcd rear.pcd --poles 0
       retropole calibrate front.pcd rear.pcd --plan retropole-plan
+      retropole calibrate walk.mcap walk.mcap --target-topic /front --source-topic /rear --carried
 
     \b
     Exit code:
@@ -80,6 +81,8 @@ def calibrate(
     """
     from ..api.calibration import calibrate_with
 
+    if options["carried"] and plan is not None:
+        raise click.UsageError("--plan is of standing poles, --carried of one that moves")
     # A plan that cannot be read is told before the work.
     wanted = None
     if plan is not None:

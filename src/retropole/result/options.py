@@ -145,6 +145,13 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
             "verdict is warn at best, and refused if the scene contradicts it."
         ),
     ] = None
+    carried: Annotated[
+        bool,
+        told(
+            "A person carried one pole through the view of both, who recorded the walk. Gives the "
+            "offset of the clocks as well."
+        ),
+    ] = False
     poles: Annotated[
         Poles | None,
         told("Exact number of poles that both see; 0: the place gives the pose.  [default: any]"),
