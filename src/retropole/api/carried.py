@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..base.datatypes import Calibration, Placement, PointCloud, Scan
+from ..base.datatypes import Calibration, Placement, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
 from ..carried.statement import state_walk
@@ -19,7 +19,6 @@ from ..io.fields import in_metres
 from ..io.recordings import chosen_frames, is_unix
 from ..io.timed import timed_frames
 from ..result import ResultDoc, RunConfig, result_document
-from ..surfaces.scans import find_poles
 from ..verdict.fitness import judge
 from ..verdict.statement import state_refusal
 from .inputs import (
@@ -74,7 +73,9 @@ def calibrate_walk(
     begun = step("read", begun)
     listener.progress("extract")
     with threadpool_limits(1, user_api="blas"):
-        target_scan, source_scan = (_scene_of(given, config.radius_m) for given in pairs[0])
+        target_scan, source_scan = (
+            given.search(config.radius_m, for_poles=False) for given in pairs[0]
+        )
         placement = Placement(target_scan, source_scan)
         calibration: Calibration
         try:
@@ -94,13 +95,6 @@ def calibrate_walk(
             calibration = state_refusal(refusal, (placement,), (), seconds)
     document = result_document(calibration, inputs=documents, config=config, seconds=seconds)
     return document, calibration.placements
-
-
-def _scene_of(given: Input, radius: float) -> Scan:
-    """What stands in some sweeps of a recording."""
-    return find_poles(
-        given.cloud, sensor=given.sensor, threshold=given.threshold, radius=radius, search=False
-    )
 
 
 def _track(given: Input, radius: float, listener: Listener) -> tuple[Track, float | None]:

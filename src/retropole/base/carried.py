@@ -7,12 +7,12 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from .bounded import LONGEST_LIST, Count, Number, Share, Size
+from .bounded import LONGEST_LIST, Count, Number, Share, Size, Vector
 
 Row = Annotated[list[Number], Meta(max_length=4)]
 
 
-class CarriedWalk(msgspec.Struct, frozen=True):
+class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     """A walk before two LiDARs, and their clocks.
 
     Attributes
@@ -37,6 +37,8 @@ class CarriedWalk(msgspec.Struct, frozen=True):
         sensor, a factor, and what moves the edges of the pole.
     clock_windows
         Of each window of 5 s: its middle, the offset beside that of the walk and its 1 σ, s.
+    up
+        (3,) the way the pole points on average, target axes.
     path
         Where the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
         target's frame.
@@ -56,4 +58,5 @@ class CarriedWalk(msgspec.Struct, frozen=True):
     range_scale: tuple[Size, Size]
     edge_jitter_rad: tuple[Size, Size]
     clock_windows: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
+    up: Vector
     path: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]

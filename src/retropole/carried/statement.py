@@ -59,7 +59,7 @@ def state_walk(
         placements=(placement,),
         seconds=seconds,
         uncertainty=uncertainty_of_pair(parts),
-        walk=_figures(found, points),
+        walk=_figures(found, points, directions),
     )
 
 
@@ -78,13 +78,16 @@ def rms_of(adjusted: Adjusted) -> float:
     return float(np.sqrt(np.sum(weights * off**2) / max(weights.sum(), 1.0)))
 
 
-def _figures(found: WalkCalibration, points: Array) -> CarriedWalk:
+def _figures(found: WalkCalibration, points: Array, directions: Array) -> CarriedWalk:
     adjusted, (target, source) = found.adjusted, found.tracks
     along, across, lean = extent_of(adjusted)
     first, last = adjusted.times.min(), adjusted.times.max()
     inside = (adjusted.at >= first) & (adjusted.at <= last)
     path = np.column_stack([adjusted.at - first, points])[inside]
     scale, jitter = adjusted.spread.T
+    # A direction has no sign: most LiDARs have their z axis upwards.
+    up = directions.mean(axis=0)
+    up *= np.sign(up[2] + (found.T_target_source[:3, 2] @ up)) or 1.0
     return CarriedWalk(
         clock_offset_s=-found.offset,
         clock_sigma_s=found.offset_sigma,
@@ -100,5 +103,6 @@ def _figures(found: WalkCalibration, points: Array) -> CarriedWalk:
         range_scale=(float(scale[0]), float(scale[1])),
         edge_jitter_rad=(float(jitter[0]), float(jitter[1])),
         clock_windows=(adjusted.clock_windows * [1, -1, 1]).tolist(),
+        up=up / np.linalg.norm(up),
         path=every_nth(path, MOST_PLACES).tolist(),
     )

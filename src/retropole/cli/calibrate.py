@@ -93,7 +93,9 @@ def calibrate(
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
     targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
-    with listening(quiet, config.frames, units=False) as listener:
+    # Of a walk every sweep is searched, whatever the page shows.
+    asked = config.frames or (config.carried or None)
+    with listening(quiet, asked, units=False) as listener:
         result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
     following = {
