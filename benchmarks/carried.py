@@ -101,7 +101,7 @@ def main() -> None:
         error = predicted_error(np.outer(step, step), (AT,))[0].sigma_m
         stated = predicted_error(found.covariance, (AT,))[0].sigma_m
         squares = float(step @ np.linalg.solve(found.covariance, step))
-        middle = float(found.adjusted.times.mean())
+        middle = found.middle
         clock = source.clock + source.drift * middle - found.offset
         is_wrong = error > max(SIGMAS * stated, WRONG)
         wrong += is_wrong

@@ -56,7 +56,7 @@ MAX_STEPS = 40
 """Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
 
 WINDOW, FEWEST_IN_WINDOW = 5.0, 40
-"""Windows in which the clocks' offset is looked at: s, and rows of the source."""
+"""Windows in which the clocks' offset is looked at: s, and rows of each LiDAR."""
 
 LEAST_MOTION = 1e-3
 """No noise of the motion is less: of a pole that never leans it would fall forever."""
@@ -92,8 +92,9 @@ class Adjusted:
         (4, 4).
     covariance
         (7, 7) over ``[φ, δ, τ]``, rad, m and s, target axes.
-    offset, drift
-        By how much the source's clock is ahead at the middle of the walk, s, and its rate.
+    offset, drift, middle
+        By how much the source's clock is ahead in the middle of what both saw, s, its rate, and
+        that middle by the target's clock.
     motion
         (4,) noise of the acceleration, as `NOISE`.
     residuals, weights, times, lidar
@@ -124,6 +125,7 @@ class Adjusted:
     covariance: Array
     offset: float
     drift: float
+    middle: float
     motion: Array
     residuals: Array
     weights: Array
@@ -215,6 +217,7 @@ def adjust(
         step.covariance[:CLOCK, :CLOCK],
         float(state.border[0]),
         float(state.border[1]),
+        frame.middle,
         motion,
         system.residuals,
         weights,
@@ -230,6 +233,34 @@ def adjust(
         sigma * system.residuals[:, 0],
         converged,
         float(cost),
+    )
+
+
+def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted:
+    """Express what was found about the start of the beams in the frames of both recordings.
+
+    Parameters
+    ----------
+    found
+        As `adjust` gives it.
+    T_target, T_source
+        (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
+    """
+    T = T_target @ found.T_target_source @ se3.inverse(T_source)
+    R = T_target[:3, :3]
+    # Errors are those of another origin of the source, on other axes.
+    J = np.eye(7)
+    J[:3, :3] = J[3:6, 3:6] = R
+    J[3:6, :3] = -se3.hat(T[:3, 3] - (T_target @ found.T_target_source)[:3, 3]) @ R
+    wide = np.eye(12)
+    wide[6:, 6:] = J[:6, :6]
+    return replace(
+        found,
+        T_target_source=T,
+        covariance=J @ found.covariance @ J.T,
+        random=J[:6, :6] @ found.random @ J[:6, :6].T,
+        parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
+        T_walk_target=found.T_walk_target @ se3.inverse(T_target),
     )
 
 
@@ -341,10 +372,11 @@ def _clock_windows(
 ) -> Array:
     """Give each window an offset of its own: (K, 3) its middle, the offset and its 1 σ, s."""
     place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    counted = (weights > 0).all(axis=1)
+    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
+    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
+    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
     place[system.lidar == 0] = -1
-    place[(weights * system.offset_slopes**2).sum(axis=1) == 0] = -1
-    number, counts = np.unique(place[place >= 0], return_counts=True)
-    number = number[counts >= FEWEST_IN_WINDOW]
     if len(number) < 2:
         return np.zeros((0, 3))
     windows = np.zeros((*system.residuals.shape, len(number)))

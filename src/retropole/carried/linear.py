@@ -97,6 +97,10 @@ def frame_of(
     T = se3.from_rt(R, -R @ target.points.mean(axis=0))
     times = np.r_[seen[0].rows.times, seen[1].rows.times - start.offset]
     first = float(times.min()) - 0.5
+    # Clocks are compared where both see the pole.
+    begin = max(seen[0].rows.times.min(), seen[1].rows.times.min() - start.offset)
+    end = min(seen[0].rows.times.max(), seen[1].rows.times.max() - start.offset)
+    middle = float(times[(times >= begin) & (times <= end)].mean()) if end > begin else first
     count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
     bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
     for each in seen:
@@ -119,7 +123,7 @@ def frame_of(
         )
         prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
     return Frame(
-        T, first, float(times.mean()), count, radius, seen, (bands[0], bands[1]),
+        T, first, middle, count, radius, seen, (bands[0], bands[1]),
         np.concatenate(prior),
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ from ..base.errors import Refusal
 from ..base.sensors import Sensor
 from ..base.systematic import sizes_of
 from ..base.uncertainty import floor
-from .adjustment import Adjusted, adjust
+from .adjustment import Adjusted, adjust, in_recordings
 from .linear import Seen
 from .rows import rows_of
 from .start import FEWEST, WIDEST, Start, find_starts
@@ -35,8 +35,8 @@ class WalkCalibration:
     T_target_source, covariance
         (4, 4), and (6, 6) over ``[φ, δ]``, rad and m, target axes, with unmodelled errors.
     offset, offset_sigma, drift, middle
-        By how much the source's clock is ahead at the middle of the walk, s, its 1 σ, its rate, and
-        that middle by the target's clock, s.
+        By how much the source's clock is ahead in the middle of what both saw, s, its 1 σ, its
+        rate, and that middle by the target's clock, s.
     tracks
         What the target and the source saw.
     adjusted
@@ -129,6 +129,7 @@ def calibrate_tracks(
         for track, sensor in zip(both, sensors, strict=True)
     )
     best = chosen([adjust(start, both, (target, source), radius) for start in starts])
+    best = in_recordings(best, *(track.T_recording_beams for track in tracks))
     covariance = best.covariance[:6, :6] + floor()
     return WalkCalibration(
         best.T_target_source,
@@ -136,7 +137,7 @@ def calibrate_tracks(
         best.offset + ahead,
         float(np.sqrt(best.covariance[6, 6])),
         best.drift,
-        float(best.times.mean()),
+        best.middle,
         tracks,
         best,
     )
