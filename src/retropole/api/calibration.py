@@ -90,7 +90,7 @@ def calibrate(
     carried
         A person carries one pole, and both recordings are of the whole walk, with a time for each
         point. The answer has the offset of the clocks, `CalibrationResult.walk`. What follows up to
-        `hypothesis`, but for `need` and `at`, is of standing poles alone.
+        `hypothesis`, but for `refine`, `need` and `at`, is of standing poles alone.
     poles
         Exact number of poles that both LiDARs see; None takes any number from one up.
     refine

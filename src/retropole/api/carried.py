@@ -90,7 +90,9 @@ def calibrate_walk(
             sensors = (pairs[0].target.sensor, pairs[0].source.sensor)
             found = calibrate_tracks((of_target, of_source), sensors, config.radius_m, known)
             step("adjust", begun)
-            calibration = judge(state_walk(found, placement, seconds), config.need)
+            listener.progress("refine")
+            stated = state_walk(found, placement, seconds, scene=config.refine)
+            calibration = judge(stated, config.need)
         except Refusal as refusal:
             calibration = state_refusal(refusal, (placement,), (), seconds)
     document = result_document(calibration, inputs=documents, config=config, seconds=seconds)

@@ -80,7 +80,7 @@ def checked_options(config: RunConfig) -> RunConfig:
 
 NOT_OF_WALKS = (
     *("radius_sigma_m", "up", "prior_rpy_deg", "prior_sigma_deg", "hypothesis", "poles"),
-    *("refine", "trust_poles", "deceiving_share", "mast_sway_deg"),
+    *("trust_poles", "deceiving_share", "mast_sway_deg"),
 )
 """Options of standing poles that say nothing of one that is carried."""
 

@@ -393,7 +393,7 @@ def _clock_windows(
         motion,
         draws,
     )
-    own = slice(len(frame.prior), None)
-    sigma = np.sqrt(np.diag(step.covariance)[own])
+    of_windows = slice(len(frame.prior), None)
+    sigma = np.sqrt(np.diag(step.covariance)[of_windows])
     middle = frame.first + WINDOW * (number + 0.5)
-    return np.stack([middle, step.border[own], sigma], axis=1)
+    return np.stack([middle, step.border[of_windows], sigma], axis=1)

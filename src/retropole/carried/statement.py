@@ -6,12 +6,27 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..adjustment.agreement import (
+    check_agreement,
+    check_contradiction,
+    check_decisive,
+    check_minima,
+)
+from ..adjustment.refinement import Refinement, refine
 from ..alignment.certainty import FLOOR, part_of, root_of, uncertainty_of_pair
+from ..alignment.origins import beam_origins
 from ..base import se3
 from ..base.carried import CarriedWalk
 from ..base.datatypes import Array, Calibration, Placement, PoseEstimate, every_nth
-from ..base.uncertainty import floor, predicted_error, weakest_direction
-from .adjustment import Adjusted
+from ..base.errors import warnings_and_notes
+from ..base.systematic import ErrorModel
+from ..base.uncertainty import Uncertainty, floor, predicted_error, weakest_direction
+from ..extraction.sensor_pattern import error_sizes
+from ..hypotheses.evidence import check_confirmation, count, is_in_conflict, scenes_of
+from ..hypotheses.placements import left_in
+from ..surfaces.averaging import averaged
+from ..verdict import check_sensor, check_sway
+from .adjustment import Adjusted, in_recordings
 from .verdict import extent_of
 from .walk import WalkCalibration
 
@@ -26,9 +41,9 @@ NO_POSE = np.zeros((6, 6))
 
 
 def state_walk(
-    found: WalkCalibration, placement: Placement, seconds: Mapping[str, float]
+    found: WalkCalibration, placement: Placement, seconds: Mapping[str, float], *, scene: bool
 ) -> Calibration:
-    """State the answer of a walk.
+    """State the answer of a walk, refined by the surfaces that stood around where they are known.
 
     Parameters
     ----------
@@ -38,29 +53,82 @@ def state_walk(
         What both LiDARs recorded, without what moved.
     seconds
         Time of each step.
+    scene
+        Whether the surfaces may refine it.
+
+    Raises
+    ------
+    Refusal
+        Where a LiDAR did not stand still, and where what stands conflicts with the answer.
     """
+    for scan in placement.scans:
+        if scan.refusal is not None:
+            raise scan.refusal
     points, directions = axes_in_target(found.adjusted)
-    scatter = root_of(found.adjusted.random)
+    origins = beam_origins([placement])
+    (about,) = origins.about([placement])
+    shifts = [se3.from_rt(np.eye(3), -each) for each in (origins.target, origins.source)]
+    adjusted = in_recordings(found.adjusted, shifts[0], shifts[1])
+    walk = PoseEstimate(
+        adjusted.T_target_source, adjusted.covariance[:6, :6] + floor(), rms_of(adjusted)
+    )
+    refined = _refined(walk, about) if scene else None
+    pose = walk if refined is None else refined.pose
+    assert pose.covariance is not None
+    check_contradiction(refined)
+    confirmation = count(scenes_of([about], np.random.default_rng(0)), pose.T_target_source)
+    if is_in_conflict(confirmation):
+        check_confirmation(confirmation)
+    some = slice(None, None, max(1, len(points) // FEWEST_AXES))
+    axes = points[some] - origins.target, directions[some]
+    reasons, notes = warnings_and_notes(
+        [
+            *check_sensor("target", placement.target),
+            *check_sensor("source", placement.source),
+            *check_sway("target", [placement.target]),
+            *check_sway("source", [placement.source]),
+            *check_agreement(refined),
+            *check_minima(refined),
+            *check_decisive(refined),
+        ]
+    )
+    answer = Calibration(
+        status="warn" if reasons else "ok",
+        reasons=reasons,
+        notes=notes,
+        T_target_source=pose.T_target_source,
+        covariance=pose.covariance,
+        poles=walk,
+        refined=None if refined is None else refined.pose,
+        predicted_error=predicted_error(pose.covariance),
+        weakest=weakest_direction(pose.T_target_source, pose.covariance, *axes),
+        placements=(about,),
+        seconds=seconds,
+        uncertainty=_uncertainty(adjusted) if refined is None else refined.uncertainty,
+        confirmation=confirmation,
+        walk=_figures(found, points, directions),
+    )
+    return origins.moved_back(answer)
+
+
+def _refined(walk: PoseEstimate, placement: Placement) -> Refinement | None:
+    """Refine a walk's pose by the surfaces of both; None where they are few, or it does not end."""
+    target, source = placement.scans
+    first, second = (error_sizes(scan.cloud, scan.sensor) for scan in placement.scans)
+    model = ErrorModel((first, second), 0.0, left_in([placement]))
+    refined = refine(averaged(target.cloud), averaged(source.cloud), walk, model=model)
+    return refined if refined is not None and refined.converged else None
+
+
+def _uncertainty(adjusted: Adjusted) -> Uncertainty:
+    """How sure a walk alone is, in its two kinds, and what makes it so."""
+    scatter = root_of(adjusted.random)
     parts = [
-        *found.adjusted.parts,
+        *adjusted.parts,
         part_of("scatter of the poles' returns", np.vstack([0 * scatter, scatter]), is_random=True),
         part_of(FLOOR, np.vstack([NO_POSE, root_of(floor())])),
     ]
-    some = slice(None, None, max(1, len(points) // FEWEST_AXES))
-    T, covariance = found.T_target_source, found.covariance
-    return Calibration(
-        status="ok",
-        reasons=(),
-        T_target_source=T,
-        covariance=covariance,
-        poles=PoseEstimate(T, covariance, rms_of(found.adjusted)),
-        predicted_error=predicted_error(covariance),
-        weakest=weakest_direction(T, covariance, points[some], directions[some]),
-        placements=(placement,),
-        seconds=seconds,
-        uncertainty=uncertainty_of_pair(parts),
-        walk=_figures(found, points, directions),
-    )
+    return uncertainty_of_pair(parts)
 
 
 def axes_in_target(adjusted: Adjusted) -> tuple[Array, Array]:
