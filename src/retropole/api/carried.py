@@ -89,10 +89,11 @@ def calibrate_walk(
             known = None if first is None or second is None else second - first
             sensors = (pairs[0].target.sensor, pairs[0].source.sensor)
             found = calibrate_tracks((of_target, of_source), sensors, config.radius_m, known)
-            step("adjust", begun)
+            begun = step("adjust", begun)
             listener.progress("refine")
             stated = state_walk(found, placement, seconds, scene=config.refine)
             calibration = judge(stated, config.need)
+            step("refine", begun)
         except Refusal as refusal:
             calibration = state_refusal(refusal, (placement,), (), seconds)
     document = result_document(calibration, inputs=documents, config=config, seconds=seconds)
