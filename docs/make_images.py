@@ -207,6 +207,17 @@ def draw_merged(path: Path) -> None:
     Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
 
 
+def draw_carried(path: Path) -> None:
+    """What the report shows of a walk with one pole."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run("simulate", "street", "--carried", "--seed", 1, "--out", folder, "-q")
+        sensors = ("--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+        recordings = folder / "lidar0", folder / "lidar1"
+        run("calibrate", *recordings, "--carried", *sensors, "--out", folder / "r", "-q")
+        photograph(folder / "r" / "report.html", path, "#walk")
+
+
 def draw_placement(path: Path) -> None:
     """What the example about placing the poles draws."""
     with tempfile.TemporaryDirectory() as name:
@@ -218,7 +229,7 @@ def draw_placement(path: Path) -> None:
 
 SCENES, OF_STREET = ("corridor", "harbor", "bare"), ("detect", "plan", "report")
 PICTURES = ("bias", *(f"gallery_{scene}" for scene in SCENES), "gallery_car_park", *OF_STREET)
-PICTURES = (*PICTURES, "merge", "placement", "placements")
+PICTURES = (*PICTURES, "carried", "merge", "placement", "placements")
 
 
 def main() -> None:
@@ -239,6 +250,8 @@ def main() -> None:
         draw_car_park(given.data, out / "gallery_car_park.png")
     if set(OF_STREET) & set(wanted):
         draw_street(out, wanted)
+    if "carried" in wanted:
+        draw_carried(out / "carried.png")
     if "merge" in wanted:
         draw_merged(out / "merge.png")
     if "placement" in wanted:
