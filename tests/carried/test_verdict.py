@@ -53,6 +53,10 @@ def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
     jump = np.array([[0.0, 0.02, 0.0], [0.0, 0.0, 0.0]])
     assert chosen([replace(sound, clock_windows=steady)]) is not None
     assert code_of(replace(sound, clock_windows=steady + jump)) == "clock_jumps"
+    # Of a lasting step no window alone tells.
+    several = np.array([[5.0 * k, 0.004 if k > 2 else -0.004, 0.0015] for k in range(6)])
+    assert code_of(replace(sound, clock_windows=several)) == "clock_jumps"
+    assert chosen([replace(sound, clock_windows=several * [1, 0.4, 1])]) is not None
 
 
 def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..base.datatypes import Calibration, Placement, PointCloud
+from ..base.datatypes import Placement, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
+from ..base.timing import timed
 from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
 from ..carried.walk import calibrate_tracks
@@ -60,40 +60,32 @@ def calibrate_walk(
         As `inputs.read_input`.
     """
     seconds: dict[str, float] = {}
-
-    def step(name: str, begun: float) -> float:
-        seconds[name] = time.perf_counter() - begun
-        return time.perf_counter()
-
-    begun = time.perf_counter()
-    pairs = read_placements(target, source, config, listener)
+    step = partial(timed, seconds, listener.progress)
+    with step("read"):
+        pairs = read_placements(target, source, config, listener)
+        documents = input_documents(pairs[0])
     if len(pairs) > 1:
         raise UsageError("a walk is one recording of each LiDAR: give one target and one source")
-    documents = input_documents(pairs[0])
-    begun = step("read", begun)
-    listener.progress("extract")
+    (pair,), radius = pairs, config.radius_m
     with threadpool_limits(1, user_api="blas"):
-        target_scan, source_scan = (
-            given.search(config.radius_m, for_poles=False) for given in pairs[0]
-        )
-        placement = Placement(target_scan, source_scan)
-        calibration: Calibration
+        with step("extract"):
+            scans = [given.search(radius, for_poles=False) for given in pair]
+            placement = Placement(scans[0], scans[1])
         try:
-            twice = refuse_repeated(pairs[0], documents, partial(tell_repeated, pairs[0]))
+            twice = refuse_repeated(pair, documents, partial(tell_repeated, pair))
             if twice is not None:
                 raise twice
-            tracked = [_track(given, config.radius_m, listener) for given in pairs[0]]
-            begun = step("extract", begun)
-            listener.progress("adjust")
-            (of_target, first), (of_source, second) = tracked
-            known = None if first is None or second is None else second - first
-            sensors = (pairs[0].target.sensor, pairs[0].source.sensor)
-            found = calibrate_tracks((of_target, of_source), sensors, config.radius_m, known)
-            begun = step("adjust", begun)
-            listener.progress("refine")
-            stated = state_walk(found, placement, seconds, scene=config.refine)
+            with step("extract"):
+                (of_target, first), (of_source, second) = (
+                    _track(given, radius, listener) for given in pair
+                )
+            with step("adjust"):
+                known = None if first is None or second is None else second - first
+                sensors = pair.target.sensor, pair.source.sensor
+                found = calibrate_tracks((of_target, of_source), sensors, radius, known)
+            with step("refine"):
+                stated = state_walk(found, placement, seconds, scene=config.refine)
             calibration = judge(stated, config.need)
-            step("refine", begun)
         except Refusal as refusal:
             calibration = state_refusal(refusal, (placement,), (), seconds)
     document = result_document(calibration, inputs=documents, config=config, seconds=seconds)

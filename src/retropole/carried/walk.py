@@ -22,6 +22,10 @@ from .verdict import check_tracks, chosen
 MOST_STARTS = 4
 """So many starts are adjusted at most: each takes about a second."""
 
+WORST_START = 0.1
+"""A start whose lines are farther apart, rad, is none: of sound walks it was 0.010 to 0.020 (tuning
+seeds 0 to 5), of one whose common part was too short 0.18."""
+
 APART = 0.1
 """Starts with one sign whose offsets are nearer to each other, s, fall into one basin."""
 
@@ -116,7 +120,7 @@ def calibrate_tracks(
     times, stamps = tracks[1].times - ahead, tracks[1].stamps - ahead
     both = tracks[0], replace(tracks[1], times=times, stamps=stamps)
     starts = distinct(find_starts(*both))
-    if not starts:
+    if not starts or starts[0].cost > WORST_START:
         raise Refusal(
             "no_common_walk",
             f"with clocks that differ by up to {WIDEST:g} s, no {FEWEST} sweeps of the target are "
