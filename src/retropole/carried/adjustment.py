@@ -55,8 +55,9 @@ HUBER, BEYOND = 2.5, 12.0
 MAX_STEPS = 40
 """Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
 
-WINDOW, FEWEST_IN_WINDOW = 5.0, 40
-"""Windows in which the clocks' offset is looked at: s, and rows of each LiDAR."""
+WINDOW, FEWEST_IN_WINDOW = 5.0, 10
+"""Windows in which fit and clocks' offset are looked at: s, and rows of each LiDAR. With 40 rows, a
+walk of which little is common was answered across a jump of the clock."""
 
 LEAST_MOTION = 1e-3
 """No noise of the motion is less: of a pole that never leans it would fall forever."""
