@@ -235,7 +235,10 @@ def _poles_in(
             some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
         part = cloud.select(some)
         level = float(chosen.at(ranges[bright[group]]).min())
-        for pole in extract_poles(part, sensor=sensor, threshold=level, radius=radius).poles:
+        found_here = extract_poles(
+            part, sensor=sensor, threshold=level, radius=radius, look_for_rings=False
+        )
+        for pole in found_here.poles:
             assert part.time is not None
             rings = np.full(len(part), -1) if part.ring is None else part.ring
             times = part.time[pole.index]
