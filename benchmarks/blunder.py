@@ -1,7 +1,7 @@
 """Make the recordings of a site where one thing is wrong, whose true poses are known.
 
-Writes what `retropole simulate site` writes; truth.json says what is wrong, too. docs/simulation.md
-says what each blunder is.
+Writes what `retropole simulate site` writes; truth.json says what is wrong, too.
+docs/evidence/index.md says what each blunder is.
 
 example:
   python benchmarks/blunder.py truck pole --lidars 5 --nuisances field --out s

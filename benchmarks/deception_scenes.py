@@ -272,6 +272,9 @@ KINDS: dict[str, Kind] = {
     "poles nudged together": Kind(nudged),
     "two placements mixed up": Kind(placements_mixed_up),
     "cropped, and poles carried": Kind(cropped_and_carried),
+    "two poles, carried from post to post": Kind(
+        carried_from_post_to_post, around=two_rows_of_posts
+    ),
     **HONEST,
     **ONE_POLE,
 }

@@ -54,7 +54,7 @@ class Stated:
 def stated(root: Path) -> list[Stated]:
     """All marks of the documents, in their order."""
     found = []
-    for path in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+    for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")
         for match in MARKED.finditer(text):
             (table,) = tables(match["table"])

@@ -41,7 +41,7 @@ FAMILIES = {
 """Noise, and whether the scene refines the pose."""
 
 APART = {"swaying mast 0.05°": (STATING["swaying mast 0.05°"], True)}
-"""Counted apart: docs/accuracy.md says that it is not covered."""
+"""Counted apart: docs/evidence/accuracy.md says that it is not covered."""
 
 CENTIMETRES, DISTANCES = (0.5, 20.0), (10.0, 30.0, 60.0)
 """What is needed is drawn evenly on a logarithmic scale between these, up to one of these."""

@@ -5,12 +5,12 @@ here: of each law as many sites without a change, with a step (0.3° or 3 cm), a
 1 cm a year.
 
 What sets and what states. The constants of the detector were set on the laws of `TUNE` with seeds
-below 1000 (`--tune --first 0`). What docs/history.md states is of the laws of `STATE` with seeds
-from 3300 on. Of these `UNSEEN` are of a kind that no law of `TUNE` has: tails of each axis for
-itself, another shape of the year, scatter that differs from week to week and is not stated, a
-stated covariance that is too large. The others of `STATE` are of a kind that `TUNE` has too, and
-harsher. Seeds 3200 to 3233 were looked at before the last change: 15 false alarms in 872 site-years
-raised the threshold of a step from 40 to 42.
+below 1000 (`--tune --first 0`). What docs/evidence/afterwards.md states is of the laws of `STATE`
+with seeds from 3300 on. Of these `UNSEEN` are of a kind that no law of `TUNE` has: tails of each
+axis for itself, another shape of the year, scatter that differs from week to week and is not
+stated, a stated covariance that is too large. The others of `STATE` are of a kind that `TUNE` has
+too, and harsher. Seeds 3200 to 3233 were looked at before the last change: 15 false alarms in 872
+site-years raised the threshold of a step from 40 to 42.
 
 `--alarms` is another table, of what a person at a site would ask: a drift of 1 and 5 mm a day, a
 step of 1 and 3 cm, and none; a check scatters by 1 or 3 mm on each axis; with and without lorries

@@ -1,7 +1,7 @@
 """Put taped poles into two real recordings, along the recordings' own beams.
 
 Writes lidar0.pcd (the target), lidar1.pcd (the source) and truth.json to a folder, as
-`retropole simulate` does for a scene. docs/semireal.md says what is done.
+`retropole simulate` does for a scene. docs/evidence/real.md says what is done.
 
 example:
   python benchmarks/insert.py front.pcd rear.pcd --transform retropole-out --out s

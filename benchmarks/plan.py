@@ -4,7 +4,7 @@ In each place the LiDARs and all their errors are drawn (`field`), the place is 
 poles, the poses are known to 4° and 0.4 m on each axis (1 σ), and `plan` says where the poles
 should stand. There they are put and calibrated several times, each time with other LiDARs of the
 same models; and so are random placements of the same poles that keep the rules of
-docs/placing.md: 3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning by 20°.
+docs/poles.md: 3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning by 20°.
 Tables, one line for each kind of place:
 
 1. places planned and refused; planned poles that a LiDAR does not see along thin, exact beams, that
@@ -148,7 +148,7 @@ def random_sets(planned: Planned, count: int, rng: np.random.Generator) -> list[
 
 
 def pair_by_the_rules(planned: Planned, rng: np.random.Generator) -> Candidates | None:
-    """Draw two poles as docs/placing.md has them; None where many draws gave none.
+    """Draw two poles as docs/poles.md has them; None where many draws gave none.
 
     3 to 7 m from both LiDARs, 1 to 2.5 m apart, one upright and one leaning by 20°, free, and seen.
     """

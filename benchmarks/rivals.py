@@ -2,7 +2,7 @@
 
 A run succeeds where e_rt (Xue et al. 2019, eq. 13) is at most 0.1 m. It is wrong but confident
 where it answered, with a warning or without, and is off by more than 1° or 0.3 m. Errors are those
-of the runs that answered. What counts as an answer of a rival is its own word, see docs/compare.md.
+of the runs that answered. What counts as an answer of a rival: docs/evidence/compare.md.
 Times are of one call with libraries imported and clouds in memory: CPU time is user and system time
 of all threads of the process, wall time is what passes meanwhile. Both are of the same call. All
 that a rival does counts: every voxel that it tries, and the GICP that ends it. Memory is the peak

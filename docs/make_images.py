@@ -2,10 +2,10 @@
 
 python docs/make_images.py docs/images
 python docs/make_images.py docs/images data
-python docs/make_images.py docs/images --only bias placements
+python docs/make_images.py docs/images --only setup placements
 
 The picture of the report needs Chromium, chromedriver and selenium, and is left out without. So is
-that of real scans without the folder of test recordings (docs/contributing.md).
+that of real scans without the folder of test recordings (CONTRIBUTING.md).
 """
 
 from __future__ import annotations
@@ -95,13 +95,6 @@ def draw_bias(path: Path) -> None:
         axes.annotate("", (0.97 * u, 0.97 * v), (0, 0), arrowprops=arrow)
     axes.set(xlabel="mm", ylabel="mm")
     figure.savefig(path)
-
-
-def draw_scene(scene: str, path: Path) -> None:
-    """Both clouds of a simulated scene before and after, and the poles, as a small picture."""
-    with tempfile.TemporaryDirectory() as name:
-        run("simulate", scene, "--seed", 1, "--out", name, "-q")
-        draw_pair(Path(name), path)
 
 
 def draw_car_park(data: Path, path: Path) -> None:
@@ -227,9 +220,110 @@ def draw_placement(path: Path) -> None:
         shutil.copy(Path(name) / "placement.png", path)
 
 
-SCENES, OF_STREET = ("corridor", "harbor", "bare"), ("detect", "plan", "report")
-PICTURES = ("bias", *(f"gallery_{scene}" for scene in SCENES), "gallery_car_park", *OF_STREET)
-PICTURES = (*PICTURES, "carried", "merge", "placement", "placements")
+STYLE = """
+text { font: 15px system-ui, 'Segoe UI', 'Helvetica Neue', Arial, sans-serif; fill: #1b2027 }
+.dim { font-weight: 600; fill: #0072b2 }
+.line { stroke: #0072b2; stroke-width: 1.5; fill: none }
+.beam { fill: #e69f00; opacity: 0.14 }
+.dark { fill: #454d57 }
+.leg { stroke: #454d57; stroke-width: 4; stroke-linecap: round }
+"""
+GROUND, FEET, LIDARS, LEAN_DEG, LENGTH = 300.0, (350.0, 490.0), (80.0, 760.0), 20.0, 210.0
+"""Of the drawing of a set-up: level of the ground, places, lean and length, in its own units."""
+
+
+def draw_setup(path: Path) -> None:
+    """Two LiDARs on tripods, and two taped poles on their stands, one of them leaning."""
+    parts = [
+        f'<line x1="20" y1="{GROUND}" x2="820" y2="{GROUND}" stroke="#8b939e" stroke-width="2"/>'
+    ]
+    lean = np.radians(LEAN_DEG)
+    tops = (
+        (FEET[0], GROUND - 12 - LENGTH),
+        (
+            FEET[1] + LENGTH * np.sin(lean),
+            GROUND - 12 - LENGTH * np.cos(lean),
+        ),
+    )
+    for x in LIDARS:
+        for foot, top in zip(FEET, tops, strict=True):
+            corners = f"{x},136 {top[0]:.0f},{top[1]:.0f} {foot},{GROUND - 12}"
+            parts.append(f'<polygon class="beam" points="{corners}"/>')
+    for foot, angle, name in zip(FEET, (0.0, LEAN_DEG), ("upright", "leaning"), strict=True):
+        stripes = "".join(
+            f'<path d="M{foot - 7} {y} l14 -8" stroke="#8b939e"/>'
+            for y in np.arange(GROUND - 20, GROUND - LENGTH, -18.0)
+        )
+        parts.append(
+            f'<g transform="rotate({angle} {foot} {GROUND - 12})"><rect x="{foot - 7}" '
+            f'y="{GROUND - 12 - LENGTH}" width="14" height="{LENGTH}" rx="3" fill="#d9dde2" '
+            f'stroke="#8b939e"/>{stripes}<rect class="dark" x="{foot - 11}" y="{GROUND - 46}" '
+            'width="22" height="36" rx="2"/></g>'
+        )
+        stand = f"M{foot - 46} {GROUND} l8 -14 h76 l8 14 Z"
+        parts.append(f'<path class="dark" d="{stand}"/>')
+        parts.append(label(foot, GROUND + 20, name))
+    for x, name in zip(LIDARS, ("target", "source"), strict=True):
+        parts += [
+            f'<line class="leg" x1="{x}" y1="150" x2="{x + dx}" y2="{GROUND - 2}"/>'
+            for dx in (-30, 0, 30)
+        ]
+        parts.append(
+            f'<rect x="{x - 20}" y="118" width="40" height="34" rx="6" fill="{ORANGE}"/>'
+            f'<rect x="{x - 20}" y="130" width="40" height="10" fill="#1b2027"/>'
+        )
+        parts.append(label(x, 106, f"{name} LiDAR"))
+    upright, leaning = FEET
+    for x0, x1, words in (
+        (LIDARS[0], upright, "3 to 7 m"),
+        (upright, leaning, "1 to 4 m"),
+        (leaning, LIDARS[1], "3 to 7 m"),
+    ):
+        parts.append(arrow(f"M{x0 + 4} {GROUND + 40} H{x1 - 4}"))
+        parts.append(label((x0 + x1) / 2, GROUND + 60, words, "dim"))
+    side = upright - 60
+    parts.append(arrow(f"M{side} {GROUND - LENGTH - 12} V{GROUND - 2}"))
+    middle = GROUND - LENGTH / 2
+    turned = f' transform="rotate(-90 {side - 8} {middle})"'
+    parts.append(label(side - 8, middle, "1.5 to 2.5 m", "dim", turned))
+    reach = 150.0
+    end = leaning + reach * np.sin(lean), GROUND - 12 - reach * np.cos(lean)
+    parts.append(
+        f'<path d="M{leaning} {GROUND - 12} v-180" stroke="#8b939e" stroke-dasharray="5 4"/>'
+    )
+    parts.append(
+        arrow(f"M{leaning} {GROUND - 12 - reach} A{reach} {reach} 0 0 1 {end[0]:.0f} {end[1]:.0f}")
+    )
+    parts.append(label(leaning - 6, GROUND - 200, "15° or more", "dim", ' dx="-30"'))
+    parts.append(label(420, 40, "two tubes of 4 cm, retro-reflective tape all round"))
+    marker = (
+        '<marker id="tip" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" '
+        'markerUnits="userSpaceOnUse" orient="auto-start-reverse"><path fill="#0072b2" '
+        'd="M0 0 L10 5 L0 10 Z"/></marker>'
+    )
+    path.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 840 380" role="img" '
+        'aria-label="Two LiDARs, and two taped poles on stands, one upright, one leaning">'
+        f"<style>{STYLE}</style><defs>{marker}</defs>"
+        '<rect x="0.5" y="0.5" width="839" height="379" rx="8" fill="#fff" stroke="#cfd4da"/>'
+        f"{''.join(parts)}</svg>\n",
+        encoding="utf-8",
+    )
+
+
+def label(x: float, y: float, words: str, kind: str = "", more: str = "") -> str:
+    """Text about a point."""
+    known = f' class="{kind}"' if kind else ""
+    return f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="middle"{known}{more}>{words}</text>'
+
+
+def arrow(line: str) -> str:
+    """A line with a tip at either end."""
+    return f'<path class="line" d="{line}" marker-start="url(#tip)" marker-end="url(#tip)"/>'
+
+
+OF_STREET = "detect", "plan", "report"
+PICTURES = "bias", "car_park", *OF_STREET, "carried", "merge", "placement", "placements", "setup"
 
 
 def main() -> None:
@@ -243,11 +337,8 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     if "bias" in wanted:
         draw_bias(out / "bias.png")
-    for scene in SCENES:
-        if f"gallery_{scene}" in wanted:
-            draw_scene(scene, out / f"gallery_{scene}.png")
-    if given.data is not None and "gallery_car_park" in wanted:
-        draw_car_park(given.data, out / "gallery_car_park.png")
+    if given.data is not None and "car_park" in wanted:
+        draw_car_park(given.data, out / "car_park.png")
     if set(OF_STREET) & set(wanted):
         draw_street(out, wanted)
     if "carried" in wanted:
@@ -258,6 +349,8 @@ def main() -> None:
         draw_placement(out / "placement.png")
     if "placements" in wanted:
         draw_placements(out / "placements.png")
+    if "setup" in wanted:
+        draw_setup(out / "setup.svg")
     print(f"written: {out}")
 
 

@@ -16,14 +16,15 @@ from urllib.parse import unquote, urlsplit
 import click
 import pytest
 
-from retropole.base.reasons import reasons
+from retropole.base.reasons import page as page_of
+from retropole.base.reasons import reasons, tables
 from retropole.base.sensors import SENSORS
 from retropole.cli import cli
 from tests.paths import PACKAGE, ROOT
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
-PAGES += sorted(DOCS.glob("*.md"))
+PAGES += sorted(DOCS.rglob("*.md"))
 NEEDED = ("sphinx", "myst_parser", "furo", "latex2mathml")
 
 
@@ -116,17 +117,46 @@ def test_site_loads_nothing_from_elsewhere(site: Path) -> None:
         assert not [link for link in Links(page).loaded if urlsplit(link).netloc], page.name
 
 
+def anchors_of(page: Path) -> set[str]:
+    """The anchors of a page's headings as GitHub makes them, for whoever reads it in a clone."""
+    headings = re.findall(r"^#+ (.+)$", text_of(page), flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", one).lower().replace(" ", "-") for one in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_sources_exist(page: Path) -> None:
-    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), target
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text_of(page)):
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        if anchor and found.suffix == ".md":
+            assert anchor in anchors_of(found), target
+
+
+def test_pages_that_the_code_names_exist() -> None:
+    files = [p for name in ("src", "benchmarks", "studies", "tests") for p in named(ROOT / name)]
+    said = {(p.name, page) for p in files for page in re.findall(r"docs/[\w/]+\.md", text_of(p))}
+    assert len(said) > 20
+    assert not {(name, page) for name, page in said if not (ROOT / page).is_file()}
+    prefixed = {f"{one}_few_points" for one in tables().prefixes}
+    anchors = {f"docs/reasons.md#{one}" for one in anchors_of(DOCS / "reasons.md")}
+    assert {page_of(code) for code in (*reasons(), *prefixed)} <= anchors
+
+
+def named(folder: Path) -> list[Path]:
+    return [*folder.rglob("*.py"), *folder.rglob("*.toml")]
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
 
 
 def command_lines() -> Iterator[tuple[str, list[str]]]:
     """Every command line of retropole in a code block or in backticks that shows one."""
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        shown = re.findall(r"^ *```(?:sh|)\n(.*?)^ *```", text, flags=re.S | re.M)
+        blocks = re.findall(r"^ *```(\S*)[^\n]*\n(.*?)^ *```", text, flags=re.S | re.M)
+        shown = [block for language, block in blocks if language in ("", "sh")]
         shown += re.findall(r"`(retropole [^`\n]+)`", text)
         for line in "\n".join(shown).replace("\\\n", " ").splitlines():
             for part in re.split(r"\s(?:&&|\|\||\||>>?|<)\s", line):
@@ -168,6 +198,17 @@ def test_command_lines_exist(page: str, words: list[str]) -> None:
             option.type.convert(values[0], option, None)
     if all(argument.nargs == 1 for argument in arguments):
         assert given <= len(arguments), f"{page}: {' '.join(words)}"
+
+
+def test_parts_that_the_program_writes_are_fresh() -> None:
+    """Where one is not: python docs/make_pages.py."""
+    spec = importlib.util.spec_from_file_location("make_pages", DOCS / "make_pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    for name, (page, _) in pages.PARTS.items():
+        assert (DOCS / page).read_text(encoding="utf-8") == pages.fresh(name), page
 
 
 @pytest.mark.full

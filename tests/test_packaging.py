@@ -100,7 +100,7 @@ def test_the_citation_is_of_this_version() -> None:
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {retropole.__version__}\n" in text
     assert f"\nlicense: {PROJECT['license']}\n" in text
-    page = (ROOT / "docs" / "cite.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
     assert f"version = {{{retropole.__version__}}}" in page
     title = (
         "Automatic Calibration of Dual-LiDARs Using Two Poles Stickered with Retro-Reflective Tape"

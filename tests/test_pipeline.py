@@ -1,6 +1,8 @@
 """The whole method: right where it can be, refused where it cannot."""
 
+import gc
 import time
+import weakref
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 
@@ -25,6 +27,20 @@ from tests.tiers import first_of
 @pytest.fixture(scope="module")
 def corridor() -> SimulatedPair:
     return simulate_pair("corridor", np.random.default_rng(3))
+
+
+@pytest.mark.parametrize("rings", [True, False])
+def test_recordings_are_freed_after_a_calibration(rings: bool) -> None:
+    """A process that calibrates for weeks does not grow by each recording."""
+    pair = simulate_pair("bare", np.random.default_rng(3))
+    clouds = [
+        replace(cloud, ring=cloud.ring if rings else None) for cloud in (pair.target, pair.source)
+    ]
+    left = [weakref.ref(cloud) for cloud in clouds]
+    assert calibrate(*clouds).placements
+    del clouds
+    gc.collect()
+    assert [cloud() for cloud in left] == [None, None]
 
 
 def off_by(T: Array, T_true: Array, at: Array) -> tuple[float, float]:

@@ -37,7 +37,7 @@ WRONG = se3.PoseDifference(float(np.radians(2.0)), 0.2)
 
 SMALL = se3.PoseDifference(float(np.radians(0.25)), 0.03)
 """One that is off by less is not, though it may be surer than it should: how often it is, coverage
-says (docs/accuracy.md). One in between must have stated so."""
+says (docs/evidence/accuracy.md). One in between must have stated so."""
 
 FIVE_SIGMA = 39.6
 """χ² with 6 degrees of freedom is above this as often as a normal number beyond five σ."""

@@ -114,7 +114,7 @@ def test_processes_of_workers_count(
 
 def test_the_documents_name_tiers_that_exist() -> None:
     names = {marker.partition(":")[0] for marker in OPTIONS["markers"]}
-    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     said = re.findall(r"""pytest(?: -[\w ]+)? -m ('[^']*'|"[^"]*"|\w+)""", text)
     assert len(said) > 5

@@ -45,6 +45,6 @@ def test_links_become_their_words() -> None:
 
 
 def test_a_code_has_a_place_in_the_documentation() -> None:
-    assert page("few_points") == "reasons.html#few-points"
-    assert page(prefixed("stored", "few_points")) == "reasons.html#stored"
+    assert page("few_points") == "docs/reasons.md#few_points"
+    assert page(prefixed("stored", "few_points")) == "docs/reasons.md#stored_"
     assert page("nonsense") is None

@@ -56,9 +56,9 @@ def copied(folder: Path, old: str = "", new: str = "") -> Path:
     """A copy of a page whose table has no chance, one cell of it altered."""
     (folder / "docs").mkdir()
     (folder / "README.md").write_text("")
-    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
     assert old in page
-    (folder / "docs/lamppost.md").write_text(page.replace(old, new), encoding="utf-8")
+    (folder / "docs/cases.md").write_text(page.replace(old, new), encoding="utf-8")
     return folder
 
 
@@ -73,9 +73,10 @@ def test_an_altered_cell_is_named(tmp_path: Path) -> None:
     root = copied(tmp_path, "| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
     done = figures("--share", "0.05", "--root", str(root))
     assert done.returncode == 1, done.stderr
-    assert "docs/lamppost.md:17, row 'XT32', column '3 m up': said 10.6 m, measured 10.5 m" in (
-        done.stdout
-    )
+    page = (root / "docs/cases.md").read_text(encoding="utf-8")
+    line = page[: page.index("<!-- figures: ")].count("\n") + 1
+    said = f"docs/cases.md:{line}, row 'XT32', column '3 m up': said 10.6 m, measured 10.5 m"
+    assert said in done.stdout
     assert "24 figures, 1 differ" in done.stdout
 
 
@@ -86,12 +87,12 @@ def test_a_page_as_it_is_passes(tmp_path: Path) -> None:
 
 def test_written_tables_hold_what_is_printed(tmp_path: Path) -> None:
     root = written(tmp_path, "")
-    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
     stale = page.replace("| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
     assert stale != page
-    (root / "docs/lamppost.md").write_text(stale, encoding="utf-8")
+    (root / "docs/cases.md").write_text(stale, encoding="utf-8")
     assert figures("--write", "--root", str(root)).returncode == 0
-    fresh = (root / "docs/lamppost.md").read_text(encoding="utf-8")
+    fresh = (root / "docs/cases.md").read_text(encoding="utf-8")
     assert tables(fresh) == tables(page)
 
 
@@ -239,7 +240,7 @@ def test_figures_of_every_day_hold(day: int) -> None:
 
 def test_every_mark_is_read() -> None:
     """A mark that is written otherwise would leave its table out, and nobody would know."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     marks = sum(page.read_text(encoding="utf-8").count("figures: python ") for page in pages)
     done = figures()
     assert done.returncode == 0, done.stderr
@@ -254,7 +255,7 @@ def test_the_readme_says_what_the_comparison_says() -> None:
     (readme,) = [
         t for t in tables((ROOT / "README.md").read_text(encoding="utf-8")) if t.head[0] == "method"
     ]
-    page = tables((ROOT / "docs/compare.md").read_text(encoding="utf-8"))
+    page = tables((ROOT / "docs/evidence/compare.md").read_text(encoding="utf-8"))
     (compared,) = [t for t in page if t.head[:2] == ("method", "runs")]
     own = [row[2:5] for row in compared.rows if not row[0].endswith("+count")]
     assert sorted(row[1:4] for row in readme.rows) == sorted(own)

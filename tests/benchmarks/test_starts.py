@@ -79,6 +79,7 @@ SMALLEST = {
     ],
     "benchmarks/wrong_files.py": ["data --wrong 1 --right 0"],
     "docs/make_images.py": ["images --only bias"],
+    "docs/make_pages.py": ["--check"],
     "studies.paper": ["--seeds 1 --only table1"],
 }
 """The least that each can do, in turn, as it is typed."""

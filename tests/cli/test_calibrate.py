@@ -289,7 +289,7 @@ def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: P
         assert done.returncode == 3
         said = done.stdout + done.stderr
         assert "what to do: " in said
-        assert "read on: documentation, reasons.html#too-few-poles" in said
+        assert "read on: docs/reasons.md#too_few_poles" in said
         assert "next: " not in said
 
 

@@ -69,7 +69,7 @@ def test_with_json_a_refusal_is_one_object_on_stdout(tmp_path: Path) -> None:
     done = retropole_here("detect", tmp_path / "dark.xyz", "--json")
     assert done.returncode == 3
     error = said(done.stdout, "no_intensity", "refused")
-    assert error["read_on"] == "reasons.html#no-intensity"
+    assert error["read_on"] == "docs/reasons.md#no_intensity"
     whole = retropole_here("calibrate", "--json", *[tmp_path / "dark.xyz"] * 2, cwd=tmp_path)
     assert whole.returncode == 3
     assert json.loads(whole.stdout)["status"] == "refused"

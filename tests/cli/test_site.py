@@ -100,7 +100,7 @@ def test_after_an_error_an_older_result_is_set_aside(
     assert done.returncode == 2
     assert "lidar 1 (mast-a): " in done.stderr
     error = json.loads(done.stdout)["error"]
-    assert (error["code"], error["read_on"]) == ("unreadable", "site.html")
+    assert (error["code"], error["read_on"]) == ("unreadable", "docs/site.md")
     names = {each.name for each in out.iterdir()}
     assert names == {"older-site-result.json", "older-site-report.html"}
 

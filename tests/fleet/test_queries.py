@@ -20,6 +20,7 @@ QUERIES = {
     name.strip(): query
     for block in re.findall(r"```sql\n(.*?)```", PAGE, re.DOTALL)
     for name, query in re.findall(r"-- (.*?)\n(.*?);", block, re.DOTALL)
+    if "'fleet/" in query
 }
 
 

@@ -3,18 +3,30 @@ not.
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from msgspec import structs
 
 from retropole.base import se3
-from retropole.base.datatypes import Calibration, Placement, Scan
+from retropole.base.datatypes import Calibration, Hypothesis, Match, Placement, Scan
+from retropole.base.sensors import find_sensor
 from retropole.base.uncertainty.confirmation import Confirmation
+from retropole.hypotheses.correspondence import extended
 from retropole.hypotheses.evidence import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
 from retropole.hypotheses.placements import PairedPlacement
 from retropole.pipeline import Options, calibrate
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import (
+    Cylinder,
+    Rectangle,
+    SimulatedPair,
+    Surface,
+    scan,
+    simulate_pair,
+)
+from retropole.simulation.scenes import METAL, TAPE, UP
+from retropole.surfaces.scans import find_poles
 from tests.tiers import first_of
 
 SCENES = ("corridor", "street", "harbor")
@@ -153,3 +165,27 @@ def test_placements_check_each_other_only_where_their_poles_stand_otherwise() ->
     alone = replace(first, hypothesis=replace(first.hypothesis, match=match))
     assert not confirm([alone, alone], T, (), rng).redundant
     assert not confirm([alone, second], T, (), rng).redundant
+
+
+@pytest.mark.parametrize("is_regular", [True, False])
+def test_posts_that_a_shift_lays_on_their_neighbours_do_not_check_a_pole(is_regular: bool) -> None:
+    rng = np.random.default_rng(3)
+    shifts = np.zeros(11) if is_regular else rng.uniform(-1.2, 1.2, 11)
+    scene: list[Surface] = [Rectangle(np.zeros(3), np.eye(3)[0], np.eye(3)[1], (30.0, 30.0), METAL)]
+    for k, y in product(range(11), (-5.0, 6.0)):
+        foot = np.array([3.0 * (k - 5) + shifts[k], y, 0.75])
+        scene.append(Cylinder(foot, UP, 0.05, 1.5, METAL))
+    leaning = np.array([0.3, 0.2, 0.93]) / np.linalg.norm([0.3, 0.2, 0.93])
+    scene.append(Cylinder(np.array([-1.5, 3.0, 1.0]), leaning, 0.05, 2.0, TAPE))
+    poses = [se3.from_rt(np.eye(3), np.array([x, 0.0, 1.8])) for x in (-2.0, 1.5)]
+    sensor, T = find_sensor("OS1"), se3.inverse(poses[0]) @ poses[1]
+    clouds = [scan(scene, sensor, pose, rng).cloud for pose in poses]
+    target, source = (
+        find_poles(cloud, sensor=sensor, threshold=None, radius=0.05) for cloud in clouds
+    )
+    found = Placement(target, source)
+    pairs = extended(found.target.poles, found.source.poles, T, 0.1)
+    assert len(pairs) >= 3
+    match = Match(pairs, T, 0.0, True, True, np.eye(6))
+    paired = [PairedPlacement(found, Hypothesis(match, None, None, 0.5, 0.0, 0.5))]
+    assert confirm(paired, T, (), rng).redundant is not is_regular

@@ -119,7 +119,7 @@ def test_a_result_begins_with_its_verdict_and_ends_with_what_comes_next(
     assert "\nwritten: out/result.json, out/report.html" in text
     following = ["next: retropole export 'my out'", "later: retropole check out\\u202e"]
     assert (text.splitlines()[-2:] == following) is (status != "refused")
-    assert ("read on: documentation, reasons.html#ambiguous" in text) is (status == "refused")
+    assert ("read on: docs/reasons.md#ambiguous" in text) is (status == "refused")
 
 
 def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius() -> None:

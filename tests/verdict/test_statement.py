@@ -39,6 +39,23 @@ def test_the_frame_may_be_that_of_either(pair_site: SimulatedSite, of_two: SiteC
         assert one.lidar is None or pair_site.as_site().lidars[one.lidar].name in one.name
 
 
+def test_a_pair_is_tested_as_a_site_of_two(
+    pair_site: SimulatedSite, of_two: SiteCalibration
+) -> None:
+    """Only what is tested is called otherwise: poles by their numbers in both clouds."""
+    site = pair_site.as_site()
+    first, second = site.lidars
+    (target,), (source,) = first.clouds, second.clouds
+    assert target is not None
+    assert source is not None
+    sensors = first.sensor, second.sensor
+    pair = calibrate(target, source, options=Options(site.radius, site.radius_sigma, sensors))
+    assert [each.w for each in pair.tests] == pytest.approx([each.w for each in of_two.tests])
+    assert [each.pole for each in pair.tests] == [each.pole for each in of_two.tests]
+    poles = {f"T{i}–S{j}" for i, j in pair.hypotheses[0].match.pairs}
+    assert {each.name for each in pair.tests if each.kind == "pole"} == poles
+
+
 def test_two_in_another_order_are_the_same(
     pair_site: SimulatedSite, of_two: SiteCalibration
 ) -> None:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
 from ..base.bounded import Count, Direction, PartCovariance, Pose, Size, Status, Text, Vector
-from ..base.datatypes import Array, Scan
+from ..base.datatypes import Array, Scan, Test
 from ..base.description import Site
 from ..base.errors import Reason
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
@@ -147,49 +147,6 @@ class LoopClosure:
     chi2: float
     freedom: int
     probability: float
-
-
-Kind = Literal["pole", "placement", "lidar", "survey", "control point", "up"]
-"""What a test is about."""
-
-
-@dataclass(frozen=True, eq=False)
-class Test:
-    """One observation, or what several have in common, tested against all others.
-
-    Attributes
-    ----------
-    kind
-        What would be wrong: ``pole`` (another place for one LiDAR than for the others),
-        ``placement`` (a LiDAR's recording of one), ``lidar``, ``survey`` (a surveyed end of a
-        pole), ``control point``, ``up``.
-    name
-        In words: ``pole 2 of placement 1 as mast-a sees it``.
-    lidar, placement, pole
-        Indices in the site, and in `SiteCalibration.poles`; None where it is about none.
-    chi2, freedom
-        By how much the fit improves without it, χ² with so many degrees of freedom.
-    w
-        The same as a standard normal number: Baarda's w with one degree of freedom.
-    redundancy
-        Share of it that the others check, 0 to 1: what is 0 nothing would show.
-    minimal_detectable
-        Least error that is found with a probability of 80 %, metres; None where none is.
-    external
-        By how much an error of that size would move a point 30 m away, metres; None likewise.
-    """
-
-    kind: Kind
-    name: str
-    lidar: int | None
-    placement: int | None
-    pole: int | None
-    chi2: float
-    freedom: int
-    w: float
-    redundancy: float
-    minimal_detectable: float | None
-    external: float | None
 
 
 class WithoutPlacement(

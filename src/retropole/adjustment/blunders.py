@@ -21,12 +21,12 @@ import numpy as np
 from ..alignment.certainty import chi2_limit
 from ..alignment.unknowns import POSE
 from ..base import se3
+from ..base.datatypes import Test
 from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
 from .agreement import MAX_AXES_CHI2, WARN_MAHALANOBIS_SQ
-from .answer import Test
 from .datum import Datum, Hanging, without_poles, without_survey
 from .descent import FEW, End, SceneTerm
 from .refinement import distance_sq

@@ -30,7 +30,7 @@ from ..alignment.posterior import JointState
 from ..alignment.survey import NOTHING_SURVEYED
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array
+from ..base.datatypes import Array, Test
 from ..base.description import Site
 from ..base.errors import Refusal
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, left_of_each
@@ -38,7 +38,6 @@ from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in
 from ..hypotheses.scans import SiteScans
 from ..surfaces.patches import Patches
-from .answer import Test
 from .axes import maximise_from_lines
 from .datum import Datum, check_hanging, check_poles_left, of_lidar, without_poles
 from .descent import End, RefinementProblem, ScenePair, minimise

@@ -27,10 +27,9 @@ from ..alignment.network import Network, Observation
 from ..alignment.posterior import JointState, Posterior, State, evaluate_lidar
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array, IntArray
+from ..base.datatypes import Array, IntArray, Kind, Test
 from ..base.description import Site
 from ..base.uncertainty.purpose import DEFAULT_AT
-from .answer import Kind, Test
 from .axes import maximise_from_lines
 from .shared import SharedPole
 from .solved import Solved

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import TypeVar
+from typing import Literal, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -119,17 +119,18 @@ Made = TypeVar("Made")
 
 
 def kept(make: Callable[[PointCloud], Made]) -> Callable[[PointCloud], Made]:
-    """Make something of a cloud once, for as long as the cloud is in use: every step asks for it.
+    """Make something of a cloud once, for as long as the cloud is in use: every step needs it.
 
-    It must not hold on to the cloud.
+    It may be the cloud itself, and must not refer to it otherwise: the cloud would never be freed.
     """
-    made: WeakKeyDictionary[PointCloud, Made] = WeakKeyDictionary()
+    made: WeakKeyDictionary[PointCloud, tuple[Made, ...]] = WeakKeyDictionary()
 
     @wraps(make)
     def given(cloud: PointCloud) -> Made:
         if cloud not in made:
-            made[cloud] = make(cloud)
-        return made[cloud]
+            found = make(cloud)
+            made[cloud] = () if found is cloud else (found,)
+        return made[cloud][0] if made[cloud] else cast(Made, cloud)
 
     return given
 
@@ -365,6 +366,50 @@ class Placement:
         return self.target, self.source
 
 
+Kind = Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+"""What a test is about."""
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One observation, or what several have in common, tested against all others.
+
+    Attributes
+    ----------
+    kind
+        What would be wrong: ``pole`` (another place for one LiDAR than for the others),
+        ``placement`` (a LiDAR's recording of one), ``lidar``, ``survey`` (a surveyed end of a
+        pole), ``control point``, ``up``.
+    name
+        In words: ``pole 2 of placement 1 as mast-a sees it``.
+    lidar, placement, pole
+        Indices in the site, and in `SiteCalibration.poles`; None where it is about none. Those of a
+        pair are 0 for the target and 1 for the source.
+    chi2, freedom
+        By how much the fit improves without it, χ² with so many degrees of freedom.
+    w
+        The same as a standard normal number: Baarda's w with one degree of freedom.
+    redundancy
+        Share of it that the others check, 0 to 1: what is 0 nothing would show.
+    minimal_detectable
+        Least error that is found with a probability of 80 %, metres; None where none is.
+    external
+        By how much an error of that size would move a point 30 m away, metres; None likewise.
+    """
+
+    kind: Kind
+    name: str
+    lidar: int | None
+    placement: int | None
+    pole: int | None
+    chi2: float
+    freedom: int
+    w: float
+    redundancy: float
+    minimal_detectable: float | None
+    external: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """The answer of `pipeline.calibrate`, or why there is none.
@@ -392,6 +437,8 @@ class Calibration:
         What stands in the scene says of the pose, and whether it is as accurate as asked; or None.
     walk
         Of a pole that was carried: the walk, and the clocks of both LiDARs; else None.
+    tests
+        Of every observation against all others; empty when refused, and without poles.
     """
 
     status: Status
@@ -414,6 +461,7 @@ class Calibration:
     vertical: Array | None = None
     notes: tuple[Reason, ...] = ()
     walk: CarriedWalk | None = None
+    tests: tuple[Test, ...] = ()
 
 
 Rows = TypeVar("Rows", bound=np.ndarray)

@@ -227,8 +227,8 @@ def page(code: str) -> str | None:
     known = explain(code)
     if known is None:
         return None
-    anchor = code if code in reasons() else code.partition("_")[0]
-    return f"reasons.html#{anchor.replace('_', '-')}"
+    anchor = code if code in reasons() else f"{code.partition('_')[0]}_"
+    return f"docs/reasons.md#{anchor}"
 
 
 def prefixed(prefix: Prefix, code: str) -> Code:

@@ -2,7 +2,7 @@
 
 After ISO 17123-9, whose idea it takes: two instruments measure the same targets, and the distances
 between targets do not depend on where an instrument stands. Each LiDAR's axes come from its own
-returns (`axes`), and are compared by `distances` that no rigid motion changes. See docs/certify.md.
+returns (`axes`), and are compared by `distances` that no rigid motion changes. See docs/check.md.
 """
 
 from __future__ import annotations

@@ -47,8 +47,8 @@ REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""
 
 MAX_REGISTRATION_ITERATIONS = 300
-"""At the last distance: what converges at all is not refused for want of steps (docs/compare.md
-states how many were taken)."""
+"""At the last distance: what converges at all is not refused for want of steps
+(docs/evidence/compare.md states how many were taken)."""
 
 MAX_APPROACH_ITERATIONS = 100
 """At each distance before it: enough after a match (the same). From the identity it may cut off an
@@ -201,10 +201,10 @@ def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> Po
 
 KISS_VOXELS = (1.0, 0.5, 0.2)
 """Tried one after the other, metres: from the quickest to the slowest. Its authors' examples take
-0.2 and 0.3 for a single sweep and 2 for maps (see docs/compare.md for what set these)."""
+0.2 and 0.3 for a single sweep and 2 for maps (see docs/evidence/compare.md for what set these)."""
 
 ENOUGH_INLIERS = 15
-"""With so many final inliers no further voxel is tried (see docs/compare.md)."""
+"""With so many final inliers no further voxel is tried (see docs/evidence/compare.md)."""
 
 MIN_INLIERS = 5
 """With fewer final inliers, its authors' own examples call the answer a failure."""
@@ -306,7 +306,7 @@ def best_match(
 
 FPFH_VOXELS = (0.7, 0.5)
 """Tried one after the other, metres: clouds are downsampled to one point per cube of this side (see
-docs/compare.md for what set these)."""
+docs/evidence/compare.md for what set these)."""
 
 NORMAL_RADIUS, FEATURE_RADIUS = 2.0, 5.0
 """Of normals and features, in voxels (the tutorial)."""

@@ -204,7 +204,7 @@ def echo_refusal(code: str, message: str) -> None:
         say(lead + plain(action))
         lead = " " * len(lead)
     if explanation:
-        say(f"read on: documentation, {page(code)}")
+        say(f"read on: {page(code)}")
 
 
 def echo_warning(code: str, message: str) -> None:

@@ -22,23 +22,23 @@ ERROR_SCHEMA = "retropole/error/1"
 TO_LOOK_AT = {
     "retropole site calibrate": (
         "check the site file, and the recordings that it names",
-        "site.html",
+        "docs/site.md",
     ),
     "retropole site check": (
         "check the result, the site file, and the recordings that it names",
-        "check.html",
+        "docs/check.md",
     ),
     "retropole fleet calibrate": (
         "check SITES and the dataset; what is wrong with one recording is in its row",
-        "fleet.html",
+        "docs/fleet.md",
     ),
     "retropole fleet report": (
         "name the folder that 'retropole fleet calibrate --out' wrote to",
-        "fleet.html",
+        "docs/fleet.md",
     ),
     "retropole": (
         "check the path and the file; 'retropole info FILE' says what a recording holds",
-        "troubleshooting.html",
+        "docs/troubleshooting.md",
     ),
 }
 """By the command, and of all others, what to do where a file cannot be read, and the page."""
@@ -57,7 +57,7 @@ class Failure(NamedTuple):
     what_to_do
         One action each.
     read_on
-        Page of the documentation.
+        Page of the documentation, as a clone has it.
     """
 
     code: str
@@ -89,10 +89,10 @@ def failure_of(error: Exception, command: str) -> Failure:
             return Failure(error.code, error.message, actions, page(error.code))
         case MissingExtraError():
             install = f"pip install 'retropole[{error.extra}]'"
-            return Failure("missing_extra", str(error), (install,), "install.html")
+            return Failure("missing_extra", str(error), (install,), "docs/install.md")
         case NewerError():
             return Failure(
-                "unreadable", str(error), ("pip install --upgrade retropole",), "install.html"
+                "unreadable", str(error), ("pip install --upgrade retropole",), "docs/install.md"
             )
         case ReadError():
             look, read_on = TO_LOOK_AT.get(command, TO_LOOK_AT["retropole"])

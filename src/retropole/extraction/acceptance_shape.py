@@ -2,7 +2,7 @@
 
 A pole is thin, straight, and long for its width, and runs across the rings.
 
-What *Sensitivity* means beside a constant: docs/detection.md.
+What *Sensitivity* means beside a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 Poles whose tape is too dim for the threshold: old, far, or met at its edges.
 
 By a low threshold much else is bright, so that what is found there is doubtful
-(docs/detection.md, Candidate poles).
+(docs/evidence/detection.md, Candidate poles).
 """
 
 from __future__ import annotations

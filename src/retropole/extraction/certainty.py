@@ -1,7 +1,7 @@
 """What makes a line that could be a pole a candidate: thick, interrupted, seen end on, or worn.
 
 Such a line is no pole for what confirmed poles are used for, and is kept among the candidates. See
-docs/detection.md, Certain or doubtful.
+docs/evidence/detection.md, Certain or doubtful.
 """
 
 from __future__ import annotations

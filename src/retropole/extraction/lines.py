@@ -3,7 +3,7 @@
 Bright points are grouped first, and those inside a bright surface told from those along a line.
 Only distances between points count here: a cloud gives the same groups and lines after any rigid
 motion, and in whatever order its points come. What *Sensitivity* means beside a constant:
-docs/detection.md.
+docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _neighbours(centre: Array, radius: float) -> coo_array:
 LITTLE, HALF, MOST = 0.25, 0.5, 0.7
 """Shares that the rules speak of: next to nothing, half, and most of something. Limits of the rules
 had values of their own within 0.1 of these: with these instead, the same poles are found in 3,000
-clouds, but for a few (docs/detection.md, Sensitivity)."""
+clouds, but for a few (docs/evidence/detection.md, Sensitivity)."""
 
 MAX_PROPOSING_PAIRS = 2000
 """Pairs of points, at most, that propose a line: with `MANY` it bounds a search to 800,000

@@ -4,7 +4,7 @@ A wrong name gives a wrong threshold, noise and beam width, and so a wrong state
 the answer is. Only what contradicts the name counts: a cloud may always have fewer rings, and show
 less of the field of view, since it was cropped or nothing was there.
 
-Also how a pole looks by the width and step of the beams (docs/detection.md, Wide beams).
+Also how a pole looks by the width and step of the beams (docs/evidence/detection.md, Wide beams).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ A band is worn, or held, as by a person: the body goes on above it and below it,
 A pole stands on the ground and is as high as a person, so that nothing near it goes on beyond both
 of its ends. A wall does, but has no end beside the line either.
 
-What *Sensitivity* means beside a constant: docs/detection.md.
+What *Sensitivity* means beside a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
 A candidate pole alone says nothing. Two lines that one LiDAR sees at the same angle and distance as
 the other, laid on each other by a pose under which the two scenes coincide, and by no other pose
-nearly as well: that does not happen by chance (docs/detection.md, Candidate poles).
+nearly as well: that does not happen by chance (docs/evidence/detection.md, Candidate poles).
 
 Where some of the poles chosen are doubtful, more is required of the scene. Confirmed poles leave
-the scene to tell a few poses apart; candidates need it as evidence of its own (docs/detection.md,
-Candidate poles).
+the scene to tell a few poses apart; candidates need it as evidence of its own
+(docs/evidence/detection.md, Candidate poles).
 """
 
 from __future__ import annotations

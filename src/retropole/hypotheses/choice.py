@@ -30,7 +30,7 @@ from .placements import (
 
 RIVAL_OVERLAP, RIVAL_FREE_SPACE_VIOLATION = 0.62, 0.025
 """A hypothesis is a rival of the best if it has so much of its overlap, and if no more than this
-share of the points beyond the best's own speaks against it (see docs/hypotheses.md)."""
+share of the points beyond the best's own speaks against it (see docs/method.md)."""
 
 WARN_MARGIN = 0.1
 """Below this margin the answer stands, but a person should look at the hypotheses."""
@@ -42,13 +42,13 @@ MIN_COVISIBLE_OVERLAP, LEAST_OVERLAP = 0.35, 0.15
 """The same of the points that both LiDARs could see: LiDARs of different reach and field of view
 share less than `MIN_OVERLAP`, but agree where they look at the same. Then all the points need no
 more than `LEAST_OVERLAP`. Right poses have 0.43 and more of the first, of recordings from
-different places with the same poles the best has 0.30 (docs/hypotheses.md)."""
+different places with the same poles the best has 0.30 (docs/method.md)."""
 
 UNCONTRADICTED, MIN_UNCONTRADICTED_OVERLAP, MIN_UNCONTRADICTED_COVISIBLE = 25.0, 0.04, 0.2
 """LiDARs with limited fields of view share less still. The second of all points and the third of
 the covisible ones are enough where the overlap is so many times the free-space violation: right
 poses had 41 and more, wrong ones with as much of both 20 at most but for one of 441, which the
-scene contradicts later (docs/hypotheses.md)."""
+scene contradicts later (docs/method.md)."""
 
 SAME_VERTICAL = np.radians(10.0)
 """The grounds that the two LiDARs see are one where their normals differ by less, rad: a plane that

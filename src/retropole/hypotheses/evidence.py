@@ -19,12 +19,13 @@ from msgspec.structs import replace
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
-from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
+from ..base.uncertainty.confirmation import CLEAR_Z_MARGIN, DECEIVING, TOGETHER, Confirmation
 from ..surfaces.consistency import (
     SAME_SHIFT,
     Standing,
     best_lifts,
     best_shifts,
+    coincides,
     consistency,
     grounds_in,
     is_ground_on_ground,
@@ -48,6 +49,9 @@ TURN = np.radians(15.0)
 
 MAX_RIVALS = 3
 """So many other hypotheses are, too; all other angles about a pole, where the place gave that."""
+
+REDUNDANT_POLES = 3
+"""So many poles check each other: two fit a wrong pose as exactly as the right one."""
 
 MAX_WRONG = 0.03
 """An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
@@ -116,7 +120,11 @@ def confirm(
         along=_way(T, shifted[least]) if least < len(shifted) else None,
         z_margin=min(margins, default=0.0),
         better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
-        redundant=_are_redundant(paired),
+        redundant=_are_redundant(paired)
+        and not any(
+            margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < REDUNDANT_POLES
+            for margin, pose in zip(margins, poses, strict=True)
+        ),
         trusted=trusted,
     )
 
@@ -220,13 +228,28 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """
     if is_by_place(paired):
         return False
-    if max(len(each.target_poles) for each in paired) > 2:
+    if max(len(each.target_poles) for each in paired) >= REDUNDANT_POLES:
         return True
     two = [each for each in paired if len(each.target_poles) == 2]
     return any(
         not are_alike(one.target_poles, other.target_poles)
         and not are_alike(one.source_poles, other.source_poles)
         for one, other in combinations(two, 2)
+    )
+
+
+def _poles_against(
+    paired: Sequence[PairedPlacement], scenes: Sequence[tuple[Standing, Standing]], T: Array
+) -> int:
+    """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
+
+    Posts of a row lie on their neighbours where it is shifted by a post: only the poles that do not
+    speak against the shift, and one or two may have been carried.
+    """
+    return sum(
+        not (coincides(target.xyz, there, se3.inverse(T)) or coincides(source.xyz, here, T))
+        for each, (here, there) in zip(paired, scenes, strict=True)
+        for target, source in zip(each.target_poles, each.source_poles, strict=True)
     )
 
 
@@ -294,8 +317,8 @@ def _lead_words(sigmas: float) -> str:
 
 
 def _held_by_poles(found: Confirmation) -> str:
-    """Say which direction the two poles alone hold, which cannot check each other."""
+    """Say which direction only the poles constrain, where they cannot check each other."""
     if found.along is None:
-        return "Two poles alone hold the pose"
+        return "Only the poles constrain the pose"
     x, y, z = found.along
-    return f"Two poles alone hold the pose along ({x:.1f}, {y:.1f}, {z:.1f}) of the target"
+    return f"Only the poles constrain it along ({x:.1f}, {y:.1f}, {z:.1f}) of the target"

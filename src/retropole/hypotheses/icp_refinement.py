@@ -2,8 +2,8 @@
 
 Poles with few returns leave degrees of the pose open, and a scene that is turned by three degrees
 overlaps little. Registered from the right hypothesis, the scenes come to lie on each other where
-the poles still fit; from a wrong one they end elsewhere, or fit no better. See docs/detection.md,
-Candidate poles.
+the poles still fit; from a wrong one they end elsewhere, or fit no better. See
+docs/evidence/detection.md, Candidate poles.
 """
 
 from __future__ import annotations

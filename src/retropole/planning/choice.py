@@ -45,7 +45,7 @@ HANGS = 1.0
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
 """Of two poles: between their feet, metres; between their axes, rad; and between their leans where
 two or three stand. A half turn about the vertical lays two of equal leans on each other: on bare
-ground three poles that all leaned by 20° were refused as ambiguous (docs/placing.md)."""
+ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
 TOLD_APART = float(np.radians(6.0)), 0.3
 """Angles between poles, rad, or distances, metres, that differ by so much tell which is which. Two
@@ -63,7 +63,7 @@ def unsure(unknowns: Unknowns) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """Which poles may stand together in one placement (docs/placing.md).
+    """Which poles may stand together in one placement (docs/poles.md).
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ ABOVE = 0.3
 """Returns so high above the ground are of something that stands there, metres."""
 
 CLEARANCE = 0.6
-"""So far a pole keeps from it, metres (docs/placing.md)."""
+"""So far a pole keeps from it, metres (docs/poles.md)."""
 
 OWN = 1.0
 """Poles keep so far from a LiDAR, metres."""
@@ -202,7 +202,7 @@ def _disc(radius: float) -> BoolArray:
 
 
 LEANS = (np.radians(20.0), np.radians(35.0))
-"""Leans that are tried beside upright, rad (docs/placing.md)."""
+"""Leans that are tried beside upright, rad (docs/poles.md)."""
 
 DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""

@@ -17,9 +17,9 @@ from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..hypotheses.choice import hypothesis_name
-from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc
+from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc, TestDoc
 from ..result.contents import RejectedDoc
-from ..result.site import FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc, TestDoc
+from ..result.site import FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc
 from .subject import Subject, pair_name
 
 POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
@@ -412,6 +412,8 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     yield from clocks(subject)
     if pair is not None:
         yield from _of_pair(pair, verbose)
+        if verbose and subject.answered and site.tests:
+            yield from _checks(site)
     else:
         yield from _of_site(site, subject.answered)
     moved = [each for each in site.without if each.translation is not None]
@@ -487,6 +489,11 @@ def checks_of_site(site: SiteDoc) -> Iterator[str]:
         yield f"{which} {around(site, worst)}: misses by {misses} ({by_chance})"
     elif len(site.lidars) > 2:
         yield "no closed loop: no third LiDAR checks a pair"
+    yield from _checks(site)
+
+
+def _checks(site: SiteDoc) -> Iterator[str]:
+    """Say what the consistency checks of an answer showed."""
     tests = ranked_tests(site)
     if not tests:
         yield "no consistency checks: nothing verifies these poses"

@@ -273,7 +273,7 @@ def reasons_whole(status: str, reasons: Sequence[ReasonDoc], actions: int = ACTI
     for reason in reasons:
         lines += reason_lines(reason, actions)
         if status == "refused" and explain(reason.code) is not None:
-            lines.append(f"    read on: documentation, {page(reason.code)}")
+            lines.append(f"    read on: {page(reason.code)}")
     return lines
 
 

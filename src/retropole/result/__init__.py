@@ -29,7 +29,7 @@ from ..base.bounded import (
     Whole,
 )
 from ..base.carried import CarriedWalk
-from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
+from ..base.datatypes import Calibration, Hypothesis, Kind, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal, UsageError
 from ..base.reasons import Code
 from ..base.systematic import Sway
@@ -169,6 +169,26 @@ class PlacementDoc(msgspec.Struct, frozen=True):
     left_out_translation_m: Size | None
 
 
+class TestDoc(
+    msgspec.Struct,
+    frozen=True,
+    rename={"minimal_detectable": "minimal_detectable_m", "external": "external_at_30m_m"},
+):
+    """One observation, or several, tested against all others; `base.datatypes.Test`."""
+
+    kind: Kind
+    name: Text
+    lidar: Count | None
+    placement: Count | None
+    pole: Count | None
+    chi2: Number | None
+    freedom: Count
+    w: Number | None
+    redundancy: Share | None
+    minimal_detectable: Size | None
+    external: Size | None
+
+
 class Document(msgspec.Struct, frozen=True, eq=False):
     """A whole document; one that is written the same is the same."""
 
@@ -204,6 +224,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     vertical: Vector | None = None
     poles: PolesDoc
     placements: list[PlacementDoc] = []
+    tests: Annotated[list[TestDoc], Meta(max_length=LONGEST_LIST)] = []
     sways: Annotated[list[SwayDoc], Meta(max_length=LONGEST_LIST)] = []
     inputs: list[InputDoc]
     config: RunConfig
@@ -294,6 +315,7 @@ def result_document(
         ],
         poles=PolesDoc(pole_documents(first.target.poles), pole_documents(first.source.poles)),
         placements=_placements(calibration.placements),
+        tests=[document_of(TestDoc, test) for test in calibration.tests],
         sways=sway_documents(
             list(zip(*(each.scans for each in calibration.placements), strict=True))
         ),

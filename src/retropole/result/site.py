@@ -49,6 +49,7 @@ from . import (
     ReasonDoc,
     ResultDoc,
     SwayDoc,
+    TestDoc,
     document_of,
     finite,
     made_now,
@@ -152,26 +153,6 @@ class LoopDoc(
     probability: Share | None
 
 
-class TestDoc(
-    msgspec.Struct,
-    frozen=True,
-    rename={"minimal_detectable": "minimal_detectable_m", "external": "external_at_30m_m"},
-):
-    """One observation, or several, tested against all others; `adjustment.answer.Test`."""
-
-    kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
-    name: Text
-    lidar: Count | None
-    placement: Count | None
-    pole: Count | None
-    chi2: Number | None
-    freedom: Count
-    w: Number | None
-    redundancy: Share | None
-    minimal_detectable: Size | None
-    external: Size | None
-
-
 class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     """The whole document.
 
@@ -219,7 +200,7 @@ LIDARS = ("target", "source")
 """The two LiDARs of a pair, in their order."""
 
 NO_SITE: dict[str, Any] = {
-    **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops", "tests")},
+    **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops")},
     **{name: [] for name in ("surveyed_poles", "control_points")},
     **{"need": None, "joint_covariance": None},
     **{"schema": SITE_SCHEMA, "datum": "", "reference": 0},

@@ -244,7 +244,7 @@ NEAREST = 2.0
 
 FARTHEST = 12.0
 """Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
-their returns are many (docs/placing.md has 2 to 8 m)."""
+their returns are many (docs/poles.md has 2 to 8 m)."""
 
 MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""

@@ -254,6 +254,23 @@ def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[
     return found[0], found[1]
 
 
+def coincides(points: Array, seer: Standing, T: Array) -> bool:
+    """Whether most points (N, 3) of the other cloud, moved by ``T`` (4, 4), lie on its points."""
+    moved = se3.apply(T, points)
+    return bool(np.median(_agrees(seer, moved, se3.lengths(moved - seer.image.origin))))
+
+
+def _agrees(seer: Standing, moved: Array, ranges: Array) -> BoolArray:
+    """Which points (N, 3), so far from the seer, have one of its points as near as may be."""
+    near = seer.tree.query(moved, distance_upper_bound=VOXEL_SIDE)[0]
+    return np.asarray(near < _tolerance(ranges))
+
+
+def _tolerance(ranges: Array) -> Array:
+    """How far apart depths may be that agree, metres."""
+    return np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, VOXEL_SIDE)
+
+
 class _Judged(NamedTuple):
     """Which points stand in the way, and how many of each voxel agree and stand in the way."""
 
@@ -267,11 +284,11 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     moved = se3.apply(T, other.points)
     rays = moved - seer.image.origin
     ranges = se3.lengths(rays)
-    tolerance = np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, VOXEL_SIDE)
-    agrees = seer.tree.query(moved, distance_upper_bound=VOXEL_SIDE)[0] < tolerance
+    agrees = _agrees(seer, moved, ranges)
     cells = cells_of(rays)
     nearest = seer.image.nearest
-    in_the_way = ~agrees & nearest.seen[cells] & (nearest.ranges[cells] > ranges + tolerance)
+    is_before = nearest.ranges[cells] > ranges + _tolerance(ranges)
+    in_the_way = ~agrees & nearest.seen[cells] & is_before
     count = int(other.voxel.max()) + 1 if len(other.voxel) else 0
     yes = np.bincount(other.voxel[agrees], minlength=count)
     no = np.bincount(other.voxel[in_the_way], minlength=count)

@@ -13,7 +13,7 @@ every hypothesis, and all are reported:
 - free-space violation: the share of one LiDAR's returns that stand where the other looked through.
 
 The score is overlap less free-space violation, both as shares of the downsampled points and the
-mean of both directions (`visibility`). It needs no ICP. See docs/hypotheses.md.
+mean of both directions (`visibility`). It needs no ICP. See docs/method.md.
 """
 
 from __future__ import annotations

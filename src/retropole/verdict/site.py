@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..adjustment.agreement import check_radius
-from ..adjustment.answer import LidarPose, LoopClosure, Test
+from ..adjustment.answer import LidarPose, LoopClosure
 from ..adjustment.blunders import POOR, place_of, worst_test
 from ..adjustment.site import Adjusted, find_links
 from ..base import se3
-from ..base.datatypes import Array, Hypothesis, Match, Placement
+from ..base.datatypes import Array, Hypothesis, Match, Placement, Test
 from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..base.quantities import at_most

@@ -18,7 +18,7 @@ from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import SIDES, budget_of
 from ..alignment.origins import BeamOrigins
 from ..alignment.unknowns import POSE
-from ..base.datatypes import Array, Calibration, Hypothesis, Placement
+from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Test
 from ..base.description import Site, SiteLidar
 from ..base.errors import Reason, Refusal, warnings_and_notes
 from ..base.uncertainty import predicted_error, weakest_direction
@@ -62,7 +62,8 @@ def state_answer(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
     found = weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation)
-    found += _misfit(paired, aligned, refined)
+    tests, misfit = _tested(paired, aligned, refined)
+    found += misfit
     reasons, notes = warnings_and_notes(found)
     return Calibration(
         status="warn" if reasons else "ok",
@@ -81,18 +82,32 @@ def state_answer(
         radius=None if without_poles else aligned.radius,
         confirmation=confirmation,
         notes=notes,
+        tests=tests,
     )
 
 
-def _misfit(
+def _tested(
     paired: Sequence[PairedPlacement], aligned: BeamAlignment, refined: Refinement | None
-) -> Iterator[Reason]:
-    """Say what the tests of a site find in a pair."""
-    if aligned.joint is not None:
-        lidars = tuple(SiteLidar(name, ()) for name in SIDES)
-        site = Site("pair", lidars, tuple(str(k) for k, _ in enumerate(paired, 1)))
-        tested = adjusted_of_two(site, paired, range(len(paired)), aligned, refined)
-        yield from poor_fit(site, tested, of_two=True)
+) -> tuple[tuple[Test, ...], list[Reason]]:
+    """Test a pair as a site is tested, and say what does not fit."""
+    if aligned.joint is None:
+        return (), []
+    lidars = tuple(SiteLidar(name, ()) for name in SIDES)
+    site = Site("pair", lidars, tuple(str(k) for k, _ in enumerate(paired, 1)))
+    tested = adjusted_of_two(site, paired, range(len(paired)), aligned, refined)
+    pairs = [pair for each in paired for pair in each.hypothesis.match.pairs]
+    called = {
+        pole.name(site): f"T{i}–S{j}" + f" of placement {pole.placement + 1}" * (len(paired) > 1)
+        for pole, (i, j) in zip(tested.datum.poles, pairs, strict=True)
+    }
+    tests = tuple(replace(test, name=_called(test, called)) for test in tested.tests)
+    return tests, list(poor_fit(site, replace(tested, tests=tests), of_two=True))
+
+
+def _called(test: Test, poles: Mapping[str, str]) -> str:
+    """Name what is tested, a pole as the other tables of a pair do."""
+    name, sees, seer = test.name.partition(" as ")
+    return poles.get(name, name) + sees + seer
 
 
 def state_refusal(

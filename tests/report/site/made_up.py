@@ -16,7 +16,6 @@ from retropole.adjustment.answer import (
     PairCheck,
     SiteCalibration,
     SitePole,
-    Test,
     WithoutPlacement,
 )
 from retropole.base import se3
@@ -29,6 +28,7 @@ from retropole.base.datatypes import (
     Pole,
     RejectedCluster,
     Scan,
+    Test,
 )
 from retropole.base.description import (
     ControlPoint,

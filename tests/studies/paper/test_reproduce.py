@@ -22,7 +22,7 @@ pytestmark = pytest.mark.full
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def names_of(data: Path | None = None) -> list[str]:

@@ -21,7 +21,7 @@ logarithm), for its z-margin up to `CLEAR_Z_MARGIN`, and for the rest. A logisti
 answers with two poles, 112 of them wrong (benchmarks/deception.py, seeds 100 to 129, before any
 was refused for its scene); with one slope for all, answers that were 0.1 σ better were confirmed,
 and 18 of 258 right ones of seeds 300 to 334 were not, with two 9. So it holds where as many
-recordings deceive as there; docs/accuracy.md shows how well, on other seeds."""
+recordings deceive as there; docs/evidence/verdicts.md shows how well, on other seeds."""
 
 DECEIVING = 112 / 366
 """Share of the recordings that deceive, where nobody says otherwise: that of those answers."""
@@ -52,7 +52,7 @@ class Confirmation(
         "deceiving": "deceiving_share",
     },
 ):
-    """What stands in the scene says of a pose (docs/certainty.md, What stands in the scene).
+    """What stands in the scene says of a pose (docs/results.md, The scene check).
 
     Attributes
     ----------
@@ -154,8 +154,12 @@ class Confirmation(
 
     @property
     def chance_words(self) -> str:
-        """How likely the pose is wrong: ``below 0.1 % (where 31 % of recordings deceive)``."""
-        return f"{self.chance} (where {percent(self.deceiving)} of recordings deceive)"
+        """How likely the pose is wrong, and what that assumes of recordings like these.
+
+        ``0.9 % (assuming that poles were moved or mistaken in 31 % of recordings)``.
+        """
+        assumed = f"poles were moved or mistaken in {percent(self.deceiving)} of recordings"
+        return f"{self.chance} (assuming that {assumed})"
 
     @property
     def chance(self) -> str:
