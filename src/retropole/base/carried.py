@@ -15,13 +15,14 @@ Row = Annotated[list[Number], Meta(max_length=4)]
 class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     """A walk before two LiDARs, and their clocks.
 
+    Times of the source become those of the target by::
+
+        t_target = t_source + clock_offset_s + clock_drift (t_target − middle_s)
+
     Attributes
     ----------
     clock_offset_s, clock_sigma_s
-        What is added to times of the source to have those of the target, and its 1 σ, s::
-
-            t_target = t_source + clock_offset_s + clock_drift (t_target − middle_s)
-
+        The offset in the middle of the walk, and its 1 σ, s.
     clock_drift, middle_s
         By how much the target's clock is faster, s for each s; and the middle of the walk by it.
     seconds
