@@ -55,10 +55,7 @@ from retropole.simulation import simulate_pair
 
 FIRST_STATED_SEED = 1000
 
-MODULES = (
-    *("clustering", "lines", "acceptance_shape", "neighbours", "surroundings"),
-    *("acceptance_surroundings", "poles"),
-)
+MODULES = "lines", "acceptance_shape", "surroundings", "line_search", "poles"
 """Modules of the extraction, in the order in which they import each other."""
 
 LOW, HIGH = 0.7, 1.4

@@ -165,7 +165,7 @@ def calibrated(case: Case, seed: int, folder: Path) -> tuple[SimulatedPair, int,
         names = [sensor.name for sensor in pair.sensors]
         done = command(
             *("calibrate", folder / "first/lidar0.pcd", folder / "first/lidar1.pcd"),
-            *("--sensor-target", names[0], "--sensor-source", names[1]),
+            *("--sensor", names[0], "--sensor", names[1]),
             *("--out", folder / "stored", "-q"),
         )
         if done.returncode == 0:

@@ -123,7 +123,7 @@ def main() -> None:
                 given.points,
                 given.bags,
             ).result()
-        topics = ["--target-topic", TOPICS["target"], "--source-topic", TOPICS["source"]]
+        topics = ["--topic", TOPICS["target"], "--topic", TOPICS["source"]]
         one, two = ["target.pcd", "source.pcd"], ["target-twice.pcd", "source-twice.pcd"]
         print("| what | s | peak MiB | answer | off by mm, ° |\n| --- | --- | --- | --- | --- |")
         for what, words in (
@@ -135,7 +135,7 @@ def main() -> None:
         ):
             out = folder / "out"
             command = [sys.executable, "-m", "retropole", "calibrate", "--out", str(out)]
-            command += ["--sensor-target", sensors[0], "--sensor-source", sensors[1]]
+            command += ["--sensor", sensors[0], "--sensor", sensors[1]]
             command += [str(folder / each) for each in words[:2]] + words[2:]
             seconds, peak, code, said = measure(command)
             if code not in (0, 3):

@@ -155,7 +155,7 @@ def draw_street(out: Path, wanted: Collection[str]) -> None:
             run("detect", scans[0], "--out", folder, "-q")
             shutil.copy(folder / "detect.svg", out / "detect.svg")
         if "plan" in wanted:
-            sensors = ("--sensor-target", "Pandar64", "--sensor-source", "OS1")
+            sensors = ("--sensor", "Pandar64", "--sensor", "OS1")
             run("plan", *scans, *sensors, "--out", folder / "p", "-q")
             photograph(folder / "p" / "plan.html", out / "plan.png", "#place")
         if "report" in wanted:
@@ -205,7 +205,7 @@ def draw_carried(path: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run("simulate", "street", "--carried", "--seed", 1, "--out", folder, "-q")
-        sensors = ("--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+        sensors = ("--sensor", "VLP-16")
         recordings = folder / "lidar0", folder / "lidar1"
         run("calibrate", *recordings, "--carried", *sensors, "--out", folder / "r", "-q")
         photograph(folder / "r" / "report.html", path, "#walk")

@@ -1,4 +1,4 @@
-"""Write what pages take from the program: reason codes, commands, modules, sensors, packets.
+"""Write what pages take from the program: reasons, commands, options, modules, sensors, packets.
 
 python docs/make_pages.py
 python docs/make_pages.py --check
@@ -22,7 +22,10 @@ import retropole
 from retropole.base.reasons import Explanation, tables
 from retropole.base.sensors import SENSORS, Sensor
 from retropole.cli import cli
+from retropole.cli.options import HELP_ALL, NAMES, typed
 from retropole.io.packets.models import MODELS
+from retropole.result import DEFAULT_CONFIG
+from retropole.result.options import OPTIONS, PAIRS
 
 DOCS = Path(__file__).parent
 HELP_WIDTH = 92
@@ -51,7 +54,7 @@ def reason_entries() -> str:
 
 
 def command_entries() -> str:
-    """Every command's own help, as the installed command line prints it."""
+    """Every command's whole help, as the installed command line prints it."""
     top = click.Context(cli, info_name="retropole", **cli.context_settings)
     commands: list[tuple[str, click.Context]] = []
     for name, command in sorted(cli.commands.items()):
@@ -64,8 +67,22 @@ def command_entries() -> str:
     parts = []
     for name, context in commands:
         context.terminal_width = HELP_WIDTH
+        context.meta[HELP_ALL] = True
         parts.append(f"## {name}\n\n```text\n{context.command.get_help(context)}\n```\n\n")
     return "".join(parts)
+
+
+def option_rows() -> str:
+    """Every field of the options of a run, with the option and its help."""
+    both = {field: f"--{pair.name}" for pair in PAIRS.values() for field in pair[1:3]}
+
+    def rows() -> Iterator[tuple[str, ...]]:
+        for field, option in OPTIONS.items():
+            name = both.get(field) or NAMES.get(field) or typed(field)
+            default = f"`{getattr(DEFAULT_CONFIG, field)!r}`"
+            yield f"`{field}`", default, f"`{name}`", option.help.partition("  [")[0]
+
+    return table(("field", "default", "option", "its help"), rows())
 
 
 def first_line(path: Path) -> str:
@@ -142,6 +159,7 @@ def model_rows() -> str:
 PARTS: dict[str, tuple[str, Callable[[], str]]] = {
     "reasons": ("reasons.md", reason_entries),
     "commands": ("commands.md", command_entries),
+    "options": ("commands.md", option_rows),
     "modules": ("api/index.md", module_rows),
     "sensors": ("sensors.md", sensor_rows),
     "models": ("formats.md", model_rows),

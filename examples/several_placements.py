@@ -24,7 +24,9 @@ pairs = [first, place_again(first, rng), place_again(first, rng)]
 # Without the scene, to see what the placements do.
 lines = []
 for used in (pairs[:1], pairs):
-    result = rp.calibrate([p.target for p in used], [p.source for p in used], refine=False)
+    result = rp.calibrate(
+        [p.target for p in used], [p.source for p in used], options=rp.RunConfig(refine=False)
+    )
     if result.T_target_source is None:
         raise SystemExit(f"refused: {result.reasons[0].message}")
     off, stated = e_rt(result.T_target_source, first.T_target_source), result.predicted_error[2]

@@ -17,9 +17,7 @@ out = parser.parse_args().out
 
 pair = rp.simulate("harbor", seed=7, poles=3)
 target, source = pair.sensors
-result = rp.calibrate(
-    pair.target, pair.source, sensor_target=target.name, sensor_source=source.name
-)
+result = rp.calibrate(pair.target, pair.source, sensor=(target.name, source.name))
 if result.T_target_source is None:
     raise SystemExit(f"refused: {result.reasons[0].message}")
 

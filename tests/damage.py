@@ -328,7 +328,7 @@ def ran(words: list[str]) -> tuple[int, str]:
 
 def scans(folder: Path) -> dict[str, bytes]:
     """Write the scans of two LiDARs, and give that of the first in several formats."""
-    words = "simulate corridor --seed 3 --sensor-target VLP-16 --sensor-source VLP-16 -q --out"
+    words = "simulate corridor --seed 3 --sensor VLP-16 -q --out"
     assert run([*words.split(), str(folder)]) == 0
     cloud = read_cloud(folder / "lidar0.pcd")
     assert cloud.intensity is not None

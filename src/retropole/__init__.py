@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .base.datatypes import PointCloud
     from .base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
     from .io import read_cloud
+    from .result import RunConfig
 
 _MODULES = {
     "CalibrationResult": "api.result",
@@ -33,6 +34,7 @@ _MODULES = {
     "ReadError": "base.errors",
     "Refusal": "base.errors",
     "RetropoleError": "base.errors",
+    "RunConfig": "result",
     "SiteResult": "api.result",
     "UsageError": "base.errors",
     "calibrate": "api.calibration",
@@ -54,6 +56,7 @@ __all__ = [
     "ReadError",
     "Refusal",
     "RetropoleError",
+    "RunConfig",
     "SiteResult",
     "UsageError",
     "__version__",

@@ -12,6 +12,10 @@ from retropole.simulation import SimulatedPair
 Table = NDArray[np.float64]
 
 
+POLES_ALONE = rp.RunConfig(refine=False)
+"""Of the answers this is the quickest."""
+
+
 @cache
 def pair() -> SimulatedPair:
     return rp.simulate("harbor", 1, sensor_target="VLP-16", sensor_source="VLP-16")
@@ -43,10 +47,9 @@ def cloud_of(table: NDArray[np.floating]) -> rp.PointCloud:
 
 @cache
 def calibrated() -> rp.CalibrationResult:
-    """The poles alone, which is the quickest answer."""
-    return rp.calibrate(tables().target, tables().source, refine=False)
+    return rp.calibrate(tables().target, tables().source, options=POLES_ALONE)
 
 
 @cache
 def refused() -> rp.CalibrationResult:
-    return rp.calibrate(tables().target, tables().source, refine=False, poles=5)
+    return rp.calibrate(tables().target, tables().source, options=POLES_ALONE, poles=5)

@@ -1,6 +1,7 @@
 """`calibrate` answers the same, whatever its clouds come as."""
 
 import json
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 import retropole as rp
-from retropole.api.options import run_config
+from retropole.api.options import run_config, with_keywords
 from retropole.base import se3
 from retropole.result import ResultDoc, encode
 from retropole.simulation import place_again
-from tests.api.clouds import calibrated, cloud_of, pair, table_of, tables
+from tests.api.clouds import POLES_ALONE, calibrated, cloud_of, pair, table_of, tables
 
 
 def assert_same_answer(a: rp.CalibrationResult, b: rp.CalibrationResult) -> None:
@@ -49,7 +50,7 @@ def test_paths_arrays_and_clouds_give_the_same_answer(tmp_path: Path) -> None:
         (rp.read_cloud(paths[0]), source),
         ([target], [source]),
     ):
-        assert_same_answer(rp.calibrate(of_target, of_source, refine=False), expected)
+        assert_same_answer(rp.calibrate(of_target, of_source, options=POLES_ALONE), expected)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -63,10 +64,10 @@ def test_points_that_are_not_returns_change_nothing(kind: type[np.floating]) -> 
         return np.insert(table, rows, np.resize(wrong, (60, 4)), axis=0).astype(kind)
 
     clean = [table.astype(kind) for table in (tables().target, tables().source)]
-    expected = rp.calibrate(*clean, refine=False)
+    expected = rp.calibrate(*clean, options=POLES_ALONE)
     dirty = [with_nonsense(table) for table in (tables().target, tables().source)]
-    arrays = rp.calibrate(*dirty, refine=False)
-    clouds = rp.calibrate(*(cloud_of(table) for table in dirty), refine=False)
+    arrays = rp.calibrate(*dirty, options=POLES_ALONE)
+    clouds = rp.calibrate(*(cloud_of(table) for table in dirty), options=POLES_ALONE)
     for result in (arrays, clouds):
         assert_same_answer(result, expected)
         assert [each.dropped for each in result.document.inputs] == [60, 60]
@@ -75,7 +76,7 @@ def test_points_that_are_not_returns_change_nothing(kind: type[np.floating]) -> 
 
 def test_arrays_are_neither_changed_nor_kept() -> None:
     target, source = tables().target.copy(), tables().source.copy()
-    result = rp.calibrate(target, source, refine=False)
+    result = rp.calibrate(target, source, options=POLES_ALONE)
     np.testing.assert_array_equal(target, tables().target)
     assert result.placements is not None
     for scan in (result.placements[0].target, result.placements[0].source):
@@ -88,15 +89,13 @@ def test_options_reach_the_run_and_its_document() -> None:
         tables().target,
         tables().source,
         radius=0.03,
-        radius_sigma=0.001,
-        sensor_target="VLP-16",
-        threshold_source=180.0,
+        sensor=("VLP-16", "auto"),
+        threshold=(None, 180.0),
         poles=2,
-        refine=False,
         need=0.001,
         at=10.0,
         up=True,
-        prior_sigma_deg=20.0,
+        options=rp.RunConfig(radius_sigma_m=0.001, refine=False, prior_sigma_deg=20.0),
     )
     config = result.document.config
     assert (config.need_m, config.at_m) == (0.001, 10.0)
@@ -114,19 +113,27 @@ def test_options_reach_the_run_and_its_document() -> None:
 
 @pytest.mark.full
 def test_a_hypothesis_that_is_taken_by_hand_is_recorded() -> None:
-    by_scene = rp.calibrate(tables().target, tables().source, refine=False)
-    by_hand = rp.calibrate(tables().target, tables().source, refine=False, hypothesis="a")
+    by_scene = rp.calibrate(tables().target, tables().source, options=POLES_ALONE)
+    by_hand = rp.calibrate(
+        tables().target, tables().source, options=rp.RunConfig(refine=False, hypothesis="a")
+    )
     assert by_hand.document.config.hypothesis == "a"
     assert [each.chosen for each in by_hand.document.hypotheses].index(True) == 0
     assert (by_hand.status, by_hand.reasons[0].code) == ("warn", "chosen_by_hand")
     np.testing.assert_array_equal(by_hand.required_transform(), by_scene.required_transform())
     with pytest.raises(rp.UsageError, match="no hypothesis 'y'"):
-        rp.calibrate(tables().target, tables().source, refine=False, hypothesis="y")
+        rp.calibrate(
+            tables().target,
+            tables().source,
+            options=rp.RunConfig(refine=False, hypothesis="y"),
+        )
 
 
 def test_steps_are_named_as_they_start() -> None:
     steps: list[str] = []
-    result = rp.calibrate(tables().target, tables().source, refine=False, progress=steps.append)
+    result = rp.calibrate(
+        tables().target, tables().source, options=POLES_ALONE, progress=steps.append
+    )
     assert steps[:2] == ["read", "extract"]
     assert set(steps) == set(result.document.seconds)
 
@@ -136,7 +143,7 @@ def test_several_placements_give_one_answer() -> None:
     other = place_again(pair(), np.random.default_rng(3))
     targets = [tables().target, table_of(other.target)]
     sources = (tables().source, table_of(other.source))
-    result = rp.calibrate(targets, sources, refine=False)
+    result = rp.calibrate(targets, sources, options=POLES_ALONE)
     assert len(result.document.inputs) == 4
     assert len(result.document.placements) == 2
     with pytest.raises(rp.UsageError, match="2 targets and 1 source are"):
@@ -195,11 +202,14 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter of the list"),
         ({"hypothesis": 1}, "hypothesis is 1, expected a letter of the list"),
         ({"radius": "thick"}, "wrong type"),
+        ({"sensor": ("XT32", "XT32", "XT32")}, "sensor: one value for both LiDARs"),
+        ({"options": {"refine": False}}, "options is {'refine': False}, expected a RunConfig"),
         ({"poles": 2.5}, "wrong type"),
         ({"frames": 3}, "wrong type"),
         ({"prior_rpy_deg": (0.0, 1.0)}, "wrong type"),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*by options, or sensor:DeprecationWarning")
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
     with pytest.raises(rp.UsageError, match=message):
         rp.calibrate(tables().target, tables().source, **options)  # type: ignore[arg-type]
@@ -207,24 +217,46 @@ def test_options_that_make_no_sense(options: dict[str, object], message: str) ->
 
 @pytest.mark.full
 def test_numbers_of_numpy_are_as_good(tmp_path: Path) -> None:
-    options = {"radius": 0.02, "poles": 2, "threshold_target": 150.0}
-    expected = rp.calibrate(tables().target, tables().source, refine=False, **options)  # type: ignore[arg-type]
+    options = {"radius": 0.02, "poles": 2, "threshold": 150.0}
+    expected = rp.calibrate(tables().target, tables().source, options=POLES_ALONE, **options)  # type: ignore[arg-type]
     result = rp.calibrate(
         tables().target,
         tables().source,
-        refine=np.bool_(False),  # type: ignore[arg-type]
+        options=rp.RunConfig(refine=np.bool_(False)),  # type: ignore[arg-type]
         radius=np.float64(0.02),
         poles=np.int64(2),  # type: ignore[arg-type]
-        threshold_target=np.float32(150),  # type: ignore[arg-type]
+        threshold=np.float32(150),  # type: ignore[arg-type]
     )
     assert_same_answer(result, expected)
     result.save(tmp_path)
     assert rp.load_result(tmp_path).document == result.document
     prior = rp.calibrate(
-        tables().target, tables().source, refine=False, prior_rpy_deg=np.zeros(3).tolist()
+        tables().target,
+        tables().source,
+        options=rp.RunConfig(refine=False, prior_rpy_deg=(np.float64(0), 0.0, 0.0)),
     )
     prior.save(tmp_path)
     assert rp.load_result(tmp_path).document == prior.document
+
+
+def test_keywords_come_before_options_and_are_few() -> None:
+    others = rp.RunConfig(radius_m=0.03, poles=3, unit="cm", sensor_source="XT32")
+    keywords = {"radius": 0.025, "sensor": ("VLP-16", None), "up": None, "unit": None}
+    config = with_keywords(others, keywords, {})
+    assert (config.radius_m, config.poles, config.unit, config.up) == (0.025, 3, "cm", False)
+    assert (config.sensor_target, config.sensor_source) == ("VLP-16", "auto")
+    assert with_keywords(others, {"sensor": "HAP"}, {}).sensor_source == "HAP"
+    parameters = signature(rp.calibrate).parameters.values()
+    assert sum(each.kind is each.KEYWORD_ONLY for each in parameters) == 12
+
+
+def test_former_keywords_work_with_a_warning_and_others_do_not() -> None:
+    former = {"sensor_target": "HAP", "refine": False, "unit_source": "mm"}
+    with pytest.warns(DeprecationWarning, match="sensor_target, refine, unit_source: give them"):
+        config = with_keywords(rp.RunConfig(), {"unit": "m"}, former)
+    assert config == rp.RunConfig(sensor_target="HAP", refine=False, unit_source="mm")
+    with pytest.raises(TypeError, match="unexpected keyword argument: radios"):
+        rp.calibrate(tables().target, tables().source, radios=0.02)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
@@ -234,7 +266,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 def test_a_sensor_that_does_not_see_so_much_is_doubted() -> None:
     given = tables().target, tables().source
-    result = rp.calibrate(*given, refine=False, sensor_target="Mid-360", threshold_target=120)
+    result = rp.calibrate(
+        *given, options=POLES_ALONE, sensor=("Mid-360", "auto"), threshold=(120, None)
+    )
     assert result.status == "warn"
     (reason,) = (each for each in result.reasons if each.code == "sensor_doubtful")
     assert "outside of what the Mid-360 sees (-7.0° to 52.0°)" in reason.message
@@ -245,7 +279,7 @@ def test_a_sensor_that_does_not_see_so_much_is_doubted() -> None:
 def test_arrays_of_any_unit() -> None:
     per_metre = np.array([1000.0, 1000.0, 1000.0, 1.0])
     given = per_metre * tables().target, tables().source
-    result = rp.calibrate(*given, refine=False, unit="mm", unit_source="m")
+    result = rp.calibrate(*given, options=POLES_ALONE, unit=("mm", "m"))
     np.testing.assert_allclose(
         result.required_transform(), calibrated().required_transform(), atol=1e-3
     )
@@ -273,7 +307,7 @@ def test_the_file_of_a_sensor_is_found_from_elsewhere_too(
 def test_a_stated_sway_widens_what_is_stated_and_is_told() -> None:
     both = tables()
     still = rp.calibrate(both.target, both.source)
-    swaying = rp.calibrate(both.target, both.source, mast_sway_deg=0.1)
+    swaying = rp.calibrate(both.target, both.source, options=rp.RunConfig(mast_sway_deg=0.1))
     assert still.T_target_source is not None
     assert swaying.T_target_source == pytest.approx(still.T_target_source, rel=1e-6, abs=1e-8)
     assert "sways" not in [note.code for note in still.notes]
@@ -283,4 +317,4 @@ def test_a_stated_sway_widens_what_is_stated_and_is_told() -> None:
     assert 0.147 < at[1] < 0.157
     assert at[0] < 0.08
     with pytest.raises(rp.UsageError, match="mast_sway_deg"):
-        rp.calibrate(both.target, both.source, mast_sway_deg=7.0)
+        rp.calibrate(both.target, both.source, options=rp.RunConfig(mast_sway_deg=7.0))

@@ -16,7 +16,7 @@ from retropole.export.recording import Track, write_recording
 from retropole.io import read_frames, write_pcd
 from retropole.io.recordings import Frame
 
-NAMED = {"carried": True, "sensor_target": "VLP-16", "sensor_source": "VLP-16"}
+NAMED = {"sensor": "VLP-16", "options": rp.RunConfig(carried=True)}
 START = 1.7e9
 
 Frames = dict[str, list[Frame]]
@@ -25,13 +25,13 @@ Frames = dict[str, list[Frame]]
 @pytest.mark.parametrize("option", [{"poles": 2}, {"up": True}, {"hypothesis": "a"}])
 def test_what_is_of_standing_poles_is_refused(option: dict[str, object]) -> None:
     with pytest.raises(UsageError, match=next(iter(option))):
-        rp.calibrate("a", "b", carried=True, **option)  # type: ignore[arg-type]
+        rp.calibrate("a", "b", options=rp.RunConfig(carried=True, **option))  # type: ignore[arg-type]
 
 
 def test_one_sweep_is_no_walk() -> None:
     cloud = PointCloud(np.random.default_rng(0).normal(size=(50, 3)), np.arange(50.0))
     with pytest.raises(UsageError, match="many sweeps"):
-        rp.calibrate(cloud, replace(cloud, xyz=-cloud.xyz), carried=True)
+        rp.calibrate(cloud, replace(cloud, xyz=-cloud.xyz), options=rp.RunConfig(carried=True))
 
 
 @pytest.fixture(scope="module")

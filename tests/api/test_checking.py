@@ -144,8 +144,8 @@ def test_a_named_field_gives_the_same_answer_through_options_site_file_and_check
         np.savez(tmp_path / f"{name}-plain.npz", xyz=cloud.xyz, intensity=echo)
     files = [str(tmp_path / f"{name}.npz") for name in clouds]
     plain = [str(tmp_path / f"{name}-plain.npz") for name in clouds]
-    named = rp.calibrate(*files, intensity="echo", refine=False)
-    expected = rp.calibrate(*plain, refine=False)
+    named = rp.calibrate(*files, options=rp.RunConfig(refine=False, intensity="echo"))
+    expected = rp.calibrate(*plain, options=rp.RunConfig(refine=False))
     np.testing.assert_array_equal(named.T_target_source, expected.T_target_source)
     # Its page shows the poles again, so it reads the field that the run read.
     named.save(tmp_path / "out")

@@ -215,7 +215,7 @@ def test_what_cannot_be_is_refused(stored: Path, tmp_path: Path) -> None:
 @pytest.mark.full
 def test_a_lidar_that_turned_since_is_found(tmp_path: Path) -> None:
     seen = rp.simulate("street", 4, sensor_target="VLP-16", sensor_source="VLP-16")
-    result = rp.calibrate(seen.target, seen.source, sensor_target="VLP-16", sensor_source="VLP-16")
+    result = rp.calibrate(seen.target, seen.source, sensor="VLP-16")
     result.save(tmp_path)
     turn = se3.from_rt(se3.exp_so3(np.radians([0.0, 0.0, 2.0])), np.zeros(3))
     for T, moved in ((np.eye(4), ()), (turn, ("source",))):

@@ -323,7 +323,7 @@ def test_units_of_the_run_are_those_of_the_merge(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_the_ground_is_that_of_its_own_result(tmp_path: Path) -> None:
     street = simulate_pair("street", np.random.default_rng(2), sensor_target="VLP-16")
-    rp.calibrate(street.target, street.source, refine=False).save(tmp_path)
+    rp.calibrate(street.target, street.source, options=rp.RunConfig(refine=False)).save(tmp_path)
     paths = [tmp_path / "a.pcd", tmp_path / "b.pcd"]
     write_pcd(paths[0], street.target)
     write_pcd(paths[1], street.source)

@@ -40,7 +40,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recordings")
     write_pcd(folder / "target.pcd", pair().target)
     write_pcd(folder / "source.pcd", pair().source)
-    result = rp.calibrate(folder / "target.pcd", folder / "source.pcd", refine=False)
+    result = rp.calibrate(
+        folder / "target.pcd", folder / "source.pcd", options=rp.RunConfig(refine=False)
+    )
     result.save(folder / "r")
     return folder
 

@@ -32,7 +32,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "mine.toml").write_text(SENSOR)
     monkeypatch.chdir(folder)
     files = [str(Path("recordings", name)) for name in FILES]
-    result = rp.calibrate(*files, refine=False, sensor_target="mine.toml")
+    result = rp.calibrate(*files, sensor=("mine.toml", "auto"), options=rp.RunConfig(refine=False))
     assert [each.path for each in result.document.inputs] == files
     result.save(folder / "out")
     return folder

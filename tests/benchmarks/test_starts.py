@@ -57,6 +57,7 @@ SMALLEST = {
     "benchmarks/merge_live.py": ["--lidars 2 --minutes 0"],
     "benchmarks/merging.py": ["--seeds 100 101 --scenes street --noise typical"],
     "benchmarks/no_poles.py": ["data --every 1000"],
+    "benchmarks/odds.py": ["--seeds 1 --kinds VLP-16"],
     "benchmarks/plan.py": ["--seeds 1000:1001 --runs 1 --kinds bare"],
     "benchmarks/real.py": ["data --draws 1 --pairs 201"],
     "benchmarks/real_site.py": ["data --draws 1"],

@@ -18,7 +18,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
     words = "simulate", "street", "--seed", 1, "--out", folder
     # Few points: what is tested here are the commands.
-    done = retropole_here(*words, "--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+    done = retropole_here(*words, "--sensor", "VLP-16")
     assert done.returncode == 0, done.stderr
     return folder
 

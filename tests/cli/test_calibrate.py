@@ -90,7 +90,7 @@ def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_p
 def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     done = retropole_here(
-        "calibrate", *files, "--threshold-source", 1e9, "--out", "r", cwd=tmp_path
+        "calibrate", *files, "--threshold", "auto", "--threshold", 1e9, "--out", "r", cwd=tmp_path
     )
     assert done.returncode == 3
     result = json.loads((tmp_path / "r" / "result.json").read_text())
@@ -151,7 +151,7 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     scene: Path, bag: Path, tmp_path: Path
 ) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    topics = "--target-topic", "/front", "--source-topic", "/rear"
+    topics = "--topic", "/front", "--topic", "/rear"
     assert retropole_here("calibrate", *files, "--out", tmp_path / "files", "-q").returncode == 0
     done = retropole_here("calibrate", bag, bag, *topics, "--out", tmp_path / "bag", "-q")
     assert done.returncode == 0, done.stderr
@@ -220,21 +220,28 @@ def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
     done = retropole_here("calibrate", bag, bag, cwd=tmp_path)
     assert done.returncode == 2
     assert "/front (1 message), /rear (1 message)" in done.stderr
-    same = "--target-topic", "/front", "--source-topic", "/front"
+    same = "--topic", "/front"
     assert list(tmp_path.iterdir()) == []
     done = retropole_here("calibrate", bag, bag, *same, cwd=tmp_path)
     assert done.returncode == 3
     assert "same_recording: TARGET and SOURCE are both topic /front" in done.stdout + done.stderr
-    assert "--source-topic" in done.stdout + done.stderr
+    assert "--topic" in done.stdout + done.stderr
 
 
 @pytest.mark.full
 def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    words = "--radius", 0.021, "--poles", 2, "--no-refine", "--sensor-target", "Pandar64"
+    named = "--sensor", "Pandar64", "--sensor", "auto"
+    words = "--radius", 0.021, "--poles", 2, "--no-refine", *named
     done = retropole_here("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
     assert done.returncode == 0, done.stderr
-    result = rp.calibrate(*files, radius=0.021, poles=2, refine=False, sensor_target="Pandar64")
+    result = rp.calibrate(
+        *files,
+        radius=0.021,
+        poles=2,
+        sensor=("Pandar64", "auto"),
+        options=rp.RunConfig(refine=False),
+    )
     result.save(tmp_path / "python")
     theirs, ours = (
         json.loads((tmp_path / name / "result.json").read_text()) for name in ("r", "python")

@@ -27,7 +27,7 @@ def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.full
 def test_four_poles_are_tested(four: Path) -> None:
     files = four / "lidar0.pcd", four / "lidar1.pcd"
-    named = "--sensor-target", "XT32", "--sensor-source", "XT32"
+    named = "--sensor", "XT32"
     done = retropole_here("certify", *files, *named)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("verdict: pass\n")

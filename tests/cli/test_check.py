@@ -146,7 +146,7 @@ def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
     result["config"]["sensor_source"] = "nonsense"
     (site / "wrong.json").write_text(json.dumps(result))
     assert run(site, "wrong.json", "same") == (2, "")
-    for words in (("--target-topic", "/front"), ("--angles", "a.csv"), ("--intensity", "range")):
+    for words in (("--topic", "/front"), ("--angles", "a.csv"), ("--intensity", "range")):
         assert run(site, "r", "same", *words) == (2, "")
     assert run(site, "r", "same", "--intensity", "Intensity", "-q") == (0, "")
 

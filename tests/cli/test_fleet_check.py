@@ -40,7 +40,7 @@ def test_what_it_says(fleet: Path, answers: Path, tmp_path: Path) -> None:
     done = retropole_here(*words)
     assert done.returncode == 0
     assert done.stdout.splitlines()[-1] == (
-        "8 sites, 8 new checks; changed since their calibration: 0, not told: 7"
+        "8 sites, 8 new checks; changed since their calibration: 0, undecided: 7"
     )
     assert "small/1: cannot tell (too_few_poles)" in done.stdout
     assert "damaged: error (usage: it was not calibrated: unreadable)" in done.stdout

@@ -21,7 +21,7 @@ Clouds = tuple[PointCloud, PointCloud]
 @pytest.mark.full
 def test_below_the_limit_nothing_changes(clouds: Clouds) -> None:
     expected = rp.calibrate(*clouds)
-    same = rp.calibrate(*clouds, max_points=max(map(len, clouds)))
+    same = rp.calibrate(*clouds, options=rp.RunConfig(max_points=max(map(len, clouds))))
     assert answer_of(same.document) == answer_of(expected.document)
     assert [item.thinned for item in same.document.inputs] == [0, 0]
 
@@ -31,7 +31,7 @@ def test_below_the_limit_nothing_changes(clouds: Clouds) -> None:
 def test_a_thinned_cloud_gives_the_same_pose(clouds: Clouds, part: float) -> None:
     expected = rp.calibrate(*clouds)
     most = int(part * min(map(len, clouds)))
-    thinned = rp.calibrate(*clouds, max_points=most)
+    thinned = rp.calibrate(*clouds, options=rp.RunConfig(max_points=most))
     assert [item.points for item in thinned.document.inputs] == [most, most]
     assert thinned.T_target_source is not None
     assert expected.T_target_source is not None
@@ -66,7 +66,7 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
     with pytest.raises(
         UsageError, match="max_points is 999, expected a number from 1000 to 9007199254740992"
     ):
-        rp.calibrate(*clouds, max_points=999)
+        rp.calibrate(*clouds, options=rp.RunConfig(max_points=999))
 
 
 @pytest.mark.full

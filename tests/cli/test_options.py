@@ -8,6 +8,8 @@ from typing import Any
 import click
 import pytest
 
+from retropole.cli.options import READING, SENSORS, TOPICS, run_options
+from retropole.result import RunConfig
 from tests.cli.commands import all_commands, retropole_here
 
 ABSURD = "nan", "inf", "-inf", "1e400", "-1e400", "9" * 20, "-" + "9" * 20, "9" * 5000, "much", ""
@@ -69,3 +71,84 @@ def test_a_domain_of_the_environment_has_bounds(monkeypatch: pytest.MonkeyPatch)
         done = retropole_here("watch", "ros2:/a", "ros2:/b", "--out", "none")
         assert done.returncode == 2
         assert "a whole number from 0 to 232" in done.stderr
+
+
+def config_of(*words: str) -> RunConfig:
+    """Take options as commands of two LiDARs do."""
+
+    given: list[RunConfig] = []
+
+    @click.command()
+    @run_options(*SENSORS, *TOPICS, *READING)
+    def do(**options: Any) -> int:
+        given.append(RunConfig(**options))
+        return 0
+
+    do.main(list(words), standalone_mode=False)
+    return given[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "older", "fields"),
+    [
+        ("", "", {}),
+        (
+            "--sensor XT32",
+            "--sensor-target XT32 --sensor-source XT32",
+            {"sensor_target": "XT32", "sensor_source": "XT32"},
+        ),
+        ("--sensor XT32 --sensor auto", "--sensor-target XT32", {"sensor_target": "XT32"}),
+        ("--sensor auto --sensor XT32", "--sensor-source XT32", {"sensor_source": "XT32"}),
+        (
+            "--threshold 9 --threshold 120.5",
+            "--threshold-target 9 --threshold-source 120.5",
+            {"threshold_target": 9, "threshold_source": 120.5},
+        ),
+        ("--threshold auto --threshold 9", "--threshold-source 9", {"threshold_source": 9}),
+        (
+            "--topic /a,b --topic /c",
+            "--target-topic /a,b --source-topic /c",
+            {"target_topic": "/a,b", "source_topic": "/c"},
+        ),
+        ("--topic auto --topic /c", "--source-topic /c", {"source_topic": "/c"}),
+        # Of these one value is of the target, and the source's is the target's or none.
+        ("--unit mm", "--unit mm", {"unit": "mm"}),
+        ("--unit mm --unit m", "--unit mm --unit-source m", {"unit": "mm", "unit_source": "m"}),
+        ("--unit mm --unit auto", "--unit mm --unit-source m", {"unit": "mm", "unit_source": "m"}),
+        ("--unit m --unit mm", "--unit-source mm", {"unit_source": "mm"}),
+        ("--intensity echo", "--intensity echo", {"intensity": "echo"}),
+        (
+            "--intensity echo --intensity auto",
+            "--intensity echo --intensity-source=",
+            {"intensity": "echo", "intensity_source": ""},
+        ),
+        ("--intensity auto --intensity i", "--intensity-source i", {"intensity_source": "i"}),
+        ("--angles a.csv", "--angles a.csv", {"angles": "a.csv"}),
+        (
+            "--angles a.csv --angles b.csv",
+            "--angles a.csv --angles-source b.csv",
+            {"angles": "a.csv", "angles_source": "b.csv"},
+        ),
+    ],
+)
+def test_an_option_of_both_is_given_once_or_twice_or_as_before(
+    words: str, older: str, fields: dict[str, Any]
+) -> None:
+    assert config_of(*words.split()) == RunConfig(**fields)
+    assert config_of(*older.split()) == RunConfig(**fields)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--sensor", "a", "--sensor", "b", "--sensor", "c"), "one value for both LiDARs"),
+        (("--sensor", "a", "--sensor-target", "b"), "--sensor is for TARGET"),
+        (("--unit", "m", "--unit", "mm", "--unit-source", "ft"), "--unit is for TARGET"),
+        (("--threshold", "1,5"), "'1,5' is no number"),
+        (("--unit", "m,mm"), "'m,mm'"),
+    ],
+)
+def test_what_an_option_of_both_cannot_be_is_said(words: tuple[str, ...], said: str) -> None:
+    done = retropole_here("calibrate", "a", "b", *words, "--out", "none")
+    assert done.returncode == 2
+    assert said in done.stderr

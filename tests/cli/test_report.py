@@ -22,7 +22,7 @@ pytestmark = pytest.mark.full
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two scans and the result of calibrating them, by relative paths."""
     folder = tmp_path_factory.mktemp("run")
-    sensor = ("--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+    sensor = ("--sensor", "VLP-16")
     done = retropole_here("simulate", "harbor", "--seed", 1, *sensor, "--out", folder)
     assert done.returncode == 0, done.stderr
     done = retropole_here("calibrate", "lidar0.pcd", "lidar1.pcd", "--out", "r", cwd=folder)
@@ -126,7 +126,7 @@ def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
     points = [points_of(read_cloud(own / f"lidar{k}.pcd")) for k in (0, 1)]
     topics = {"/front": [points[0], points[1]], "/rear": [points[1], points[0]]}
     bag = write_bag(own, "mcap", topics)
-    which = ("--target-topic", "/front", "--source-topic", "/rear", "--frames", "0:1")
+    which = ("--topic", "/front", "--topic", "/rear", "--frames", "0:1")
     done = retropole_here("calibrate", bag, bag, *which, "--no-refine", "--out", "b", "-q", cwd=own)
     assert done.returncode == 0, done.stderr
     before = (own / "b" / "report.html").read_text()
@@ -137,7 +137,7 @@ def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
 
 def test_the_certificate_names_the_site_and_the_lidars(own: Path) -> None:
     before = (own / "r" / "report.html").read_text()
-    named = ("--site", "Pier 4 <b>", "--serial-target", "11002", "--serial-source", "11007")
+    named = ("--site", "Pier 4 <b>", "--serial", "target", "11002", "--serial-source", "11007")
     assert retropole_here("report", "r", *named, cwd=own).returncode == 0
     page = (own / "r" / "report.html").read_text()
     for said in ("Pier 4 &lt;b&gt;", "11002", "11007"):
@@ -184,8 +184,8 @@ def test_serial_numbers_of_a_site_are_given_by_name(site: Path, own: Path) -> No
     assert "11&lt;02" in (site / "out" / "site-report.html").read_text()
     for folder, options, said in (
         (site / "out", ("--serial", "mast", "1"), "no LiDAR 'mast'; there are posts-1"),
-        (site / "out", ("--serial-source", "1"), "--serial LIDAR NUMBER"),
-        (own / "r", ("--serial", "target", "1"), "--serial-target and --serial-source"),
+        (site / "out", ("--serial-source", "1"), "no LiDAR 'source'; there are posts-1"),
+        (own / "r", ("--serial", "mast", "1"), "no LiDAR 'mast'; there are target, source"),
     ):
         done = retropole_here("report", folder, *options, cwd=site)
         assert done.returncode == 2

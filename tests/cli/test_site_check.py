@@ -97,7 +97,7 @@ def test_a_lidar_without_a_recording_is_not_told(site: Path, tmp_path: Path) -> 
     assert retropole_here("site", "init", tmp_path).returncode == 0
     done = retropole_here("site", "check", site / "out", tmp_path)
     assert done.returncode == 3
-    assert "not told whether they moved: posts-3" in done.stdout
+    assert "whether these moved is open: posts-3" in done.stdout
 
 
 def test_help_has_worked_examples() -> None:

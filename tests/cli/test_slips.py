@@ -158,8 +158,8 @@ class TestUnits:
     ) -> None:
         recordings = scene / "lidar0.pcd", millimetres / "1.pcd"
         message = check_refused(calibrate(tmp_path, *recordings), tmp_path, "wrong_scale")
-        assert "is the source in millimetres? Then read it with --unit-source mm" in message
-        done = calibrate(tmp_path, *recordings, "--unit-source", "mm")
+        assert "is the source in millimetres? Then read it with --unit m --unit mm" in message
+        done = calibrate(tmp_path, *recordings, "--unit", "m", "--unit", "mm")
         assert done.returncode == 0, done.stderr
         np.testing.assert_allclose(transform_of(tmp_path), truth, atol=0.01)
 
@@ -189,7 +189,7 @@ class TestSensors:
         target = simulate_pair("corridor", np.random.default_rng(1), sensor_target="XT32").target
         write_pcd(tmp_path / "a.pcd", target)
         recordings = tmp_path / "a.pcd", scene / "lidar1.pcd"
-        done = calibrate(tmp_path, *recordings, "--sensor-target", "VLP-16")
+        done = calibrate(tmp_path, *recordings, "--sensor", "VLP-16", "--sensor", "auto")
         message = check_refused(done, tmp_path, "wrong_sensor")
         assert "has 32 rings, the VLP-16 has 16: name the sensor that recorded it, XT32" in message
 

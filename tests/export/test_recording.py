@@ -135,7 +135,7 @@ def test_a_calibration_from_the_export_gives_the_same_answer(saved: Path) -> Non
     done = retropole_here("export", saved / "out", "--to", "mcap", "--out", path)
     assert (done.returncode, done.stderr) == (0, "")
     first = rp.load_result(saved / "out")
-    again = rp.calibrate(path, path, target_topic=TOPICS["target"], source_topic=TOPICS["source"])
+    again = rp.calibrate(path, path, topic=(TOPICS["target"], TOPICS["source"]))
     assert again.T_target_source is not None
     assert first.T_target_source is not None
     np.testing.assert_array_equal(again.T_target_source, first.T_target_source)

@@ -11,9 +11,8 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Detection, IntArray, PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
-from retropole.extraction import acceptance_shape, lines, poles, surroundings
+from retropole.extraction import lines, surroundings
 from retropole.extraction.poles import extract_poles
-from retropole.extraction.sensor_pattern import Beams
 from retropole.io import read_cloud
 from retropole.simulation import Box, Rectangle, simulate_pair
 from tests.extraction.scenes import (
@@ -28,7 +27,6 @@ from tests.extraction.scenes import (
     seen,
     without_rings,
 )
-from tests.extraction.synthetic import line_with, offset, on_pole, scene
 from tests.paths import SHARED
 from tests.tiers import first_of
 
@@ -264,63 +262,12 @@ def test_more_rounds_of_fitting_give_the_same_poles(
         same_poles(extract_poles(cloud), found, np.eye(4))
 
 
-def test_poles_beyond_the_most_of_one_group_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud, _ = seen([pole((4, 0)), pole((4, 0.5), 0.35 * Y)])
-    monkeypatch.setattr(poles, "MAX_POLES", 1)
-    found = extract_poles(cloud)
-    (rest,) = found.rejected
-    assert len(found.poles) == 1
-    assert rest.reason == f"{len(rest.index)} points left after 1 poles, more are not looked for"
-
-
-@pytest.mark.parametrize("apart", [False, True])
-def test_few_points_left_by_several_poles_are_too_few(apart: bool) -> None:
-    left = np.zeros(9, dtype=bool)
-    left[[0, 1, 2, 5, 6, 7]] = True
-    parts = [np.arange(4), np.arange(4, 9)] if apart else [np.arange(9)]
-    failure = poles._left_over(left, parts)
-    assert failure.code == "too_few_points"
-    assert failure.reason.startswith("no 6 points together" if apart else "6 points left")
-
-
-@pytest.mark.parametrize(("width", "is_saturated"), [(0.5, False), (1.5, True)])
-def test_bright_surfaces_are_left_out_of_the_search(width: float, is_saturated: bool) -> None:
-    across, up = np.meshgrid(np.arange(0, width, 0.04), np.arange(0, 1.5, 0.04))
-    plate = offset(0.0, 0.5 + across.ravel(), up.ravel())
-    cloud = PointCloud(np.concatenate([on_pole(1.6, 160, 3), plate]))
-    parts, failure = poles.off_surfaces(cloud, np.arange(len(cloud)))
-    searched = np.concatenate(parts)
-    assert set(range(480)) <= set(searched), "the pole is searched"
-    assert len(searched) < len(cloud)
-    assert (failure is not None) is is_saturated
-
-
 @pytest.mark.full
 def test_a_large_sign_is_rejected_as_a_surface() -> None:
     cloud, _ = seen([Rectangle(np.array([4.0, 0, 0]), Y, Z, (1.0, 1.0), TAPE)], "OS1")
     (sign,) = extract_poles(cloud).rejected
     assert sign.code == "part_of_a_surface"
     assert "inside a bright surface" in sign.reason
-
-
-@pytest.mark.parametrize("is_saturated", [True, False])
-def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> None:
-    cloud, line = scene(on_pole(rings=acceptance_shape.FEW_POLE_POINTS - 1, each=1))
-    index = np.arange(len(cloud))
-    free = np.ones(len(cloud), dtype=bool)
-    best = poles._best_line(cloud, index, index, free, 0.02, Beams(), is_saturated)
-    assert isinstance(best, lines.Line) is not is_saturated
-    if isinstance(best, lines.Line):
-        np.testing.assert_array_equal(np.sort(best.index), line.index)
-
-
-def test_few_or_thick_points_in_a_bright_surface_are_no_pole() -> None:
-    many = acceptance_shape.FEW_POLE_POINTS
-    assert poles._candidate_in_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
-    for line in (line_with(many - 1), line_with(many, rms=1.01 * acceptance_shape.THICK_RMS)):
-        failure = poles._candidate_in_brightness(line)
-        assert failure is not None
-        assert failure.code == "part_of_a_surface"
 
 
 @pytest.mark.parametrize(

@@ -344,7 +344,7 @@ def failed(scened: tuple[PointCloud, Line]) -> tuple[str, str]:
     cloud, line = scened
     assert cloud.intensity is not None
     near = np.arange(len(cloud))
-    failure = surroundings_failure(cloud, near, cloud.intensity >= BRIGHT, line)
+    failure = surroundings_failure(surroundings_of(cloud, near, cloud.intensity >= BRIGHT, line))
     return ("", "") if failure is None else (failure.code, failure.reason)
 
 

@@ -139,4 +139,4 @@ def test_every_source_that_is_no_lidars_has_a_remedy_of_its_own() -> None:
     assert remedy("encoder") == tables().of_a_lidar
     # What is no LiDAR's own error has a remedy of its own.
     assert {POLES, DEPTH, SWAY, SCATTER, FLAT} <= set(tables().remedies)
-    assert "--sensor-target" in remedy("encoder", "target")
+    assert "sensor of the target (--sensor)" in remedy("encoder", "target")

@@ -66,7 +66,8 @@ def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
         # Numbers that are too large are in a small unit.
         small = "source" if factor > 1 else "target"
         assert f"{METRES[unit]:g}: is the {small} in {NAMES[unit]}?" in there.message
-        assert f"--unit{'-source' if factor > 1 else ''} " in there.message
+        units = f"m --unit {unit}" if factor > 1 else f"{unit} --unit m"
+        assert f"--unit {units})" in there.message
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from .inputs import (
     refuse_repeated,
     tell_repeated,
 )
-from .options import checked_options, run_config
+from .options import checked_options, with_keywords
 from .result import CalibrationResult, SiteResult
 from .site_inputs import inputs_of, read_site, repeated
 
@@ -42,37 +43,24 @@ def calibrate(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     *,
-    radius: float = DEFAULT_CONFIG.radius_m,
-    radius_sigma: float = DEFAULT_CONFIG.radius_sigma_m,
-    sensor_target: str = DEFAULT_CONFIG.sensor_target,
-    sensor_source: str = DEFAULT_CONFIG.sensor_source,
-    threshold_target: float | None = None,
-    threshold_source: float | None = None,
-    carried: bool = False,
+    radius: float | None = None,
+    sensor: str | Sequence[str] | None = None,
+    threshold: float | Sequence[float | None] | None = None,
+    topic: str | Sequence[str | None] | None = None,
+    frames: slice | None = None,
+    unit: str | Sequence[str] | None = None,
     poles: int | None = None,
-    refine: bool = DEFAULT_CONFIG.refine,
-    trust_poles: bool = DEFAULT_CONFIG.trust_poles,
-    deceiving_share: float | None = None,
     need: float | None = None,
     at: float | None = None,
-    up: bool = DEFAULT_CONFIG.up,
-    prior_rpy_deg: Sequence[float] | None = None,
-    prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
-    mast_sway_deg: float | None = None,
-    hypothesis: str | None = None,
-    target_topic: str | None = None,
-    source_topic: str | None = None,
-    frames: slice | None = None,
-    max_points: int = DEFAULT_CONFIG.max_points,
-    unit: str = DEFAULT_CONFIG.unit,
-    unit_source: str | None = None,
-    intensity: str | None = None,
-    intensity_source: str | None = None,
-    angles: str | None = None,
-    angles_source: str | None = None,
+    up: bool | None = None,
+    options: RunConfig = DEFAULT_CONFIG,
     progress: Callable[[str], None] = lambda step: None,
+    **older: Any,
 ) -> CalibrationResult:
     """Find the rigid transform between two LiDARs that see the same taped poles.
+
+    What is None is taken of `options`. `sensor`, `threshold`, `topic` and `unit` have one value for
+    both LiDARs, or those of target and source: ``sensor=("VLP-16", "XT32")``.
 
     Parameters
     ----------
@@ -80,57 +68,32 @@ def calibrate(
         A path that `io.read_cloud` reads; an array, (N, 4) of x, y, z in metres and intensity; or
         a `PointCloud`. Each in its own sensor's frame. Or a list of these, one for each placement
         of the poles, target and source in the same order: one pose is found for all.
-    radius, radius_sigma
-        Radius of the poles and its 1 σ, metres, at least 2 % of it: the prior of an estimate.
-    sensor_target, sensor_source
+    radius
+        Radius of the poles, metres, 0.02 unless it is given.
+    sensor
         Names of sensors, or ``auto``.
-    threshold_target, threshold_source
-        Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
-        cloud.
-    carried
-        A person carries one pole, and both recordings are of the whole walk, with a time for each
-        point. The answer has the offset of the clocks, `CalibrationResult.walk`. What follows up to
-        `hypothesis`, but for `refine`, `need` and `at`, is of standing poles alone.
+    threshold
+        Intensity from which a return counts as retro-reflective; None takes that of the sensor, or
+        else of the cloud.
+    topic, frames
+        Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    unit
+        Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     poles
-        Exact number of poles that both LiDARs see; None takes any number from one up.
-    refine
-        Whether the scene refines the pose that the poles give.
-    trust_poles
-        Whether you trust two poles where the scene has too little to confirm them.
-    deceiving_share
-        Share of recordings like yours that deceive, since poles were moved between them or other
-        objects taken for poles: ``probability_wrong`` is stated for it. None takes that of the
-        simulations behind the figure, or less where both LiDARs recorded at the same time.
+        Exact number of poles that both LiDARs see; 0 finds the pose from the surroundings alone.
     need, at
         How accurate the answer must be: no point up to `at` away, 30 m where it is None, lands
         further than `need` from its true place, metres. The verdict says whether that is 95 % sure.
     up
-        Both LiDARs stand roughly upright: hypotheses that contradict it are left out.
-    prior_rpy_deg, prior_sigma_deg
-        Expected roll, pitch and yaw of the source in the target's frame, degrees, instead of `up`;
-        and 1 σ of either.
-    mast_sway_deg
-        1 σ of the angle that the masts of both LiDARs sway by, degrees: recordings of one or two
-        sweeps do not show it. None takes what the sweeps show.
-    hypothesis
-        Letter of the hypothesis to take, in the list that the same run gives without it: for where
-        you know the place and the scene does not decide. It is refused where the scene conflicts
-        with it; the verdict is at best ``warn``.
-    target_topic, source_topic, frames
-        Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
-    max_points
-        Of a cloud with more, so many are kept: the brightest, and the others evenly.
-    unit, unit_source
-        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
-        it is another.
-    intensity, intensity_source
-        Field of a file that the intensity is read from, where several may be one; of the source,
-        where it is another. None takes the usual one.
-    angles, angles_source
-        Of packets, the file of the unit's own angles; None takes those of the table.
+        Both LiDARs are roughly upright: hypotheses that contradict it are left out.
+    options
+        All options by their names in the result document, the rarer ones too, such as
+        ``RunConfig(refine=False, max_points=10**6)``.
     progress
         Called with the name of each step as it starts; while a recording of several frames is read,
         with which of how many.
+    older
+        Keywords of the release before: they still work, with a `DeprecationWarning`.
 
     Returns
     -------
@@ -145,7 +108,15 @@ def calibrate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    return calibrate_with(target, source, run_config(locals()), Listener(progress))
+    keywords: dict[str, object] = {
+        "radius": radius,
+        "sensor": sensor,
+        "threshold": threshold,
+        "topic": topic,
+    }
+    keywords |= {"frames": frames, "unit": unit, "poles": poles, "need": need, "at": at, "up": up}
+    config = with_keywords(options, keywords, older)
+    return calibrate_with(target, source, config, Listener(progress))
 
 
 def calibrate_with(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from ..checking.metrics import errors_of as errors_of
 from ..checking.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
-from ..result import ResultDoc, RunConfig
+from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from .calibration import known_of
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
-from .options import run_config
+from .options import with_keywords
 from .result import CalibrationResult
 from .stored import are_swapped, hashes_of
 
@@ -37,17 +37,10 @@ def evaluate(
     *,
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,
-    target_topic: str | None = None,
-    source_topic: str | None = None,
-    frames: slice | None = None,
-    unit: str = "m",
-    unit_source: str | None = None,
-    intensity: str | None = None,
-    intensity_source: str | None = None,
-    angles: str | None = None,
-    angles_source: str | None = None,
+    options: RunConfig = DEFAULT_CONFIG,
     progress: Callable[[str], None] = lambda step: None,
     on_read: Callable[[Input], None] = lambda given: None,
+    **older: Any,
 ) -> Alignment:
     """Score a transform by the clouds it aligns; no truth is needed.
 
@@ -67,13 +60,8 @@ def evaluate(
         Kernel width of the entropy, metres.
     seed
         Of the choice of points for the entropy, where there are too many for all.
-    target_topic, source_topic, frames
-        Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
-    unit, unit_source
-        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
-        it is another.
-    intensity, intensity_source, angles, angles_source
-        As `calibrate` takes them.
+    options, older
+        As `calibrate` takes them: how the recordings are read.
     progress, on_read
         Called with the name of each step as it starts, and with each cloud once it is read.
 
@@ -88,7 +76,7 @@ def evaluate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    config, rng = run_config(locals()), _generator(seed)
+    config, rng = with_keywords(options, {}, older), _generator(seed)
     T, document = _transform(T_target_source), _result_of(T_target_source)
     _refuse_swapped(target, source, document)
     progress("read")

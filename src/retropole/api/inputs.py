@@ -321,8 +321,7 @@ def tell_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
     advice = what_to_give(first // 2, second // 2)
     if other.topic is not None and first // 2 == second // 2:
         advice = (
-            "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
-            "two LiDARs of one bag apart"
+            '--topic /a --topic /b (in Python topic=("/a", "/b")) tell two LiDARs of one bag apart'
         )
     if one.name == other.name:
         what = f"topic {other.topic} of {other.name}" if other.topic else other.name

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from ..base.sensors import name_from
 from ..hypotheses.choice import is_hypothesis_name
 from ..hypotheses.prior import rotation_prior
 from ..result import DEFAULT_CONFIG, RunConfig
-from ..result.options import OPTIONS, UNITS, radius_in_metres
+from ..result.options import OPTIONS, PAIRS, UNITS, radius_in_metres
 
 
 def keyword(field: str) -> str:
@@ -26,8 +27,10 @@ def keyword(field: str) -> str:
     return field.removesuffix("_m")
 
 
-def run_config(options: Mapping[str, object]) -> RunConfig:
+def run_config(options: Mapping[str, object], others: RunConfig = DEFAULT_CONFIG) -> RunConfig:
     """Take options by their keywords, and nothing else that is there; NumPy's numbers are as good.
+
+    Options that are not there are taken of `others`.
 
     Raises
     ------
@@ -38,7 +41,34 @@ def run_config(options: Mapping[str, object]) -> RunConfig:
     frames = named.get("frames")
     if isinstance(frames, slice):
         named["frames"] = frames.start, frames.stop, frames.step
-    return checked_options(RunConfig(**named))  # type: ignore[arg-type]  # that is what is checked
+    return checked_options(replace(others, **named))
+
+
+def with_keywords(
+    options: RunConfig, keywords: Mapping[str, object], older: Mapping[str, object]
+) -> RunConfig:
+    """Put keywords that are not None in the place of the options that they name.
+
+    Those of `PAIRS` have one value, or target's and source's. `older` keywords are given by
+    `options` now; they still work, with a warning.
+
+    Raises
+    ------
+    UsageError, TypeError
+        As `checked_options`; for a keyword that is no option.
+    """
+    if not isinstance(options, RunConfig):
+        raise UsageError(f"options is {options!r}, expected a RunConfig")
+    given = {name: value for name, value in keywords.items() if value is not None}
+    for name in PAIRS.keys() & given:
+        value = given.pop(name)
+        given |= PAIRS[name].fields(*(value if isinstance(value, tuple | list) else (value,)))
+    if unknown := older.keys() - set(map(keyword, RunConfig.__struct_fields__)):
+        raise TypeError(f"unexpected keyword argument: {', '.join(unknown)}")
+    if older:
+        words = f"{', '.join(older)}: give them by options, or sensor, threshold, topic or unit"
+        warnings.warn(words, DeprecationWarning, stacklevel=3)
+    return run_config({**given, **older}, options)
 
 
 def checked_options(config: RunConfig) -> RunConfig:

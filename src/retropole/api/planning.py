@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -37,7 +38,7 @@ from ..result.pole_plan import (
 from ..simulation.raycast import Material
 from ..simulation.scenes import box
 from .inputs import SILENT, CloudSource, Input, Listener, input_documents, read_input
-from .options import run_config
+from .options import with_keywords
 from .result import load_site_result
 from .site_file import SiteFile, read_site_file
 from .site_inputs import site_file_in
@@ -133,24 +134,14 @@ def plan(
     poles: int = 2,
     placements: int = 1,
     length: float = LENGTH,
-    radius: float = DEFAULT_CONFIG.radius_m,
+    radius: float | None = None,
     need: float | None = None,
     at: float | None = None,
     allowed: Sequence[tuple[float, float, float, float]] = (),
     forbidden: Sequence[tuple[float, float, float, float]] = (),
-    sensor_target: str = DEFAULT_CONFIG.sensor_target,
-    sensor_source: str = DEFAULT_CONFIG.sensor_source,
-    target_topic: str | None = None,
-    source_topic: str | None = None,
-    frames: slice | None = None,
-    max_points: int = DEFAULT_CONFIG.max_points,
-    unit: str = DEFAULT_CONFIG.unit,
-    unit_source: str | None = None,
-    intensity: str | None = None,
-    intensity_source: str | None = None,
-    angles: str | None = None,
-    angles_source: str | None = None,
+    options: RunConfig = DEFAULT_CONFIG,
     progress: Callable[[str], None] = lambda step: None,
+    **older: Any,
 ) -> PolePlan:
     """Plan where to stand the poles, from recordings of the place without poles.
 
@@ -160,7 +151,7 @@ def plan(
         As `calibrate` takes them.
     rough
         (4, 4) maps points of the source into the target's frame, good to 10° and 1 m, or a file
-        that `export` reads; None asks the place for it.
+        that `export` reads; None finds it from the surroundings.
     poles, placements
         How many stand at once, and how often they are moved.
     length, radius
@@ -170,10 +161,8 @@ def plan(
     allowed, forbidden
         Rectangles (x, y, x, y) of the ground, metres, from the point on the ground below the
         target, x where its x axis points.
-    sensor_target, sensor_source, target_topic, source_topic, frames, max_points, unit, unit_source
-        As `calibrate` takes them.
-    intensity, intensity_source, angles, angles_source
-        As `calibrate` takes them.
+    options, older
+        As `calibrate` takes them: sensors, and how the recordings are read.
     progress
         Called with the name of each step as it starts.
 
@@ -186,7 +175,7 @@ def plan(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    config = run_config(locals())
+    config = with_keywords(options, {"radius": radius, "need": need, "at": at}, older)
     areas = tuple(allowed), tuple(forbidden)
     wish = Wish(poles, placements, length, config.radius_m, config.need, *areas)
     pose = Path(rough) if isinstance(rough, str) else rough
@@ -212,8 +201,8 @@ def plan_pair(
     config
         How they are read.
     rough
-        (4, 4) target from source, good to 10° and 1 m, or a file that `export` reads; None asks
-        the place for it.
+        (4, 4) target from source, good to 10° and 1 m, or a file that `export` reads; None
+        finds it from the surroundings.
 
     Raises
     ------

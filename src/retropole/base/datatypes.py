@@ -155,6 +155,8 @@ class Pole:
     to_axis
         (3,) from the line to where that of a pole of `DEFAULT_RADIUS` about the same axis would
         be, metres: of a thicker one, the line runs farther in front.
+    log_odds
+        That it is a pole and not another bright thing; infinite where it is given.
     """
 
     point: Array
@@ -165,6 +167,7 @@ class Pole:
     rings: int
     index: IntArray
     to_axis: Array = field(default_factory=lambda: np.zeros(3))
+    log_odds: float = np.inf
 
     @property
     def inner_point(self) -> Array:

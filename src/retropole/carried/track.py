@@ -21,8 +21,9 @@ from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, threshold_for
 from ..extraction.acceptance_shape import MIN_POLE_POINTS
+from ..extraction.line_search import near_box
 from ..extraction.lines import LINK, clusters
-from ..extraction.poles import extract_poles, near_box
+from ..extraction.poles import extract_poles
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings_shown
 

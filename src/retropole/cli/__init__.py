@@ -17,29 +17,20 @@ from ..base.errors import Refusal, RetropoleError
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, Group, never_fail_to_encode, say
 from .errors import asks_for_json, failure_of, tell
 
-COMMANDS = (
-    "calibrate",
-    "certify",
-    "check",
-    "detect",
-    "evaluate",
-    "export",
-    "fleet",
-    "info",
-    "level",
-    "merge",
-    "plan",
-    "report",
-    "simulate",
-    "site",
-    "view",
-    "watch",
-)
-"""Every command, by the name of its module."""
+GROUPS = {
+    "Calibrate": ("calibrate", "watch", "site", "fleet"),
+    "Look at recordings": ("info", "view", "detect"),
+    "Plan and rehearse": ("plan", "simulate"),
+    "Check": ("check", "certify", "evaluate"),
+    "Share the result": ("report", "export", "level", "merge"),
+}
+"""Every command, by the name of its module, as the help groups them."""
+
+COMMANDS = tuple(sorted(name for names in GROUPS.values() for name in names))
 
 
 class LazyCommands(UserDict[str, Any]):
-    """Modules by the names of their commands, which are imported when they are asked for.
+    """Modules by the names of their commands, which are imported when they are needed.
 
     So a command pays its own imports alone.
     """
@@ -49,20 +40,37 @@ class LazyCommands(UserDict[str, Any]):
         return getattr(import_module(self.data[key], __name__), key)
 
 
+class Grouped(Group):
+    """The commands under the headings of `GROUPS`."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List each with the begin of its first sentence, in one line."""
+        width = max(map(len, COMMANDS))
+        limit = formatter.width - width - 6
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                commands = [(name, self.commands[name]) for name in names]
+                formatter.write_dl(
+                    [(f"{n:{width}}", c.get_short_help_str(limit)) for n, c in commands]
+                )
+
+
 @click.group(
-    cls=Group, context_settings=CONTEXT, commands=LazyCommands({n: f".{n}" for n in COMMANDS})
+    cls=Grouped, context_settings=CONTEXT, commands=LazyCommands({n: f".{n}" for n in COMMANDS})
 )
 @click.version_option(package_name="retropole")
 def cli() -> None:
     """Calibrate LiDARs to each other with poles wrapped in retro-reflective tape.
 
     Put two (or more) taped poles, not parallel, about 5 m away where both LiDARs see them, record
-    a moment on each, and run
+    a moment on each, and calibrate. The answer maps points of the source LiDAR into the frame of
+    the target LiDAR.
 
     \b
-        retropole calibrate target.pcd source.pcd
-
-    The answer maps points of the source LiDAR into the frame of the target LiDAR.
+    Examples:
+      retropole calibrate target.pcd source.pcd
+      retropole view target.pcd source.pcd
+      retropole simulate street --seed 1 --out s
     """
 
 

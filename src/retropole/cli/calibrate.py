@@ -16,6 +16,8 @@ from .options import (
     READING,
     SENSORS,
     TOPICS,
+    Brief,
+    more_option,
     placement_arguments,
     run_options,
     verdict_options,
@@ -23,7 +25,7 @@ from .options import (
 from .out import out_folder
 
 
-@click.command()
+@click.command(cls=Brief)
 @placement_arguments
 @out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
@@ -31,7 +33,7 @@ from .out import out_folder
 @run_options("carried", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
-@click.option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
+@more_option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
 @LEVEL
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
@@ -49,27 +51,24 @@ def calibrate(
 ) -> int:
     """Find the transform that maps points of SOURCE into the frame of TARGET.
 
-    TARGET and SOURCE are point cloud files with an intensity (PCD, PLY, LAS, LAZ, BIN, NPY, NPZ,
-    CSV, XYZ), folders of such files, one for each sweep, ROS bags (.bag, .db3, .mcap, or the
-    folder), or packets of a Velodyne or Ouster (.pcap). Both may be the same bag.
+    TARGET and SOURCE are point clouds with an intensity, folders of them, one for each sweep, ROS
+    bags, or packets (.pcap). Both may be the same bag.
 
     \b
     Examples:
       retropole calibrate front.pcd rear.pcd
-      retropole calibrate front.pcd rear.pcd --radius 0.03 --out today
-      retropole calibrate front/ rear/ --sensor-target VLP-16 --threshold-source 150
-      retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
-      retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
-      retropole calibrate front.pcd rear.pcd --level
-      retropole calibrate front.pcd rear.pcd --up
-      retropole calibrate front.pcd rear.pcd --hypothesis b
+      retropole calibrate front.pcd rear.pcd --sensor VLP-16 --sensor XT32
+      retropole calibrate drive.bag drive.bag --topic /front --topic /rear
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
-      retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
+    \f
+    \b
+    More examples:
+      retropole calibrate front/ rear/ --threshold auto --threshold 150 --out today
+      retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
+      retropole calibrate front.pcd rear.pcd --up --level
       retropole calibrate front.pcap rear.pcap --frames 100:150
-      retropole calibrate front.csv rear.csv --unit mm
-      retropole calibrate front.pcd rear.pcd --poles 0
-      retropole calibrate front.pcd rear.pcd --plan retropole-plan
-      retropole calibrate walk.mcap walk.mcap --target-topic /front --source-topic /rear --carried
+      retropole calibrate front.csv rear.csv --unit mm --plan retropole-plan
+      retropole calibrate walk.mcap walk.mcap --topic /front --topic /rear --carried
 
     \b
     Exit code:
@@ -77,13 +76,12 @@ def calibrate(
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed to older-result.json
       3    refused: no transform; the reason is printed and in result.json
-      130  interrupted
     """
     from ..api.calibration import calibrate_with
 
     if options["carried"] and plan is not None:
         raise click.UsageError("--plan is of standing poles, --carried of one that moves")
-    # A plan that cannot be read is told before the work.
+    # A plan that cannot be read is reported before the work.
     wanted = None
     if plan is not None:
         from ..api.plan_checking import cost_of, load_plan
@@ -126,7 +124,7 @@ def placed(
     return [pair[0] for pair in placements], [pair[1] for pair in placements]
 
 
-@click.command("calibrate")
+@click.command("calibrate", cls=Brief)
 @click.argument("site_file", metavar="SITE.toml", type=CLOUD)
 @out_folder("Folder for site-result.json and site-report.html.", SITE_RESULT_FILE, SITE_REPORT_FILE)
 @LEVEL
@@ -143,7 +141,7 @@ def site_calibrate(
     """Find the poses of all LiDARs of a site in one frame.
 
     SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one. A folder stands for its site.toml.
+    what was surveyed; 'retropole site init' writes one. SITE.toml may be the folder that holds it.
 
     \b
     Examples:
@@ -157,7 +155,6 @@ def site_calibrate(
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed
       3    refused: no poses; the reason is printed and in site-result.json
-      130  interrupted
     """
     from ..api.calibration import calibrate_site
 

@@ -19,7 +19,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import READING, SENSORS, TOPICS, placement_arguments, run_options
+from .options import READING, SENSORS, TOPICS, Brief, placement_arguments, run_options
 from .out import out_folder
 
 EXIT_FAILED = 4
@@ -27,7 +27,7 @@ RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
 EXITS = {"pass": 0, "partial": EXIT_WARNED, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
-@click.command()
+@click.command(cls=Brief)
 @placement_arguments
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
@@ -53,12 +53,10 @@ def certify(
 
     \b
     Examples:
-      retropole certify front.pcd rear.pcd --sensor-target XT32 --sensor-source VLP-16
-      retropole certify front/ rear/
+      retropole certify front.pcd rear.pcd --sensor XT32 --sensor VLP-16
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
       retropole certify site.toml
-      retropole certify quay/ --out field-test
 
     \b
     Exit code:
@@ -67,7 +65,6 @@ def certify(
       2    a file or an option is wrong
       3    refused: too little to tell; the reason is printed
       4    fail
-      130  interrupted
     """
     from ..api import certification
     from ..base.files import write_together
@@ -100,7 +97,7 @@ def certify(
 
 
 def _is_site(path: Path) -> bool:
-    """Whether what is given alone stands for a site: its file, or a folder."""
+    """Whether what is given alone is a site: its file, or a folder."""
     return path.suffix == ".toml" or path.is_dir()
 
 

@@ -12,9 +12,9 @@ import click
 
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
-from ..result.options import OPTIONS
+from ..result.options import OPTIONS, PAIRS
 from .common import BY_SITE_FILE, EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, listening, show
-from .options import CLOUD, DEGREES, METRES, Command, run_option
+from .options import CLOUD, DEGREES, METRES, Brief, Command, run_option
 
 if TYPE_CHECKING:
     from ..api.checking import CheckedPair, CheckResult, Movement, SiteCheck
@@ -59,26 +59,22 @@ def tolerance_options(command: Command) -> Command:
     return rotation(translation(command))
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @run_option(
-    "target_topic",
-    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where TARGET is a bag]",
+    PAIRS["topic"],
+    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where it is a bag]",
 )
-@run_option("source_topic")
 @run_option(
-    "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
+    PAIRS["unit"], help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
-@run_option("unit_source", help="The same for SOURCE alone.")
 @run_option(
-    "intensity",
+    PAIRS["intensity"],
     help="Field of the new recordings' intensity.  [default: that of RESULT, where they have it]",
 )
-@run_option("intensity_source", help="The same for SOURCE alone.")
-@run_option("angles", help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
-@run_option("angles_source")
+@run_option(PAIRS["angles"], help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
 @click.option("--parent", help="Where RESULT is of a site: the name of the LiDAR of TARGET.")
 @click.option("--child", help="The same of SOURCE.")
 @tolerance_options
@@ -89,10 +85,7 @@ def tolerance_options(command: Command) -> Command:
     help="1 sigma of RESULT's rotation, about each axis.  [default: its covariance]",
 )
 @click.option(
-    "--sigma-m",
-    "sigma_translation",
-    type=METRES,
-    help="1 sigma of RESULT's translation, along each axis.",
+    "--sigma-m", "sigma_translation", type=METRES, help="1 sigma of RESULT's translation."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -108,7 +101,7 @@ def check(
     quiet: bool,
     **asked: Any,
 ) -> int:
-    """Tell whether the LiDARs still stand as they stood when RESULT was made.
+    """Tell whether the LiDARs have moved since RESULT was made.
 
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
@@ -132,7 +125,6 @@ def check(
       2    a file or an option is wrong
       3    cannot tell; the reason is printed
       4    moved
-      130  interrupted
     """
     from ..api.checking import CheckResult, check_recordings, read_stored
     from ..base.errors import Refusal
@@ -252,7 +244,7 @@ def _direction(
     return f"{preposition} ({unit[0]:+.2f} {unit[1]:+.2f} {unit[2]:+.2f}) of the target"
 
 
-@click.command("check")
+@click.command("check", cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("site", metavar="SITE.toml", type=CLOUD)
 @tolerance_options
@@ -266,7 +258,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Tell which LiDARs of a site still stand as they stood when RESULT was made.
+    """Tell which LiDARs of a site have moved since RESULT was made.
 
     RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
     recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
@@ -277,7 +269,6 @@ def site_check(
     \b
     Examples:
       retropole site check retropole-out tonight/site.toml
-      retropole site check quay/out tonight --tolerance-deg 0.2
       retropole site check retropole-out tonight --json | jq .moved
 
     \b
@@ -286,7 +277,6 @@ def site_check(
       2    a file or an option is wrong
       3    cannot tell of all LiDARs; the reasons are printed
       4    moved
-      130  interrupted
     """
     from ..api.checking import check_site
 
@@ -324,7 +314,7 @@ def site_in_words(answer: SiteCheck) -> str:
     elif answer.status == "moved":
         said.append("which of the LiDARs of a pair that moved it was, these pairs do not tell")
     if answer.untold:
-        said.append(f"not told whether they moved: {', '.join(answer.untold)}")
+        said.append(f"whether these moved is open: {', '.join(answer.untold)}")
     lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")

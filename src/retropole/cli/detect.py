@@ -9,25 +9,23 @@ import click
 
 from ..result import RunConfig
 from .common import listening, say, show
-from .options import CLOUD, FILE, run_option, run_options
+from .options import CLOUD, FILE, Brief, more_option, run_option, run_options
 from .out import out_folder
 
 PICTURE = "detect.svg"
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("file", type=CLOUD)
 @out_folder("Folder for detect.svg.", PICTURE)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
-@run_option(
-    "threshold_target", "--threshold", help="Intensity from which a return is retro-reflective."
-)
+@run_option("threshold_target", "--threshold")
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
-@click.option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
-@click.option("--lidar", help="Its name in the plan.  [default: the one that fits]")
+@more_option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
+@more_option("--lidar", help="Its name in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -48,9 +46,7 @@ def detect(
     \b
     Examples:
       retropole detect front.pcd
-      retropole detect front.pcd --threshold 120 --out look
       retropole detect front.pcd --page front.html
-      retropole detect front.pcd --json | jq .poles
       retropole detect drive.bag --topic /front --frames 0:20
       retropole detect front.pcd --plan retropole-plan
 
@@ -77,7 +73,7 @@ def detect(
     if plan is not None:
         from ..api.plan_checking import load_plan
 
-        # A plan that cannot be read is told before the work.
+        # A plan that cannot be read is reported before the work.
         wanted = load_plan(plan, [] if lidar is None else [lidar])
     elif lidar is not None:
         raise click.UsageError("--lidar is a name of the plan: give --plan, too")

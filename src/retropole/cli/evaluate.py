@@ -16,7 +16,7 @@ from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
-from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, run_options
+from .options import CLOUD, METRES, READING, SEED, SENSORS, TOPICS, Brief, more_option, run_options
 
 if TYPE_CHECKING:
     from ..api.evaluation import Alignment, Compared, Errors
@@ -44,7 +44,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
     return names
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -62,15 +62,12 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@click.option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
-@click.option("--child", help="The same of SOURCE.")
-@click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
+@more_option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
+@more_option("--child", help="The same of SOURCE.")
+@more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
-@click.option(
-    "--seed",
-    type=SEED,
-    default=0,
-    help="Seed of what methods draw, and of the points that all are scored on.",
+@more_option(
+    "--seed", type=SEED, default=0, help="Of what methods draw, and of the points scored on."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
@@ -95,7 +92,7 @@ def evaluate(
     the other cloud's surfaces. The entropy is Renyi's quadratic entropy of both clouds together,
     downsampled to 0.1 m: the sharper they are, the larger is its sum and the smaller its -log.
     Sharp is not always right: a corridor rotated by 180 deg lies on itself. In the scene check,
-    patches (cubes of 1 m) agree with the transform, or contradict it: they stand where the other
+    patches (cubes of 1 m) agree with the transform, or contradict it: they are where the other
     LiDAR looked through. Compare transforms of the same two clouds only; figures of other clouds
     are on another scale.
 
@@ -114,12 +111,11 @@ def evaluate(
       retropole evaluate front.pcd rear.pcd --transform theirs.txt --json
       retropole evaluate s/lidar0.pcd s/lidar1.pcd --transform r --truth s/truth.json
       retropole evaluate front.pcd rear.pcd --methods poles+scene,gicp,kiss
-      retropole evaluate front.pcd rear.pcd --methods poles,icp --json
 
     \b
     Exit code:
       0    scored; of methods, at least one answered
-      2    a file or an option is wrong, or no method that was asked for is installed
+      2    a file or an option is wrong, or no method that was named is installed
       3    a cloud is too small to score by, the transform is a refused result, or all methods
            refused
     """
@@ -131,9 +127,9 @@ def evaluate(
     from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
 
+    config = RunConfig(**options)
+    T_true = None if truth is None else read_transform(truth).T_parent_child
     if transform is None:
-        T_true = None if truth is None else read_transform(truth).T_parent_child
-        config = RunConfig(**options)
         with listening(quiet, config.frames) as listener, _libraries_print_to_stderr():
             found = compare(
                 target, source, config, methods, T_true, listener, sigma=sigma, seed=seed
@@ -151,11 +147,10 @@ def evaluate(
             show(in_words(found, target, source))
         return _exit_code(found, as_json=as_json)
     T = read_transform(transform, parent=parent, child=child).T_parent_child
-    T_true = None if truth is None else read_transform(truth).T_parent_child
-    read = {name: options[name] for name in (*TOPICS, "frames", *READING)}
-    with listening(quiet, options["frames"], hidden=as_json) as listener:
+    with listening(quiet, config.frames, hidden=as_json) as listener:
         given = transform if parent is None and child is None else T
-        aligned = score(target, source, given, sigma=sigma, seed=seed, **listener._asdict(), **read)
+        how = {"sigma": sigma, "seed": seed, "options": config, **listener._asdict()}
+        aligned = score(target, source, given, **how)
     errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
         figures = {

@@ -11,7 +11,7 @@ from ..api import transforms
 from ..api.transforms import FORMATS, TREE_FORMATS
 from ..base.files import write_atomically
 from .common import echo_warning, fill_in, say, show
-from .options import CLOUD, FILE
+from .options import CLOUD, FILE, Brief
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
@@ -25,7 +25,7 @@ TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
 TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")
@@ -98,15 +98,12 @@ def export(
     \b
     Examples:
       retropole export retropole-out --to ros2 --parent front_lidar --child rear_lidar
-      retropole export result.json --to json --out calibration.json
       retropole export result.json --to matrix --invert
       retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
       retropole export result.json --to launch --mounting base_to_front.yaml --child rear_lidar
       retropole export sensors_calibration.yaml --to urdf --parent front --child rear
       retropole export retropole-out --to mcap --out aligned.mcap
-      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
       retropole export site-result.json --to geojson --out lidars.geojson
-      retropole export site-result.json --to urdf --out site.urdf
       retropole export site-result.json --to ros2 --parent mast-a --child mast-b
 
     \b

@@ -9,7 +9,7 @@ import click
 from .common import EXIT_WARNED, Group, json_text, progress_on_terminal, say, show, show_written
 from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_export, fleet_network
-from .options import SENSORS, run_options
+from .options import SENSORS, Brief, more_option, run_options
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -37,7 +37,7 @@ fleet.add_command(fleet_network)
 fleet.add_command(fleet_export)
 
 
-@fleet.command()
+@fleet.command(cls=Brief)
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
 @cluster_options
@@ -45,8 +45,9 @@ fleet.add_command(fleet_export)
 @click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
 @click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
-@click.option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
-@run_options("radius_m", *SENSORS, "mast_sway_deg")
+@more_option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
+@run_options("radius_m", SENSORS[0])
+@run_options(SENSORS[1], "mast_sway_deg", more=True)
 @click.option("--strict", is_flag=True, help="Exit with 1 where a site is not ok.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -81,7 +82,6 @@ def calibrate(
       retropole fleet calibrate recordings/ --out fleet --report fleet.html
       retropole fleet calibrate 'posts/*/site.toml' --out fleet --reports reports --workers 8
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tls://head:8786
-      retropole fleet calibrate sites.csv --out fleet --retry --time-limit 3600
 
     \b
     Exit code:
@@ -130,7 +130,7 @@ def calibrate(
     return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
 
 
-@fleet.command()
+@fleet.command(cls=Brief)
 @click.argument("dataset", metavar="DATASET")
 @click.option("--out", required=True, metavar="FILE", help="File or URL to write.")
 @click.option(
@@ -157,15 +157,12 @@ def report(dataset: str, out: str, reports: str | None, history: str | None, qui
     \b
     Examples:
       retropole fleet report fleet --out fleet.html
-      retropole fleet report fleet --reports reports --out fleet.html
       retropole fleet report fleet --history history --out fleet.html
-      retropole fleet report s3://city/fleet --out fleet.html
 
     \b
     Exit code:
       0    written
       2    DATASET cannot be read, or the page not be written
-      130  interrupted
     """
     from ..fleet.overview import overview_of
     from ..fleet.report import write_fleet_report

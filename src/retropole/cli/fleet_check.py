@@ -12,7 +12,7 @@ from ..base.quantities import counted
 from ..fleet import TIME_LIMIT
 from .check import tolerance_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
-from .options import Command, Number, Whole
+from .options import Brief, Command, Number, Whole, more_option
 
 if TYPE_CHECKING:
     from ..fleet.history.run import FleetCheck, SiteChange
@@ -27,7 +27,7 @@ def cluster_options(command: Command) -> Command:
     scheduler = click.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Of a Dask cluster: tls://host:8786, or tcp:// in a network of your own.",
+        help="Address of a Dask cluster: tls://host:8786, or tcp:// in a network of your own.",
     )
     workers = click.option(
         "--workers",
@@ -36,8 +36,8 @@ def cluster_options(command: Command) -> Command:
         "[default: one per processor]",
     )
     kind = Number(min=1, max=1e6)
-    time_limit = click.option(
-        "--time-limit", type=kind, default=TIME_LIMIT, metavar="SECONDS", help="Of one site."
+    time_limit = more_option(
+        "--time-limit", type=kind, default=TIME_LIMIT, metavar="SECONDS", help="For one site."
     )
     return scheduler(workers(time_limit(command)))
 
@@ -50,7 +50,7 @@ def protocol_option(command: Command) -> Command:
 
         context.with_resource(also_following(names))
 
-    return click.option(
+    return more_option(
         "--protocol",
         multiple=True,
         expose_value=False,
@@ -67,7 +67,7 @@ def check_cluster(scheduler: str | None, workers: int | None) -> None:
         raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
 
 
-@click.command("check")
+@click.command("check", cls=Brief)
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option(
     "--history",
@@ -106,7 +106,7 @@ def fleet_check(
     beside the target, or site-result.json beside the site file. The column time (ISO 8601) says
     when it was recorded; otherwise that is when the later of the two was written.
 
-    Of each site all checks since it was calibrated count: a step is told when a second check
+    Of each site all checks since it was calibrated count: a step is reported when a second check
     confirms it, a trend when enough have shown it, and that the site moved when two checks in a row
     say so. A single check that is off is no change.
     What the history has already is not checked again. What is wrong with one site is in its row,
@@ -115,14 +115,13 @@ def fleet_check(
     \b
     Examples:
       retropole fleet check tonight.csv --answers fleet --history history
-      retropole fleet check tonight/ --answers fleet --history history --json
       retropole fleet check sites.csv --history s3://city/history --scheduler tls://head:8786
 
     \b
     Exit code:
       0    no site has changed since it was calibrated
       2    a list, an option or the dataset is wrong, or there is no room
-      3    no site could be told
+      3    of no site could it be said
       4    a site has changed
       130  interrupted; what was checked is in the history
     """
@@ -219,7 +218,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
     pairs = "" if len(found.sites) == sites else f"{counted(len(found.sites), 'pair')} of "
     lines.append(
         f"{pairs}{counted(sites, 'site')}, {counted(found.appended, 'new check')}; changed "
-        f"since their calibration: {changed}, not told: {untold}"
+        f"since their calibration: {changed}, undecided: {untold}"
     )
     return "\n".join(lines)
 

@@ -10,6 +10,7 @@ import click
 
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show, show_written
 from .fleet_check import protocol_option
+from .options import Brief
 
 if TYPE_CHECKING:
     from ..fleet.network.adjustment import NetworkAdjustment
@@ -29,7 +30,7 @@ nodes_option = click.option(
 )
 
 
-@click.command("network")
+@click.command("network", cls=Brief)
 @click.argument("dataset")
 @nodes_option
 @click.option("--out", metavar="FILE", required=True, help="Parquet file to write, or its URL.")
@@ -68,7 +69,6 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
       2    a file or an option is wrong, or nothing joins two nodes
       3    the adjustment did not settle; nothing is written
       4    a relative pose or a control point does not fit and was left out
-      130  interrupted
     """
     from ..fleet.network.adjustment import adjust_network
     from ..fleet.network.answer import write_network
@@ -90,7 +90,7 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
     return 0 if found.used.all() else EXIT_MOVED
 
 
-@click.command("export")
+@click.command("export", cls=Brief)
 @click.argument("dataset")
 @nodes_option
 @click.option("--to", type=click.Choice(["g2o"]), required=True, help="Format to write.")
@@ -111,7 +111,6 @@ def fleet_export(dataset: str, nodes: str, to: str, out: str, quiet: bool) -> in
     Exit code:
       0    written
       2    a file or an option is wrong, or nothing joins two nodes
-      130  interrupted
     """
     from ..fleet.network.answer import write_g2o
     from ..fleet.network.dataset import find_network, read_nodes

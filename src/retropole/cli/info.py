@@ -9,10 +9,10 @@ import click
 
 from ..result import RunConfig
 from .common import progress_on_terminal, show, show_written
-from .options import CLOUD, FILE, run_option, run_options
+from .options import CLOUD, FILE, Brief, run_option, run_options
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("file", type=CLOUD)
 @run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
 @run_options("frames", "unit", "intensity", "angles")
@@ -26,7 +26,6 @@ def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
     \b
     Examples:
       retropole info front.pcd
-      retropole info drive.bag
       retropole info drive.mcap --topic /front --frames 0:50
       retropole info front.pcd --page front.html
       retropole info front.pcap --json | jq .clouds[0].fields

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .common import BY_OPTIONS, echo_warning, listening, show, show_written
-from .options import CLOUD, FILE, Number
+from .options import CLOUD, FILE, Brief, Number, more_option
 
 if TYPE_CHECKING:
     from ..result.level import LevelDoc
@@ -18,7 +18,7 @@ CROSSFALL = 0.025
 """Of a road, as it is built to drain: so far the ground's normal may be from the plumb line."""
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[CLOUD]...")
 @click.option("-o", "--out", type=FILE, help="File to write.  [default: level.json by RESULT]")
@@ -73,7 +73,6 @@ def level(
       0    found
       2    RESULT or a recording cannot be read, or an option is wrong
       3    refused: too little ground is seen, or two levels of it; or RESULT has no poses
-      130  interrupted
     """
     from ..api.leveling import BaseLink, level_result
 
@@ -99,11 +98,8 @@ def level(
     return 0
 
 
-LEVEL = click.option(
-    "--level",
-    "with_level",
-    is_flag=True,
-    help="Find roll, pitch and height over the ground, too, as 'retropole level' does.",
+LEVEL = more_option(
+    "--level", "with_level", is_flag=True, help="Find roll, pitch and height over the ground, too."
 )
 
 

@@ -9,7 +9,7 @@ import click
 
 from ..result.options import Frames
 from .common import echo_warning, json_text, listening, say, show, show_written
-from .options import CLOUD, FILE, METRES, Number, Whole, run_option
+from .options import CLOUD, FILE, METRES, Brief, Number, Whole, more_option, run_option
 
 if TYPE_CHECKING:
     from ..api.merging import Merged
@@ -63,7 +63,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     return seconds
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("recordings", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("-o", "--out", type=FILE, help="File to write: .ply, .pcd, .las, .laz or .mcap.")
@@ -75,7 +75,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     callback=_named,
     help="A new recording of a LiDAR of the result, by its name; repeat it for each.",
 )
-@click.option(
+@more_option(
     "--topic",
     "topics",
     multiple=True,
@@ -91,7 +91,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     "'retropole level' found it.  [default: "
     "target; of a site map in .las and .laz where it has one, else site]",
 )
-@click.option(
+@more_option(
     "--crs",
     "epsg",
     type=Whole(1024, 1_000_000),
@@ -130,13 +130,12 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     help="A LiDAR that records now, by its name in the result; repeat it for each. Sources are "
     "those that 'retropole watch --help' lists. Clouds are published until Ctrl-C.",
 )
-@click.option(
+@more_option(
     "--to-topic",
-    default=None,
     metavar="TOPIC",
     help="With --live, the topic to publish on.  [default: /retropole/points, without -o]",
 )
-@click.option(
+@more_option(
     "--clock",
     "clocks",
     multiple=True,
@@ -145,13 +144,13 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     help="With --live, how far the clock of a LiDAR is ahead of that of this computer; repeat it "
     "for each.  [default: as its sweeps come, where that is a second or more]",
 )
-@click.option(
+@more_option(
     "--no-check", is_flag=True, help="With --live, do not check every minute whether LiDARs moved."
 )
-@click.option("--domain", type=Whole(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
-@click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
+@more_option("--domain", type=Whole(0, 232), help="Domain of ROS 2.  [default: ROS_DOMAIN_ID]")
+@more_option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON, and only that.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
+@more_option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
 def merge(
     result: Path,
     recordings: tuple[Path, ...],
@@ -178,7 +177,6 @@ def merge(
     \b
     Examples:
       retropole merge retropole-out -o both.ply --colour lidar
-      retropole merge retropole-out drive.bag drive.bag -o drive.mcap
       retropole merge site-result.json -o site.laz --voxel 0.05 --static
       retropole merge out --recording mast-a=a.bag --recording mast-b=b.bag -o day.laz
       retropole merge retropole-out --surfels -o surfels.ply

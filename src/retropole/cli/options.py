@@ -1,27 +1,94 @@
 """Options of commands, those of a run made of the fields of `RunConfig`: bounds and help are there.
 
-A command takes them by these fields: ``RunConfig(**options)``.
+A command takes them by these fields: ``RunConfig(**options)``. Its --help lists those that many
+need, and --help-all all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 from msgspec import inspect
 
+from ..base.sensors import SENSORS as KNOWN_SENSORS
 from ..result import DEFAULT_CONFIG
-from ..result.options import LARGEST_WHOLE, OPTIONS, UNITS, Frames, frames_named, radius_in_metres
+from ..result.options import (
+    LARGEST_WHOLE,
+    OPTIONS,
+    PAIRS,
+    UNITS,
+    Frames,
+    Pair,
+    frames_named,
+    radius_in_metres,
+)
 
 Command = Callable[..., int]
 
 CLOUD = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 OUT = click.Path(path_type=Path, file_okay=False)
+
+
+HELP_ALL = "retropole.help-all"
+"""Set in a context's `meta` where the whole help is wanted."""
+
+
+class Option(click.Option):
+    """An option; with `more`, --help-all alone lists it."""
+
+    def __init__(self, *names: Any, more: bool = False, **settings: Any) -> None:
+        super().__init__(*names, **settings)
+        self.more = more
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Give what the help lists, where it does."""
+        return None if self.more and HELP_ALL not in ctx.meta else super().get_help_record(ctx)
+
+
+more_option = partial(click.option, cls=Option, more=True)
+"""Make an option that --help-all alone lists."""
+
+
+class Brief(click.Command):
+    """A command whose --help ends at a form feed in its text; --help-all shows the rest as well."""
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        words = "Show all options and examples, and exit."
+        flag: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
+        more_option("--help-all", callback=_all, help=words, **flag)(self)
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the text, up to the form feed or all of it."""
+        first, _, rest = cleandoc(self.help or "").partition("\f\n")
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(first + rest if HELP_ALL in ctx.meta else first)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, and how many more there are."""
+        super().format_options(ctx, formatter)
+        # The one that shows them is none of them.
+        more = sum(getattr(each, "more", False) for each in self.params) - 1
+        if more and HELP_ALL not in ctx.meta:
+            formatter.write(f"\n--help-all: {more} more\n")
+
+
+def _all(context: click.Context, option: click.Parameter, is_wanted: bool) -> None:
+    if is_wanted and not context.resilient_parsing:
+        context.meta[HELP_ALL] = True
+        click.echo(context.get_help())
+        context.exit()
 
 
 class Whole(click.IntRange):
@@ -100,23 +167,55 @@ METRES = Number(min=0, min_open=True, max=1000)
 METAVARS = {
     "prior_rpy_deg": "R P Y",
     "hypothesis": "LETTER",
+    "sensor_target": "NAME",
     "target_topic": "NAME",
-    "source_topic": "NAME",
     "frames": "A:B",
     "intensity": "NAME",
-    "intensity_source": "NAME",
     "angles": "FILE",
-    "angles_source": "FILE",
 }
 """What stands for the values of options in the help, where their type says too little."""
 
 NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
 """Options that are not called as their fields without the unit."""
 
-SENSORS = ("sensor_target", "sensor_source", "threshold_target", "threshold_source")
-TOPICS = ("target_topic", "source_topic")
-WANTED = ("intensity", "intensity_source", "angles", "angles_source")
-READING = ("unit", "unit_source", *WANTED)
+SENSORS = PAIRS["sensor"], PAIRS["threshold"]
+TOPICS = (PAIRS["topic"],)
+WANTED = PAIRS["intensity"], PAIRS["angles"]
+READING = PAIRS["unit"], *WANTED
+
+
+class Both(Option):
+    """An option of both LiDARs: given once for both, or for TARGET and again for SOURCE.
+
+    It is repeated rather than split at a comma: paths may hold one, ``1,5`` is a number to many,
+    and a shell completes each value on its own. Options that were of one LiDAR each still work.
+    """
+
+    def __init__(self, *names: Any, pair: Pair, **settings: Any) -> None:
+        super().__init__(*names, multiple=True, expose_value=False, **settings)
+        self.pair = pair
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        """Have it parsed, and the older options."""
+        super().add_to_parser(parser, ctx)
+        for field in {self.pair.target, self.pair.source} - {self.name}:
+            parser.add_option(obj=self, opts=[typed(field)], dest=field)
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """Give the command the fields, where either has a value; ``auto`` is none."""
+        pair, given = self.pair, list(opts.get(self.pair.name) or ())
+        older = [None if pair.target == pair.name else opts.get(pair.target), opts.get(pair.source)]
+        if any(each is not None for each in older):
+            if len(given) > 1 or (given and older[0] is not None):
+                raise click.UsageError(f"{self.opts[0]} is for TARGET and again for SOURCE", ctx)
+            given = [given[0] if given else older[0], older[1]]
+        if given and not ctx.resilient_parsing:
+            ctx.set_parameter_source(pair.name, ParameterSource.COMMANDLINE)
+            values = (None if v in (None, "auto") else self.type(v, self, ctx) for v in given)
+            ctx.params |= pair.fields(*values)
+        return None, args
 
 
 def placement_arguments(command: Command) -> Command:
@@ -135,51 +234,74 @@ def placement_arguments(command: Command) -> Command:
 
 def verdict_options(more: str) -> Callable[[Command], Command]:
     """Give a command --strict, --json, --verbose, which prints more, and --quiet."""
-    strict = click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
+    strict = more_option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
     as_json = click.option(
         "--json", "as_json", is_flag=True, help="Print the result document, and only that."
     )
-    verbose = click.option("-v", "--verbose", is_flag=True, help=f"Print {more} as well.")
-    quiet = click.option(
+    verbose = more_option("-v", "--verbose", is_flag=True, help=f"Print {more} as well.")
+    quiet = more_option(
         "-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors."
     )
     return lambda command: strict(as_json(verbose(quiet(command))))
 
 
-def run_option(field: str, name: str | None = None, **changes: Any) -> Callable[[Command], Command]:
-    """Make a command's option of a field of `RunConfig`.
+def run_option(
+    field: str | Pair, name: str | None = None, **changes: Any
+) -> Callable[[Command], Command]:
+    """Make a command's option of a field of `RunConfig`, or of a pair of them.
 
     Parameters
     ----------
     field
-        Of `RunConfig`; the command gets the value under this name.
+        Of `RunConfig`; the command gets the value under this name. Those of a pair it gets where
+        either is given.
     name
         Another name than the field's: ``--sensor``.
     changes
-        What is another here, as `click.option` takes it.
+        What is another here, as `Option` takes it.
     """
-    kind, words = OPTIONS[field]
-    name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
-    default = getattr(DEFAULT_CONFIG, field)
-    settings = {"help": words, "metavar": METAVARS.get(field), "default": default}
+    of = field.target if isinstance(field, Pair) else field
+    kind, words, is_rare = OPTIONS[of]
+    default = getattr(DEFAULT_CONFIG, of)
+    settings: dict[str, Any] = {"cls": Option, "more": is_rare, "metavar": METAVARS.get(of)}
     if isinstance(kind, inspect.BoolType):
         settings |= {"is_flag": True, "flag_value": not default, "show_default": False}
     else:
-        settings["type"] = _type(field, kind)
-    if field == "frames":
+        settings["type"] = _type(of, kind)
+    if of == "frames":
         settings["callback"] = _frames
-    return click.option(name, field, **settings | changes)
+    if of == "sensor_target":
+        settings["shell_complete"] = _sensors
+    settings |= {"help": words, "default": default} | changes
+    if not isinstance(field, Pair):
+        return click.option(name or NAMES.get(field) or typed(field), field, **settings)
+    said, mark, default = settings["help"].partition("  [default")
+    once = "Once: TARGET's. " if field.name == "angles" else ""
+    words = f"{said} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
+    settings |= {"cls": Both, "pair": field, "default": None, "help": words}
+    return click.option(f"--{field.name}", field.name, **settings)
 
 
-def run_options(*fields: str) -> Callable[[Command], Command]:
-    """Give a command the options of several fields of `RunConfig`, in this order."""
+def typed(field: str) -> str:
+    """Write the name of a field as its option."""
+    return f"--{field.removesuffix('_m').replace('_', '-')}"
+
+
+def run_options(*fields: str | Pair, **changes: Any) -> Callable[[Command], Command]:
+    """Give a command the options of several fields of `RunConfig` or pairs, in this order."""
 
     def add(command: Command) -> Command:
         for field in reversed(fields):
-            command = run_option(field)(command)
+            command = run_option(field, **changes)(command)
         return command
 
     return add
+
+
+def _sensors(context: click.Context, option: click.Parameter, incomplete: str) -> list[Any]:
+    """Complete the name of a sensor, or of a file that describes one."""
+    names = [name for name in KNOWN_SENSORS if name.lower().startswith(incomplete.lower())]
+    return names or [CompletionItem(incomplete, type="file")]
 
 
 def _type(field: str, kind: inspect.Type) -> Any:
@@ -197,4 +319,4 @@ def _type(field: str, kind: inspect.Type) -> Any:
                 into, min=least, min_open=kind.ge is None, max=scale * kind.le
             )
             return (number,) * 3 if field == "prior_rpy_deg" else number
-    return None
+    return click.Path() if field == "angles" else None

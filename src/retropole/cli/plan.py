@@ -10,15 +10,10 @@ import click
 import numpy as np
 
 from ..result import PLAN_FILE, PLAN_PAGE, RunConfig
-from ..result.pole_plan import (
-    FEWEST_POLES,
-    LONGEST,
-    MOST_PLACEMENTS,
-    MOST_POLES,
-    SHORTEST,
-)
+from ..result.options import PAIRS
+from ..result.pole_plan import FEWEST_POLES, LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
 from .common import command_line, listening, show, show_written
-from .options import CLOUD, METRES, READING, TOPICS, Number, Whole, run_options
+from .options import CLOUD, METRES, READING, Brief, Number, Whole, more_option, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -28,12 +23,15 @@ if TYPE_CHECKING:
 
 COORDINATE = Number(min=-1000, max=1000)
 ANGLE = Number(min=-360, max=360)
+AREA: dict[str, Any] = {"type": (COORDINATE,) * 4, "multiple": True, "metavar": "X Y X Y"}
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("target", type=CLOUD, required=False)
 @click.argument("source", type=CLOUD, required=False)
-@click.option("--xyz", type=(COORDINATE,) * 3, help="Where SOURCE is in TARGET's frame, to 1 m.")
+@click.option(
+    "--xyz", type=(COORDINATE,) * 3, metavar="X Y Z", help="SOURCE in TARGET's frame, to 1 m."
+)
 @click.option(
     "--rpy-deg", type=(ANGLE,) * 3, metavar="R P Y", help="How it is turned there, to 10°."
 )
@@ -48,47 +46,36 @@ ANGLE = Number(min=-360, max=360)
     metavar="NAME SENSOR X Y Z R P Y",
     help="Instead of recordings: a LiDAR over flat ground, z = 0; repeat it.",
 )
-@click.option(
+@more_option(
     "--box",
     "boxes",
     type=(COORDINATE, COORDINATE, METRES, METRES, METRES),
     multiple=True,
     metavar="X Y LX LY LZ",
-    help="With --lidar: a box that stands there, by its middle and its sides; repeat it.",
+    help="With --lidar: a box on the ground, by its middle and its sides; repeat it.",
 )
 @click.option(
-    "--poles", type=Whole(FEWEST_POLES, MOST_POLES), default=2, help="That stand at once."
+    "--poles", type=Whole(FEWEST_POLES, MOST_POLES), default=2, help="Number of poles you have."
 )
 @click.option(
-    "--placements", type=Whole(1, MOST_PLACEMENTS), default=1, help="How often they stand."
+    "--placements", type=Whole(1, MOST_PLACEMENTS), default=1, help="How often they are set up."
 )
-@click.option(
-    "--length",
-    type=Number(min=SHORTEST, max=LONGEST),
-    default=2.0,
-    help="Of the poles, metres.",
+@more_option(
+    "--length", type=Number(min=SHORTEST, max=LONGEST), default=2.0, help="Of the poles, m."
 )
-@run_options("radius_m", "need_m", "at_m")
+@run_options("radius_m", more=True)
+@run_options("need_m", "at_m")
 @click.option(
     "--allow",
     "allowed",
-    type=(COORDINATE,) * 4,
-    multiple=True,
-    metavar="X Y X Y",
-    help="Rectangle where poles may stand, in the frame of the plan; repeat it.",
+    **AREA,
+    help="Rectangle where poles may be, in the plan's frame; repeat it.",
 )
-@click.option(
-    "--forbid",
-    "forbidden",
-    type=(COORDINATE,) * 4,
-    multiple=True,
-    metavar="X Y X Y",
-    help="Rectangle where they may not; repeat it.",
-)
-@run_options("sensor_target", "sensor_source", *TOPICS, "frames", "max_points", *READING)
+@click.option("--forbid", "forbidden", **AREA, help="Rectangle where they may not; repeat it.")
+@run_options(PAIRS["sensor"], PAIRS["topic"], "frames", "max_points", *READING, more=True)
 @out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@more_option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def plan(
     target: Path | None,
     source: Path | None,
@@ -107,13 +94,13 @@ def plan(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Say where to stand the poles, before you drive out.
+    """Say where to set up the poles, before you drive out.
 
-    TARGET and SOURCE are recordings of the place without poles, as calibrate reads them. Roughly
-    known, to 10° and 1 m, is where SOURCE stands: --xyz and --rpy-deg, or --pose FILE. Without, the
-    place is asked. A site file (.toml) alone plans for all its LiDARs, by the first recording of
-    each; --pose then names an older result of the site. With --lidar instead, nothing was recorded
-    yet: LiDARs over flat ground.
+    TARGET and SOURCE are recordings of the place without poles, as calibrate reads them. Give the
+    pose of SOURCE, to 10° and 1 m, by --xyz and --rpy-deg, or by --pose FILE; without these it is
+    found from the surroundings. A site file (.toml) alone plans for all its LiDARs, by the first
+    recording of each; --pose then names an older result of the site. With --lidar instead, nothing
+    was recorded yet: LiDARs over flat ground.
 
     The folder gets plan.html, a page with a picture, the lengths to measure and a card to print,
     and plan.json, which 'calibrate --plan' and 'detect --plan' read.
@@ -132,7 +119,6 @@ def plan(
       0    planned
       2    a file or an option is wrong
       3    refused: no such plan; the reason is printed
-      130  interrupted
     """
     from ..api.planning import Wish
     from ..report.pole_plan import describe_plan
@@ -174,7 +160,7 @@ def _made(
     from ..api import planning
 
     if boxes and not lidars:
-        raise click.UsageError("--box draws what stands there for --lidar; a recording shows it")
+        raise click.UsageError("--box draws what is there for --lidar; a recording shows it")
     if lidars:
         if target is not None or pose is not None:
             raise click.UsageError("--lidar draws the LiDARs: give no recordings and no pose")
@@ -190,7 +176,7 @@ def _made(
         raise click.UsageError("give TARGET and SOURCE, a site file, or --lidar for each LiDAR")
     if source is None:
         if target.suffix != ".toml" and not target.is_dir():
-            raise click.UsageError("SOURCE is needed; a site file (.toml) stands alone")
+            raise click.UsageError("SOURCE is needed, unless TARGET is a site file (.toml)")
         if pose is not None and not isinstance(pose, Path):
             raise click.UsageError("of a site --pose names an older result, --xyz is of a pair")
         return planning.plan_site(target, wish, pose, listener)

@@ -9,27 +9,28 @@ from pathlib import Path
 import click
 
 from .common import progress_on_terminal, say, show_written
-from .options import CLOUD, FILE
+from .options import CLOUD, FILE, Brief
 from .out import alone_beside
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]...")
 @click.option(
     "--out", type=FILE, help="File to write.  [default: report.html or site-report.html by RESULT]"
 )
 @click.option("--site", help="Where it was calibrated, for the certificate.")
-@click.option("--serial-target", help="Serial number of TARGET, for the certificate.")
-@click.option("--serial-source", help="The same for SOURCE.")
 @click.option(
     "--serial",
     "serials",
     multiple=True,
     nargs=2,
     metavar="LIDAR NUMBER",
-    help="The same for a LiDAR of a site, by its name; may be repeated.",
+    help="Serial number of a LiDAR, for the certificate, by its name in RESULT: target or source, "
+    "or that in the site; repeat it.",
 )
+@click.option("--serial-target", hidden=True, help="As --serial target.")
+@click.option("--serial-source", hidden=True, help="As --serial source.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(
     result: Path,
@@ -49,8 +50,8 @@ def report(
     page and this command say that they differ.
 
     Of a site, recordings that are not found, or differ from those of the run, are left out of the
-    page, and it says so. Give those that lie elsewhere now, in any order: each is told by its
-    SHA-256.
+    page, and it says so. Give those that lie elsewhere now, in any order: each is recognised by
+    its SHA-256.
 
     Printed, the page begins with a certificate. --site and the serial numbers are written on it;
     those of a site are taken from its site file. Without them it has lines to fill in.
@@ -59,15 +60,13 @@ def report(
     Examples:
       retropole report retropole-out/result.json
       retropole report today/result.json front.pcd rear.pcd
-      retropole report today/result.json --out share/monday.html
-      retropole report today --site "Pier 4, crane 2" --serial-target 11002 --serial-source 11007
+      retropole report today --site "Pier 4, crane 2" --serial target 11002 --serial source 11007
       retropole report quay/site-result.json moved/*.pcd --serial mast-a 11002
 
     \b
     Exit code:
       0    written
       2    RESULT or a cloud cannot be read
-      130  interrupted
     """
     from ..base.files import write_atomically
     from ..result import result_file
@@ -75,9 +74,9 @@ def report(
     file = result_file(result)
     beside = nullcontext() if out else alone_beside(file)
     with beside, progress_on_terminal(quiet) as progress:
-        named = {"target": serial_target, "source": serial_source}
-        of_pair = {lidar: number for lidar, number in named.items() if number}
-        page, name, notes = page_of(file, clouds, progress, site or "", of_pair, dict(serials))
+        older = {"target": serial_target, "source": serial_source}
+        named = {lidar: number for lidar, number in older.items() if number} | dict(serials)
+        page, name, notes = page_of(file, clouds, progress, site or "", named)
         progress("write")
         out = out or file.with_name(name)
         write_atomically(out, page.encode())
@@ -93,8 +92,7 @@ def page_of(
     clouds: Sequence[Path],
     progress: Callable[[str], None],
     site: str = "",
-    of_pair: Mapping[str, str] | None = None,
-    of_site: Mapping[str, str] | None = None,
+    serials: Mapping[str, str] | None = None,
 ) -> tuple[str, str, Sequence[str]]:
     """Make the report of a result document: the page, what its file is called, and notes on it."""
     from ..api.stored import decode_any, loaded, scans_of
@@ -103,14 +101,6 @@ def page_of(
 
     document = loaded(file, decode_any)
     is_pair = isinstance(document, ResultDoc)
-    if is_pair and of_site:
-        raise click.UsageError(
-            "--serial is for a site; of two LiDARs give --serial-target and --serial-source"
-        )
-    if of_pair and not is_pair:
-        raise click.UsageError("of a site, --serial LIDAR NUMBER gives a serial number")
     read = scans_of(document, file.parent, clouds, progress)
-    page = render_report(
-        document, read.scans, notes=read.notes, site=site, serials=of_pair if is_pair else of_site
-    )
+    page = render_report(document, read.scans, notes=read.notes, site=site, serials=serials)
     return page, REPORT_FILE if is_pair else SITE_REPORT_FILE, read.notes

@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from ..base.datatypes import MAX_POLES
+from ..result.options import PAIRS
 from .common import progress_on_terminal, show_written
-from .options import SEED, Whole, run_options
+from .options import SEED, Brief, Whole, run_option, run_options
 from .out import out_folder
 
 SWEEPS = click.option(
@@ -17,21 +18,21 @@ SWEEPS = click.option(
     "frames",
     type=Whole(1, 200),
     default=1,
-    help="Of each LiDAR, 0.1 s each; a recording of several is a folder of them.",
+    help="Sweeps of each LiDAR, 0.1 s each; a recording of several is a folder of them.",
 )
 """How long each LiDAR records."""
 
 
-@click.command("site")
+@click.command("site", cls=Brief)
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
-@out_folder("", default=Path("retropole-site"))
-@click.option("--seed", type=SEED, default=0)
-@click.option("--lidars", type=Whole(2, 12), default=4)
+@out_folder("Folder for the recordings, site.toml and truth.json.", default=Path("retropole-site"))
+@click.option("--seed", type=SEED, default=0, help="Seed of all that is random.")
+@click.option("--lidars", type=Whole(2, 12), default=4, help="Number of LiDARs.")
 @click.option(
     "--placements", type=Whole(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
 )
 @click.option("--poles", type=Whole(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]")
-@click.option("--sensor", "sensors", multiple=True, help="Name; several are taken in turn.")
+@click.option("--sensor", "sensors", multiple=True, help="Sensor; several are taken in turn.")
 @run_options("radius_m")
 @SWEEPS
 @click.option(
@@ -55,7 +56,6 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
     Examples:
       retropole simulate site posts --lidars 4 --seed 1 --out s
       retropole simulate site crane --lidars 8 --placements 4 --survey --out s
-      retropole simulate site truck --lidars 5 --nuisances field --out s
     """
     from ..api.simulation import simulate_site as run
     from ..api.simulation import write_site
@@ -70,7 +70,7 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
     return 0
 
 
-class _OrSite(click.Group):
+class _OrSite(Brief, click.Group):
     """The command for pairs, and ``simulate site`` behind the word that no scene has."""
 
     def make_context(
@@ -103,9 +103,8 @@ class _OrSite(click.Group):
     "Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
     default=Path("retropole-simulated"),
 )
-@click.option("--seed", type=SEED, default=0)
-@click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
-@click.option("--sensor-source", help="The same for the source.")
+@click.option("--seed", type=SEED, default=0, help="Seed of all that is random.")
+@run_option(PAIRS["sensor"], help="Name of the sensor.  [default: the scene's]")
 @click.option(
     "--poles",
     type=Whole(0, MAX_POLES),
@@ -146,9 +145,8 @@ def simulate(
     Examples:
       retropole simulate street --seed 1 --out s
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
-      retropole simulate street --nuisances field --seed 1 --out f
-      retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
-      retropole simulate street --sensor-source Mid-360 --sweeps 20 --seed 1 --out m
+      retropole simulate harbor --sensor VLP-16 --poles 3
+      retropole simulate street --sensor OS1 --sensor Mid-360 --sweeps 20 --seed 1 --out m
       retropole calibrate m/lidar0 m/lidar1
       retropole simulate street --seed 1 --poles 0 --out bare
       retropole plan bare/lidar0.pcd bare/lidar1.pcd

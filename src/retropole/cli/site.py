@@ -9,7 +9,7 @@ import click
 from .calibrate import site_calibrate
 from .check import site_check
 from .common import Group, command_line, say, show, show_written
-from .options import CLOUD, FILE
+from .options import CLOUD, FILE, Brief
 
 
 @click.group(cls=Group)
@@ -31,7 +31,7 @@ site.add_command(site_calibrate)
 site.add_command(site_check)
 
 
-@site.command()
+@site.command(cls=Brief)
 @click.argument("folder", type=CLOUD)
 @click.option("--out", type=FILE, help="The site file to write.  [default: site.toml in FOLDER]")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")

@@ -12,13 +12,13 @@ import click
 
 from ..result import RunConfig, result_file
 from .common import listening, say, show_written
-from .options import CLOUD, FILE, run_option, run_options
+from .options import CLOUD, FILE, Brief, run_option, run_options
 
 if TYPE_CHECKING:
     from ..api.inputs import Listener
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")

@@ -25,7 +25,7 @@ from .common import (
     show,
     show_written,
 )
-from .options import WANTED, Whole, run_options
+from .options import CLOUD, SENSORS, WANTED, Brief, Whole, more_option, run_option, run_options
 from .out import out_folder
 
 if TYPE_CHECKING:
@@ -66,36 +66,29 @@ class Stopped(Event):
             raise BrokenOff
 
 
-@click.command()
+@click.command(cls=Brief)
 @click.argument("target")
 @click.argument("source")
-@run_options("radius_m", "sensor_target", "sensor_source", "threshold_target", "threshold_source")
+@run_options("radius_m", SENSORS[0])
+@run_option(SENSORS[1], more=True)
 @run_options("need_m", "at_m", *WANTED)
-@click.option(
-    "--sweeps",
-    type=Whole(3, 100),
-    default=15,
-    help="Of each LiDAR that are kept of a placement.",
+@more_option(
+    "--sweeps", type=Whole(3, 100), default=15, help="Sweeps of each LiDAR kept of a placement."
 )
 @click.option(
-    "--plan",
-    type=click.Path(path_type=Path),
-    help="Folder of a plan: it says where each pole should stand. Its LiDARs are named by --name.",
+    "--plan", type=CLOUD, help="Plan of where each pole should be, with LiDARs named by --name."
 )
-@click.option(
+@more_option(
     "--name",
     "names",
     type=(str, str),
     metavar="TARGET SOURCE",
-    help="What words call both LiDARs.  [default: by their topics, or target and source]",
+    help="Names of both LiDARs.  [default: by their topics, or target and source]",
 )
 @click.option(
-    "--check",
-    "stored",
-    type=click.Path(path_type=Path),
-    help="A result, or its folder: say whether the LiDARs stand where they stood.",
+    "--check", "stored", type=CLOUD, help="A result, or its folder: have the LiDARs moved since?"
 )
-@click.option("--domain", type=Whole(0, 232), help="Of ROS 2.  [default: ROS_DOMAIN_ID]")
+@more_option("--domain", type=Whole(0, 232), help="Domain of ROS 2.  [default: ROS_DOMAIN_ID]")
 @click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
 @click.option(
     "--from",
@@ -105,15 +98,15 @@ class Stopped(Event):
     help="IP address of a LiDAR that sends packets: those of others are left out. Repeat it for "
     "the other LiDAR.  [default: of each port, the address that sends most]",
 )
-@click.option("--port", type=Whole(0, 65535), default=0, help="Of the page; 0: a free one.")
+@more_option("--port", type=Whole(0, 65535), default=0, help="Port of the page; 0: a free one.")
 @click.option("--listen", is_flag=True, help="Serve the page to phones in the local network.")
-@click.option("--no-page", is_flag=True, help="Serve no page.")
+@more_option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--publish", is_flag=True, help="Publish the answer on /tf_static, if it is ok.")
-@click.option("--publish-warned", is_flag=True, help="Publish it with a warning, too.")
+@more_option("--publish-warned", is_flag=True, help="Publish it with a warning, too.")
 @out_folder(
     "Folder for recordings and result.", RESULT_FILE, REPORT_FILE, *CERTIFICATE, keeping="stored"
 )
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
+@more_option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
 def watch(
     target: str,
     source: str,
@@ -133,7 +126,7 @@ def watch(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Stand beside the poles, and be told the next thing to do, until the answer is good enough.
+    """Calibrate beside the poles: see the next thing to do, until the answer is good enough.
 
     TARGET and SOURCE are LiDARs that record now. The command says which poles each one sees, and
     what to do next; while all is good and still it keeps sweeps, calibrates, and ends when the need
@@ -152,18 +145,15 @@ def watch(
     Examples:
       retropole watch ros2:/front/points ros2:/rear/points
       retropole watch ros2:/front/points ros2:/rear/points --need-cm 2 --at-m 30 --listen
-      retropole watch velodyne:2368 velodyne:2369 --sensor-target VLP-16
+      retropole watch velodyne:2368 velodyne:2369 --sensor VLP-16 --sensor auto
       retropole watch velodyne:2368 velodyne:2369 --from 192.168.1.201 --from 192.168.1.202
-      retropole watch hesai:2368 hesai:2369 --angles front.csv --angles-source rear.csv
-      retropole watch ouster:7502:front.json ros2:/rear/points --interface eth0
-      retropole watch folder:in/front folder:in/rear --plan retropole-plan
+      retropole watch hesai:2368 hesai:2369 --angles front.csv --angles rear.csv
       retropole watch replay:drive.bag:/front replay:drive.bag:/rear
-      retropole watch ros2:/front/points ros2:/rear/points --publish
       retropole watch ros2:/front/points ros2:/rear/points --check retropole-out
 
     \b
     Exit code:
-      0    good enough; of --check: they stand where they stood
+      0    good enough; of --check: not moved
       1    ended before: there is an answer that is not good enough
       2    a source or an option is wrong
       3    ended without an answer; refused
@@ -190,7 +180,7 @@ def watch(
         wanted = [each.or_known(own) for each, own in zip(wanted, before, strict=True)]
     wish = Wish(
         # What is kept of sweeps are clouds, with one intensity.
-        RunConfig(**options | dict.fromkeys(WANTED)),
+        RunConfig(**options | {field: None for pair in WANTED for field in pair[:2]}),
         (first, second),
         sweeps,
         None if plan is None else load_plan(plan, (first, second)),

@@ -238,7 +238,18 @@ class Surroundings:
 def surroundings_of(
     cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
 ) -> Surroundings:
-    """Compute what the rules share; parameters as for `surroundings_failure`."""
+    """Compute what the rules share.
+
+    Parameters
+    ----------
+    cloud, near
+        The cloud, with intensity, and the index (M,) of its points about the line: all within
+        `SHORT_LENGTH`, or more.
+    is_retro
+        (N,) which points of the cloud are retro-reflective and on no other pole.
+    line
+        One that `shape_failure` finds nothing wrong with.
+    """
     assert cloud.intensity is not None
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
     # Where rings are farther apart, so may be the columns of a sign.
@@ -263,26 +274,6 @@ def surroundings_of(
         is_short=line.length + line.step < SHORT_LENGTH,
         has_few_points=len(line.index) < FEW_POLE_POINTS,
     )
-
-
-def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
-    """Which of the points close to a line (M,) lie behind it rather than beside it, as seen.
-
-    The surface of a stripe goes on to its sides, and where it falls back on one side it comes
-    forward on the other. What is farther behind than to the side, with next to nothing in front,
-    is a wall behind a pole, or a return from the edge of the pole that has a share of each.
-    """
-    line, cloud = around.line, around.cloud
-    sight = line.point - cloud.origin
-    sight = sight - (sight @ line.direction) * line.direction
-    sight /= np.linalg.norm(sight) or 1.0
-    depth = (cloud.xyz[around.near] - line.point) @ sight
-    aside = np.sqrt(np.maximum(around.distance**2 - depth**2, 0.0))
-    behind = close & (depth > np.maximum(aside, SEARCH_ROOM))
-    in_front = close & (-depth > SEARCH_ROOM)
-    if np.count_nonzero(in_front) > LITTLE * np.count_nonzero(behind):
-        return np.zeros_like(close)
-    return behind
 
 
 def cluttered_share(line: Line, places: Array, density: float) -> float:
@@ -370,27 +361,14 @@ SEVERAL_ON_A_RING = 2.0
 on a pole, single file says nothing: a PandarQT does from 3 m on."""
 
 
-def surroundings_failure(
-    cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
-) -> Failure | None:
+def surroundings_failure(around: Surroundings) -> Failure | None:
     """Say what a line is part of; None where it stands free.
 
     The line is cut into pieces, and in each the returns beside it are weighed against its own. A
     stripe on a wall has the wall beside it all along. A pole that is held or touched somewhere does
     not; the stray returns about a bright edge are few; and the wall that a pole leans on passes
     behind it.
-
-    Parameters
-    ----------
-    cloud, near
-        The cloud, with intensity, and the index (M,) of its points about the line: all within
-        `SHORT_LENGTH`, or more.
-    is_retro
-        (N,) which points of the cloud are retro-reflective and on no other pole.
-    line
-        One that `shape_failure` finds nothing wrong with.
     """
-    around = surroundings_of(cloud, near, is_retro, line)
     return (
         retro_clutter(around)
         or untaped_between(around)
@@ -454,11 +432,6 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     return np.asarray(np.abs(dim_places - middle) > reach)
 
 
-def close_beside(around: Surroundings) -> BoolArray:
-    """Which returns (M,) lie close beside the line, too near for a wall behind it."""
-    return ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
-
-
 def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
     """A pole has no returns of any kind all along it, except those of a wall behind it."""
     line, xyz = around.line, around.cloud.xyz
@@ -467,7 +440,8 @@ def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
     is_strict = around.is_suspect and not around.is_thick
     if share <= (LITTLE if is_strict else HALF):
         return None
-    is_close = cluttered_share(line, around.along[close_beside(around)], MOST) > HALF
+    close = ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
+    is_close = cluttered_share(line, around.along[close], MOST) > HALF
     if not (around.is_short or is_close) and is_wall_behind(
         xyz[around.near[beside]], xyz[line.index]
     ):

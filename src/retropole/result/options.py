@@ -14,7 +14,7 @@ from msgspec import Meta, inspect
 
 from ..base.bounded import ShareOfSome, Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
-from ..base.sensors import SENSORS
+from ..base.errors import UsageError
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
 from ..io.fields import METRES, USUAL, Unit, Wanted
@@ -62,6 +62,11 @@ def radius_in_metres(given: float) -> str:
 def told(text: str) -> Meta:
     """Say what an option is, in the words of the command line's help."""
     return Meta(description=text)
+
+
+def rare(text: str) -> Meta:
+    """Say so of an option that few need: the command line lists it by --help-all alone."""
+    return Meta(description=text, extra={"rare": True})
 
 
 SAME = told("The same for SOURCE.")
@@ -128,19 +133,19 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Radius, told("Radius of the poles, m: half their thickness, tape included.")
     ] = DEFAULT_RADIUS
     radius_sigma_m: Annotated[
-        RadiusSigma, told("1 sigma of the radius, m. At least 2 % of the radius is used.")
+        RadiusSigma, rare("1 sigma of the radius, m. At least 2 % of the radius is used.")
     ] = 0.0
     up: Annotated[
-        bool, told("Both LiDARs stand roughly upright: choose the hypothesis by this.")
+        bool, told("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
     ] = False
     prior_rpy_deg: Annotated[
         tuple[Angle, Angle, Angle] | None,
-        told("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
+        rare("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
     ] = None
-    prior_sigma_deg: Annotated[PriorSigma, told("1 sigma of --up or --prior-rpy-deg.")] = 10.0
+    prior_sigma_deg: Annotated[PriorSigma, rare("1 sigma of --up or --prior-rpy-deg.")] = 10.0
     hypothesis: Annotated[
         Text | None,
-        told(
+        rare(
             "Take this hypothesis from the list that the run prints without the option. The "
             "verdict is warn at best, and refused if the scene contradicts it."
         ),
@@ -154,15 +159,15 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = False
     poles: Annotated[
         Poles | None,
-        told("Exact number of poles that both see; 0: the place gives the pose.  [default: any]"),
+        rare("Exact number of poles that both see; 0: none, the scene alone.  [default: any]"),
     ] = None
-    refine: Annotated[bool, told("Use the poles only.")] = True
+    refine: Annotated[bool, rare("Use the poles only.")] = True
     trust_poles: Annotated[
-        bool, told("You watched the poles: accept two that the scene does not confirm.")
+        bool, rare("You watched the poles: accept two that the scene does not confirm.")
     ] = False
     deceiving_share: Annotated[
         ShareOfSome | None,
-        told(
+        rare(
             "Share of recordings like these that deceive: poles moved in between, or other "
             "objects taken for poles. The chance of a wrong pose is computed with it.  [default: "
             f"{DECEIVING:.2f}, or {TOGETHER:g} where both recorded at the same time]"
@@ -172,32 +177,26 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         NeededError | None,
         told(
             "Accuracy that is needed, cm. The verdict says whether every point up to "
-            "--at-m away is within it, with 95 % probability."
+            f"{DEFAULT_AT:g} m away (--at-m) is within it, with 95 % probability."
         ),
     ] = None
     at_m: Annotated[
         Distance | None,
-        told(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
+        rare(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
     ] = None
     mast_sway_deg: Annotated[
         MastSway | None,
-        told(
+        rare(
             "1 sigma of the angle that the masts of both LiDARs sway by. Needed of recordings of "
             "one or two sweeps, which do not show it.  [default: what the sweeps show]"
         ),
     ] = None
     threshold_target: Annotated[
         Intensity | None,
-        told(
-            "Intensity from which a return is retro-reflective, on the file's own "
-            "scale.  [default: from the sensor or the cloud]"
-        ),
+        told("Intensity from which a return is retro-reflective.  [default: auto]"),
     ] = None
     threshold_source: Annotated[Intensity | None, SAME] = None
-    sensor_target: Annotated[
-        Text,
-        told(f"Sensor's name ({', '.join(SENSORS)}), auto, or a .toml file that describes it."),
-    ] = "auto"
+    sensor_target: Annotated[Text, told("Sensor, such as VLP-16, or a .toml file of one.")] = "auto"
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
         Text | None, told("Topic of the bag; needed if it has several topics of point clouds.")
@@ -212,29 +211,21 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     max_points: Annotated[
         MaxPoints,
-        told(
+        rare(
             "Most points to read of a cloud. Of a larger one fewer frames are read, or the "
             "brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
-    unit: Annotated[
-        Unit, told("Unit of the coordinates, where they are not metres; 'retropole info' tells.")
-    ] = "m"
-    unit_source: Annotated[
-        Unit | None, told("The same for SOURCE, where it is another.  [default: that of --unit]")
-    ] = None
-
+    unit: Annotated[Unit, told("Unit of coordinates; see 'retropole info'.")] = "m"
+    unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,
-        told("Field of the intensity, where several may be; 'retropole info' lists them."),
+        rare("Field of the intensity, where several may be; 'retropole info' lists them."),
     ] = None
-    intensity_source: Annotated[
-        Text | None,
-        told("The same for SOURCE, where it is another.  [default: that of --intensity]"),
-    ] = None
+    intensity_source: Annotated[Text | None, SAME] = None
     angles: Annotated[
         Text | None,
-        told("Of packets, the file of the unit's own angles: Hesai's .csv, or .dat of an AT128."),
+        rare("Of packets, the file of the unit's own angles: Hesai's .csv, or .dat of an AT128."),
     ] = None
     angles_source: Annotated[Text | None, SAME] = None
 
@@ -278,11 +269,44 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
 DEFAULT_CONFIG = RunConfig()
 
 
+class Pair(NamedTuple):
+    """Fields of what each LiDAR has: one value is of both, unless it is the target's `alone`.
+
+    A second value that is None stands for `usual`: a source without a unit has the target's.
+    """
+
+    name: str
+    target: str
+    source: str
+    alone: bool = False
+    usual: object = None
+
+    def fields(self, *values: object) -> dict[str, object]:
+        """Give the values of both fields, of one value or those of target and source."""
+        if len(values) > 2:
+            raise UsageError(f"{self.name}: one value for both LiDARs, or target's and source's")
+        second = self.usual if values[-1] is None else values[-1]
+        first = {} if values[0] is None else {self.target: values[0]}
+        return first | {self.source: None if len(values) == 1 and self.alone else second}
+
+
+PAIRS = {
+    "sensor": Pair("sensor", "sensor_target", "sensor_source", usual="auto"),
+    "threshold": Pair("threshold", "threshold_target", "threshold_source"),
+    "topic": Pair("topic", "target_topic", "source_topic"),
+    "unit": Pair("unit", "unit", "unit_source", alone=True, usual="m"),
+    "intensity": Pair("intensity", "intensity", "intensity_source", alone=True, usual=""),
+    "angles": Pair("angles", "angles", "angles_source", alone=True),
+}
+"""By what the command line and Python call each."""
+
+
 class Option(NamedTuple):
     """What an option may be: its type with the bounds, of several values that of each, and help."""
 
     kind: inspect.Type
     help: str
+    is_rare: bool
 
 
 def _option(kind: inspect.Type) -> Option:
@@ -292,7 +316,7 @@ def _option(kind: inspect.Type) -> Option:
         inner = inner.types[0]
     if isinstance(inner, inspect.TupleType):
         inner = inner.item_types[0]
-    return Option(inner, said["description"])
+    return Option(inner, said["description"], bool(kind.extra))
 
 
 _RUN = inspect.type_info(RunConfig)

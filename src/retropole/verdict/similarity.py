@@ -285,7 +285,7 @@ def _in_common_unit(
 def _options(unit: Unit, *lidars: str) -> str:
     if len(lidars) > 1:
         return f"--unit {unit}"
-    return f"--unit-source {unit}" if lidars[0] == "source" else f"--unit {unit} --unit-source m"
+    return f"--unit m --unit {unit}" if lidars[0] == "source" else f"--unit {unit} --unit m"
 
 
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:

@@ -303,7 +303,7 @@ def test_a_loss_is_said_on_the_console_and_in_the_result(tmp_path: Path) -> None
     path.write_bytes(cut(velodyne()))
     shown = retropole_here("info", path)
     assert "note       the capture is damaged or cut: 600 of" in shown.stdout
-    done = retropole_here("calibrate", path, path, "--out", tmp_path / "o", "--threshold-target", 9)
+    done = retropole_here("calibrate", path, path, "--out", tmp_path / "o", "--threshold", 9)
     assert f"retropole: {path}: the capture is damaged or cut" in done.stderr
 
 
