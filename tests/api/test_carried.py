@@ -124,7 +124,7 @@ def test_files_of_any_kind_give_the_same_answer(
                 write_pcd(tmp_path / name / f"{begun(each):.6f}.pcd", change(each).cloud)
         found = rp.calibrate(tmp_path / "lidar0", tmp_path / "lidar1", **NAMED)  # type: ignore[arg-type]
     else:
-        topics = {"target_topic": "/lidar0", "source_topic": "/lidar1"}
+        topics = {"topic": ("/lidar0", "/lidar1")}
         both = as_bag(frames, tmp_path, change)
         found = rp.calibrate(both[0], both[1], **NAMED, **topics)  # type: ignore[arg-type]
     rotation, translation, offset = differs(found, answer)
