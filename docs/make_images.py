@@ -200,6 +200,17 @@ def draw_merged(path: Path) -> None:
     Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
 
 
+def draw_carried(path: Path) -> None:
+    """What the report shows of a walk with one pole."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run("simulate", "street", "--carried", "--seed", 1, "--out", folder, "-q")
+        sensors = ("--sensor", "VLP-16")
+        recordings = folder / "lidar0", folder / "lidar1"
+        run("calibrate", *recordings, "--carried", *sensors, "--out", folder / "r", "-q")
+        photograph(folder / "r" / "report.html", path, "#walk")
+
+
 def draw_placement(path: Path) -> None:
     """What the example about placing the poles draws."""
     with tempfile.TemporaryDirectory() as name:
@@ -312,7 +323,7 @@ def arrow(line: str) -> str:
 
 
 OF_STREET = "detect", "plan", "report"
-PICTURES = "bias", "car_park", *OF_STREET, "merge", "placement", "placements", "setup"
+PICTURES = "bias", "car_park", *OF_STREET, "carried", "merge", "placement", "placements", "setup"
 
 
 def main() -> None:
@@ -330,6 +341,8 @@ def main() -> None:
         draw_car_park(given.data, out / "car_park.png")
     if set(OF_STREET) & set(wanted):
         draw_street(out, wanted)
+    if "carried" in wanted:
+        draw_carried(out / "carried.png")
     if "merge" in wanted:
         draw_merged(out / "merge.png")
     if "placement" in wanted:

@@ -49,10 +49,14 @@ def test_what_does_not_fit_is_refused(sound: Adjusted) -> None:
 
 
 def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
-    steady = np.array([[1e-4, 2e-4], [-1e-4, 2e-4]])
-    jump = np.array([[0.02, 0.0], [0.0, 0.0]])
+    steady = np.array([[2.5, 1e-4, 2e-4], [7.5, -1e-4, 2e-4]])
+    jump = np.array([[0.0, 0.02, 0.0], [0.0, 0.0, 0.0]])
     assert chosen([replace(sound, clock_windows=steady)]) is not None
     assert code_of(replace(sound, clock_windows=steady + jump)) == "clock_jumps"
+    # Of a lasting step no window alone tells.
+    several = np.array([[5.0 * k, 0.004 if k > 2 else -0.004, 0.0015] for k in range(6)])
+    assert code_of(replace(sound, clock_windows=several)) == "clock_jumps"
+    assert chosen([replace(sound, clock_windows=several * [1, 0.4, 1])]) is not None
 
 
 def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:

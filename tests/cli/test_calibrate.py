@@ -319,3 +319,43 @@ def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     for words in (("--at-m", 30), ("--need-cm", 0), ("--need-cm", "nan")):
         assert retropole_here("calibrate", *files, *words).returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is of standing poles"),
+        (("calibrate", "a", "b", "--carried", "--up"), "there is no use for up"),
+        (("simulate", "street", "--carried", "--poles", "3"), "without --poles"),
+        (("simulate", "street", "--sweeps", "300"), "200 at most without --carried"),
+        (("simulate", "paper", "--carried"), "no walk in 'paper'"),
+    ],
+)
+def test_a_carried_pole_goes_with_nothing_of_standing_ones(
+    words: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    done = retropole_here(*words, "--out", tmp_path / "r")
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+@pytest.mark.full
+def test_a_simulated_walk_is_calibrated_as_the_help_says(tmp_path: Path) -> None:
+    made = retropole_here(
+        "simulate", "street", "--carried", "--sweeps", "100", "--seed", "2", "--out", tmp_path / "w"
+    )
+    assert made.returncode == 0, made.stderr
+    done = retropole_here(
+        "calibrate",
+        tmp_path / "w" / "lidar0",
+        tmp_path / "w" / "lidar1",
+        "--carried",
+        "--out",
+        tmp_path / "r",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "clocks: t_target = t_source" in done.stdout
+    truth = json.loads((tmp_path / "w" / "truth.json").read_text())
+    assert_close(transform_of(tmp_path / "r"), np.array(truth["T_target_source"]))
+    walk = json.loads((tmp_path / "r" / "result.json").read_text())["walk"]
+    assert abs(walk["clock_offset_s"] - truth["clock_offset_s"]) < 5 * walk["clock_sigma_s"]

@@ -143,6 +143,11 @@ def calibrate_with(
     """
     config = checked_options(config)
     listener.progress("read")
+    if config.carried:
+        from .carried import calibrate_walk
+
+        walk, recorded = calibrate_walk(target, source, config, listener)
+        return CalibrationResult(walk, placements=recorded)
     start = time.perf_counter()
     pairs = read_placements(target, source, config, listener)
     inputs = [each for pair in pairs for each in pair]

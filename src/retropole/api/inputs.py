@@ -117,9 +117,15 @@ class Input:
             return ""
         return sensor_doubt(with_beam_origin(with_trusted_rings(self.cloud)), self.sensor)
 
-    def search(self, radius: float) -> Scan:
-        """Find the poles of a radius, metres, in it; a refusal is in the scan."""
-        return find_poles(self.cloud, sensor=self.sensor, threshold=self.threshold, radius=radius)
+    def search(self, radius: float, *, for_poles: bool = True) -> Scan:
+        """Find the poles of a radius, metres, in it; a refusal is in the scan.
+
+        Where it is not searched for poles, what moved is left out all the same.
+        """
+        sensor, threshold = self.sensor, self.threshold
+        return find_poles(
+            self.cloud, sensor=sensor, threshold=threshold, radius=radius, search=for_poles
+        )
 
 
 class InputPair(NamedTuple):

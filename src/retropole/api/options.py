@@ -96,6 +96,10 @@ def checked_options(config: RunConfig) -> RunConfig:
         raise UsageError("at is the distance for need, how accurate the answer must be: give both")
     if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
         raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
+    spare = [f for f in NOT_OF_WALKS if getattr(config, f) != getattr(DEFAULT_CONFIG, f)]
+    if config.carried and spare:
+        names = ", ".join(keyword(field) for field in spare)
+        raise UsageError(f"of a pole that is carried there is no use for {names}: leave it out")
     pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
     if config.prior_xyz is not None and not config.map:
         raise UsageError("prior_xyz (--prior-xyz) is a place in a map: give map (--map) as well")
@@ -107,6 +111,12 @@ def checked_options(config: RunConfig) -> RunConfig:
     named |= {name: str(Path(file).resolve()) for name, file in files if file is not None}
     return replace(config, **named)
 
+
+NOT_OF_WALKS = (
+    *("radius_sigma_m", "up", "prior_rpy_deg", "prior_sigma_deg", "hypothesis", "poles"),
+    *("trust_poles", "deceiving_share", "mast_sway_deg", "map", "prior_xyz"),
+)
+"""Options of standing poles that say nothing of one that is carried."""
 
 LETTER = "a letter of the list of hypotheses, such as a"
 

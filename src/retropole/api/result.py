@@ -13,6 +13,7 @@ import numpy as np
 
 from ..adjustment.answer import LidarPose, SiteCalibration
 from ..base import se3
+from ..base.carried import CarriedWalk
 from ..base.datatypes import Array, Placement, Scan
 from ..base.errors import UsageError, printable, visible
 from ..base.files import write_atomically, write_together
@@ -214,6 +215,11 @@ class CalibrationResult(Result[ResultDoc]):
         that did not state it.
         """
         return self.document.confirmation
+
+    @property
+    def walk(self) -> CarriedWalk | None:
+        """Of a pole that was carried: the offset of the clocks, and the walk; else None."""
+        return self.document.walk
 
     @property
     def fitness(self) -> Fitness | None:

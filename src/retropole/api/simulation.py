@@ -8,18 +8,23 @@ import numpy as np
 
 from ..base.datatypes import MAX_POLES
 from ..base.errors import UsageError
+from ..base.sensors import SWEEP_SECONDS
 from ..result import DEFAULT_CONFIG, RunConfig
 from ..simulation import (
     NOISE_MODELS,
     NoiseModel,
     SimulatedPair,
     SimulatedSite,
+    SimulatedWalk,
     Survey,
     simulate_pair,
 )
 from ..simulation import simulate_site as draw_site
+from ..simulation import simulate_walk as draw_walk
 from ..simulation import write_pair as write_pair
 from ..simulation import write_site as write_site
+from ..simulation import write_walk as write_walk
+from ..simulation.scenes import SURROUNDINGS
 from .options import checked_options
 
 
@@ -84,6 +89,44 @@ def simulate(
         noise=noise,
         frames=frames,
         symmetric=symmetric,
+    )
+
+
+def simulate_walk(
+    scene: str,
+    seed: int = 0,
+    *,
+    sensor_target: str | None = None,
+    sensor_source: str | None = None,
+    radius: float = DEFAULT_CONFIG.radius_m,
+    frames: int = 400,
+    nuisances: str | None = None,
+) -> SimulatedWalk:
+    """Draw a place where a person carries one taped pole before two LiDARs.
+
+    Parameters
+    ----------
+    scene, seed, sensor_target, sensor_source, radius, frames, nuisances
+        As `simulate` takes them, but for the scene of the paper. Without their names, both LiDARs
+        are a VLP-16.
+
+    Raises
+    ------
+    UsageError
+        As `simulate`.
+    SimulationError
+        Where no arrangement is found in which both LiDARs see the walk.
+    """
+    if scene not in SURROUNDINGS:
+        raise UsageError(f"no walk in {scene!r}; there are {', '.join(SURROUNDINGS)}")
+    checked_options(RunConfig(radius_m=radius))
+    return draw_walk(
+        scene,
+        np.random.default_rng(seed),
+        seconds=SWEEP_SECONDS * frames,
+        sensors=(sensor_target or "VLP-16", sensor_source or "VLP-16"),
+        noise=_noise(nuisances or "typical"),
+        radius=radius,
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from . import se3
 from .bounded import Covariance, Pose, Size, Status
+from .carried import CarriedWalk
 from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
@@ -441,6 +442,8 @@ class Calibration:
         What was recorded and found, one for each placement of the poles; and the time of each step.
     confirmation, fitness
         What stands in the scene says of the pose, and whether it is as accurate as asked; or None.
+    walk
+        Of a pole that was carried: the walk, and the clocks of both LiDARs; else None.
     tests
         Of every observation against all others; empty when refused, and without poles.
     """
@@ -464,6 +467,7 @@ class Calibration:
     chosen: int = 0
     vertical: Array | None = None
     notes: tuple[Reason, ...] = ()
+    walk: CarriedWalk | None = None
     tests: tuple[Test, ...] = ()
 
 

@@ -14,6 +14,7 @@ prior. The normal equations have a band for the splines, and a border for all el
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,13 +22,16 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 from scipy.sparse import csr_array, hstack
 
+from ..alignment.certainty import Part
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from .linear import (
     CLOCK,
+    DEVICE_NAMES,
     KNOT,
     OFFSET,
     POSE,
+    RING_NAMES,
     Frame,
     Seen,
     State,
@@ -51,8 +55,9 @@ HUBER, BEYOND = 2.5, 12.0
 MAX_STEPS = 40
 """Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
 
-WINDOW, FEWEST_IN_WINDOW = 5.0, 40
-"""Windows in which the clocks' offset is looked at: s, and rows of the source."""
+WINDOW, FEWEST_IN_WINDOW = 5.0, 10
+"""Windows in which fit and clocks' offset are looked at: s, and rows of each LiDAR. With 40 rows, a
+walk of which little is common was answered across a jump of the clock."""
 
 LEAST_MOTION = 1e-3
 """No noise of the motion is less: of a pole that never leans it would fall forever."""
@@ -88,13 +93,16 @@ class Adjusted:
         (4, 4).
     covariance
         (7, 7) over ``[φ, δ, τ]``, rad, m and s, target axes.
-    offset, drift
-        By how much the source's clock is ahead at the middle of the walk, s, and its rate.
+    offset, drift, middle
+        By how much the source's clock is ahead in the middle of what both saw, s, its rate, and
+        that middle by the target's clock.
     motion
         (4,) noise of the acceleration, as `NOISE`.
     residuals, weights, times, lidar
         (N, 2) along the beam and across, in σ; (N, 2) their weights; (N,) s by the target's clock,
         and whose they are.
+    off_along
+        (N,) the first of the residuals, metres; 0 where hits are missing.
     axes
         (S, 4) x, y, u and v at (S,) `at`, s.
     at
@@ -105,7 +113,11 @@ class Adjusted:
         (2, 2) how the rows of each LiDAR scatter beyond what is stated: along beams a factor,
         across an angle, rad.
     clock_windows
-        (K, 2) offset of the clocks in windows of `WINDOW` beside that of all, and its 1 σ, s.
+        (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
+        beside that of all, and its 1 σ, s.
+    random, parts
+        (6, 6) of `covariance` from the scatter of the returns and the motion of the pole, and what
+        each systematic error adds.
     converged, cost
         Whether steps came to rest; the sum of the robust losses with the priors.
     """
@@ -114,6 +126,7 @@ class Adjusted:
     covariance: Array
     offset: float
     drift: float
+    middle: float
     motion: Array
     residuals: Array
     weights: Array
@@ -124,6 +137,9 @@ class Adjusted:
     T_walk_target: Array
     spread: Array
     clock_windows: Array
+    random: Array
+    parts: tuple[Part, ...]
+    off_along: Array
     converged: bool
     cost: float
 
@@ -194,11 +210,15 @@ def adjust(
     second = curvature(state.coefs) ** 2 * KNOT / motion
     cost = robust.sum() + 0.5 * (own @ own) + 0.5 * second.sum()
     cost += 0.5 * len(second) * np.log(motion).sum()
+    parts = tuple(_parts(frame, state, step.covariance))
+    systematic = sum((part.root @ part.root.T for part in parts), np.zeros((12, 12)))[6:, 6:]
+    sigma = np.where(np.isfinite(system.sigma[:, 0]), system.sigma[:, 0], 0.0)
     return Adjusted(
         state.T,
         step.covariance[:CLOCK, :CLOCK],
         float(state.border[0]),
         float(state.border[1]),
+        frame.middle,
         motion,
         system.residuals,
         weights,
@@ -209,8 +229,39 @@ def adjust(
         frame.T_walk_target,
         spread,
         _clock_windows(frame, state, system, weights, motion, draws),
+        step.covariance[POSE, POSE] - systematic,
+        parts,
+        sigma * system.residuals[:, 0],
         converged,
         float(cost),
+    )
+
+
+def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted:
+    """Express what was found about the start of the beams in the frames of both recordings.
+
+    Parameters
+    ----------
+    found
+        As `adjust` gives it.
+    T_target, T_source
+        (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
+    """
+    T = T_target @ found.T_target_source @ se3.inverse(T_source)
+    R = T_target[:3, :3]
+    # Errors are those of another origin of the source, on other axes.
+    J = np.eye(7)
+    J[:3, :3] = J[3:6, 3:6] = R
+    J[3:6, :3] = -se3.hat(T[:3, 3] - (T_target @ found.T_target_source)[:3, 3]) @ R
+    wide = np.eye(12)
+    wide[6:, 6:] = J[:6, :6]
+    return replace(
+        found,
+        T_target_source=T,
+        covariance=J @ found.covariance @ J.T,
+        random=J[:6, :6] @ found.random @ J[:6, :6].T,
+        parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
+        T_walk_target=found.T_walk_target @ se3.inverse(T_target),
     )
 
 
@@ -299,6 +350,19 @@ def _solve(
     return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
 
 
+def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
+    """What each error adds to the pose: where what is known of it is off by 1 σ, so is the pose."""
+    at = CLOCK + 1
+    for lidar, bands in enumerate(frame.bands):
+        for name, unit, count in (*DEVICE_NAMES, *((*kind, len(bands)) for kind in RING_NAMES)):
+            own = slice(at, at + count)
+            root = np.zeros((12, count))
+            root[6:] = covariance[POSE, own] / frame.prior[own]
+            estimated = float(state.border[at - OFFSET]) if count == 1 else None
+            yield Part(name, lidar, float(frame.prior[at]), unit, estimated, root)
+            at += count
+
+
 def _clock_windows(
     frame: Frame,
     state: State,
@@ -307,14 +371,15 @@ def _clock_windows(
     motion: Array,
     draws: Array,
 ) -> Array:
-    """Give each window an offset of its own: (K, 2) the offset and its 1 σ, s."""
+    """Give each window an offset of its own: (K, 3) its middle, the offset and its 1 σ, s."""
     place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    counted = (weights > 0).all(axis=1)
+    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
+    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
+    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
     place[system.lidar == 0] = -1
-    place[(weights * system.offset_slopes**2).sum(axis=1) == 0] = -1
-    number, counts = np.unique(place[place >= 0], return_counts=True)
-    number = number[counts >= FEWEST_IN_WINDOW]
     if len(number) < 2:
-        return np.zeros((0, 2))
+        return np.zeros((0, 3))
     windows = np.zeros((*system.residuals.shape, len(number)))
     for k, own in enumerate(number):
         windows[place == own, :, k] = system.offset_slopes[place == own]
@@ -329,6 +394,7 @@ def _clock_windows(
         motion,
         draws,
     )
-    own = slice(len(frame.prior), None)
-    sigma = np.sqrt(np.diag(step.covariance)[own])
-    return np.stack([step.border[own], sigma], axis=1)
+    of_windows = slice(len(frame.prior), None)
+    sigma = np.sqrt(np.diag(step.covariance)[of_windows])
+    middle = frame.first + WINDOW * (number + 0.5)
+    return np.stack([middle, step.border[of_windows], sigma], axis=1)

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from ..base.systematic import Sizes, band_of
+from ..base.systematic import RING_KINDS, Sizes, band_of
 from .rows import Rows, left_open
 from .start import Start
 from .track import Track
@@ -38,7 +38,19 @@ seeds 25 to 29)."""
 POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
 """Among the unknowns of the border: the pose, the clocks' offset and the drift."""
 
-DEVICE = 12
+DEVICE_NAMES = (
+    ("range offset", "m", 1),
+    ("range scale", "1", 1),
+    ("encoder", "rad", 2),
+    ("wobble of the axis", "rad", 2),
+    ("bent scan lines", "rad", 4),
+    ("width of the beam", "1", 1),
+    ("depth at the edges of the pole", "1", 1),
+)
+RING_NAMES = tuple((kind.name, kind.unit) for kind in RING_KINDS)
+"""Errors of a whole LiDAR in their order, their units and how many of each, and of each ring."""
+
+DEVICE = sum(count for _, _, count in DEVICE_NAMES)
 """Errors of a whole LiDAR, after which come those of its rings."""
 
 
@@ -85,6 +97,10 @@ def frame_of(
     T = se3.from_rt(R, -R @ target.points.mean(axis=0))
     times = np.r_[seen[0].rows.times, seen[1].rows.times - start.offset]
     first = float(times.min()) - 0.5
+    # Clocks are compared where both see the pole.
+    begin = max(seen[0].rows.times.min(), seen[1].rows.times.min() - start.offset)
+    end = min(seen[0].rows.times.max(), seen[1].rows.times.max() - start.offset)
+    middle = float(times[(times >= begin) & (times <= end)].mean()) if end > begin else first
     count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
     bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
     for each in seen:
@@ -107,7 +123,7 @@ def frame_of(
         )
         prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
     return Frame(
-        T, first, float(times.mean()), count, radius, seen, (bands[0], bands[1]),
+        T, first, middle, count, radius, seen, (bands[0], bands[1]),
         np.concatenate(prior),
     )  # fmt: skip
 

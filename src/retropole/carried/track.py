@@ -8,12 +8,14 @@ is taken.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
+from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.errors import Refusal
 from ..base.se3 import lengths
@@ -22,6 +24,8 @@ from ..extraction.acceptance_shape import MIN_POLE_POINTS
 from ..extraction.line_search import near_box
 from ..extraction.lines import LINK, clusters
 from ..extraction.poles import extract_poles
+from ..io.beams import elevations, with_beam_origin, with_trusted_rings
+from ..io.scan_lines import with_rings_shown
 
 STANDS = 0.4
 """What is found within `SAME_PLACE` in more than this part of the sweeps stands there."""
@@ -44,8 +48,9 @@ pole's width: the widest step of the table of sensors is 0.6°; a hand is a few 
 DIFFUSE = 300
 """So many returns of the whole sweep, evenly taken, stand for it where a pole is alone."""
 
-LONGEST_GAP = 5.0
-"""The pole may be out of view for so long, s, and still be recognised by where it comes back."""
+LONGEST_GAP = 20.0
+"""The pole may be out of view for so long, s. With 5 s, half of a tuning walk was left out, and a
+jump of the clock in it."""
 
 
 class Found(NamedTuple):
@@ -63,7 +68,7 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The carried pole as one LiDAR saw it, in that LiDAR's frame and by its clock.
+    """The carried pole as one LiDAR saw it, about the start of its beams and by its clock.
 
     Attributes
     ----------
@@ -79,6 +84,9 @@ class Track:
         How many sweeps were recorded.
     crowded
         Share of the sweeps with a pole in which more than one moves.
+    T_recording_beams
+        (4, 4) from the frame of the points above, where beams start at the origin and turn about
+        the z axis, to that of the recording.
     """
 
     times: Array
@@ -91,6 +99,17 @@ class Track:
     is_whole: BoolArray
     sweeps: int
     crowded: float
+    T_recording_beams: Array = field(default_factory=lambda: np.eye(4))
+
+
+class Beams(NamedTuple):
+    """Where the beams of a recording start and turn, `Track.T_recording_beams`, and its rings.
+
+    ``levels`` are the elevations (K,) of rings that its points alone show, rad, else None.
+    """
+
+    T_recording_beams: Array
+    levels: Array | None
 
 
 def find_track(
@@ -122,6 +141,7 @@ def find_track(
     """
     found: list[Found] = []
     chosen: Threshold | None = None
+    beams: Beams | None = None
     count = 0
     for count, cloud in enumerate(sweeps, start=1):
         if cloud.time is None or cloud.intensity is None:
@@ -132,7 +152,10 @@ def find_track(
                 "moves, each return must say when; record with a time for each point",
                 {"points": len(cloud)},
             )
-        ranges = lengths(cloud.xyz - cloud.origin)
+        beams = beams or beams_of(cloud, sensor)
+        cloud = about_beams(cloud, beams)
+        assert cloud.intensity is not None
+        ranges = lengths(cloud.xyz)
         if chosen is None:
             chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
         found += _poles_in(cloud, ranges, chosen, sensor, radius, count - 1)
@@ -146,7 +169,45 @@ def find_track(
             {"sweeps": count, "found": len(chain), "standing": len(found) - len(moving)},
         )
     per_sweep = np.bincount([each.sweep for each in moving])
-    return _track_of(chain, count, float(np.mean(per_sweep[per_sweep > 0] > 1)))
+    assert beams is not None
+    crowded = float(np.mean(per_sweep[per_sweep > 0] > 1))
+    return _track_of(chain, count, crowded, beams.T_recording_beams)
+
+
+def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
+    """Look once how the beams of a recording run: in every part of every sweep it takes its time.
+
+    Parameters
+    ----------
+    cloud
+        One sweep.
+    sensor
+        What recorded it; None where it is not known.
+    """
+    cloud = with_beam_origin(with_trusted_rings(cloud))
+    levels = None
+    if cloud.ring is None and (sensor is None or sensor.rings):
+        cloud = with_rings_shown(cloud)
+        if cloud.ring is not None:
+            elevation = elevations(cloud.xyz - cloud.origin, cloud.axis)
+            levels = np.array(
+                [np.median(elevation[cloud.ring == k]) for k in np.unique(cloud.ring)]
+            )
+    turn = Rotation.align_vectors(cloud.axis[None], [[0.0, 0.0, 1.0]])[0].as_matrix()
+    R = np.eye(3) if np.allclose(cloud.axis, [0, 0, 1], atol=1e-12) else turn
+    return Beams(se3.from_rt(R, cloud.origin), levels)
+
+
+def about_beams(cloud: PointCloud, beams: Beams) -> PointCloud:
+    """Express a sweep about the start of its beams, with the rings that were found of others."""
+    T = beams.T_recording_beams
+    ring = with_trusted_rings(cloud).ring
+    if np.any(np.eye(4) != T):
+        cloud = cloud.transformed(se3.inverse(T))
+    if beams.levels is not None:
+        between = (beams.levels[1:] + beams.levels[:-1]) / 2
+        ring = np.searchsorted(between, elevations(cloud.xyz, np.array([0.0, 0.0, 1.0])))
+    return replace(cloud, origin=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), ring=ring)
 
 
 MIN_SWEEPS = 40
@@ -175,7 +236,10 @@ def _poles_in(
             some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
         part = cloud.select(some)
         level = float(chosen.at(ranges[bright[group]]).min())
-        for pole in extract_poles(part, sensor=sensor, threshold=level, radius=radius).poles:
+        found_here = extract_poles(
+            part, sensor=sensor, threshold=level, radius=radius, look_for_rings=False
+        )
+        for pole in found_here.poles:
             assert part.time is not None
             rings = np.full(len(part), -1) if part.ring is None else part.ring
             times = part.time[pole.index]
@@ -227,9 +291,7 @@ def _longest_way(found: list[Found]) -> list[Found]:
     point = np.array([each.point for each in found])
     length, before = np.zeros(len(found)), np.full(len(found), -1)
     for k in range(len(found)):
-        first = int(np.searchsorted(sweep, sweep[k] - 50))
-        back = np.arange(first, k)
-        back = back[(sweep[back] < sweep[k]) & (time[k] - time[back] < LONGEST_GAP)]
+        back = np.flatnonzero((sweep[:k] < sweep[k]) & (time[:k] > time[k] - LONGEST_GAP))
         step = lengths(point[back] - point[k])
         allowed = step < FASTEST * (time[k] - time[back]) + JUMP
         length[k] = 1.0
@@ -246,7 +308,7 @@ def _longest_way(found: list[Found]) -> list[Found]:
     return chain[::-1]
 
 
-def _track_of(chain: list[Found], sweeps: int, crowded: float) -> Track:
+def _track_of(chain: list[Found], sweeps: int, crowded: float, T: Array) -> Track:
     directions = [chain[0].direction]
     for each in chain[1:]:
         sign = 1.0 if each.direction @ directions[-1] >= 0 else -1.0
@@ -262,4 +324,5 @@ def _track_of(chain: list[Found], sweeps: int, crowded: float) -> Track:
         sweep=np.repeat(np.arange(len(chain)), [len(each.xyz) for each in chain]),
         sweeps=sweeps,
         crowded=crowded,
+        T_recording_beams=T,
     )

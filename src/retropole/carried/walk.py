@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ..base.errors import Refusal
 from ..base.sensors import Sensor
 from ..base.systematic import sizes_of
 from ..base.uncertainty import floor
-from .adjustment import Adjusted, adjust
+from .adjustment import Adjusted, adjust, in_recordings
 from .linear import Seen
 from .rows import rows_of
 from .start import FEWEST, WIDEST, Start, find_starts
@@ -21,6 +21,10 @@ from .verdict import check_tracks, chosen
 
 MOST_STARTS = 4
 """So many starts are adjusted at most: each takes about a second."""
+
+WORST_START = 0.1
+"""A start whose lines are farther apart, rad, is none: of sound walks it was 0.010 to 0.020 (tuning
+seeds 0 to 5), of one whose common part was too short 0.18."""
 
 APART = 0.1
 """Starts with one sign whose offsets are nearer to each other, s, fall into one basin."""
@@ -34,8 +38,9 @@ class WalkCalibration:
     ----------
     T_target_source, covariance
         (4, 4), and (6, 6) over ``[φ, δ]``, rad and m, target axes, with unmodelled errors.
-    offset, offset_sigma, drift
-        By how much the source's clock is ahead at the middle of the walk, s, its 1 σ, and rate.
+    offset, offset_sigma, drift, middle
+        By how much the source's clock is ahead in the middle of what both saw, s, its 1 σ, its
+        rate, and that middle by the target's clock, s.
     tracks
         What the target and the source saw.
     adjusted
@@ -47,6 +52,7 @@ class WalkCalibration:
     offset: float
     offset_sigma: float
     drift: float
+    middle: float
     tracks: tuple[Track, Track]
     adjusted: Adjusted
 
@@ -58,6 +64,7 @@ def calibrate_walk(
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
     radius: float = DEFAULT_RADIUS,
+    ahead: float | None = None,
 ) -> WalkCalibration:
     """Find pose and clock offset of two LiDARs before which one pole is carried.
 
@@ -71,6 +78,8 @@ def calibrate_walk(
         Intensity from which a return counts as retro-reflective; None for the sensor's.
     radius
         Of the pole, metres.
+    ahead
+        As of `calibrate_tracks`.
 
     Raises
     ------
@@ -79,11 +88,14 @@ def calibrate_walk(
     """
     of_both = zip((target, source), sensors, thresholds, strict=True)
     tracks = [find_track(each, s, threshold=t, radius=radius) for each, s, t in of_both]
-    return calibrate_tracks((tracks[0], tracks[1]), sensors, radius)
+    return calibrate_tracks((tracks[0], tracks[1]), sensors, radius, ahead)
 
 
 def calibrate_tracks(
-    tracks: tuple[Track, Track], sensors: tuple[Sensor | None, Sensor | None], radius: float
+    tracks: tuple[Track, Track],
+    sensors: tuple[Sensor | None, Sensor | None],
+    radius: float,
+    ahead: float | None = None,
 ) -> WalkCalibration:
     """Find pose and clock offset from what both LiDARs saw of the pole.
 
@@ -93,6 +105,9 @@ def calibrate_tracks(
         Of the target and the source.
     sensors, radius
         As of `calibrate_walk`.
+    ahead
+        By how much the source's clock is ahead as it is otherwise known, to within `WIDEST`, s.
+        None: not at all, or where the walks lie apart then, as if both began together.
 
     Raises
     ------
@@ -100,8 +115,12 @@ def calibrate_tracks(
         As `calibrate_walk`.
     """
     check_tracks(tracks)
-    starts = distinct(find_starts(*tracks))
-    if not starts:
+    if ahead is None:
+        ahead = apart(*tracks)
+    times, stamps = tracks[1].times - ahead, tracks[1].stamps - ahead
+    both = tracks[0], replace(tracks[1], times=times, stamps=stamps)
+    starts = distinct(find_starts(*both))
+    if not starts or starts[0].cost > WORST_START:
         raise Refusal(
             "no_common_walk",
             f"with clocks that differ by up to {WIDEST:g} s, no {FEWEST} sweeps of the target are "
@@ -111,19 +130,33 @@ def calibrate_tracks(
         )
     target, source = (
         Seen(rows_of(track, sensor, radius), sizes_of(sensor))
-        for track, sensor in zip(tracks, sensors, strict=True)
+        for track, sensor in zip(both, sensors, strict=True)
     )
-    best = chosen([adjust(start, tracks, (target, source), radius) for start in starts])
+    best = chosen([adjust(start, both, (target, source), radius) for start in starts])
+    best = in_recordings(best, *(track.T_recording_beams for track in tracks))
     covariance = best.covariance[:6, :6] + floor()
     return WalkCalibration(
         best.T_target_source,
         covariance,
-        best.offset,
+        best.offset + ahead,
         float(np.sqrt(best.covariance[6, 6])),
         best.drift,
+        best.middle,
         tracks,
         best,
     )
+
+
+def apart(target: Track, source: Track) -> float:
+    """How far the clocks are apart where the walks do not overlap by half as they are, s; else 0.
+
+    Taken from where the pole was first seen.
+    """
+    begins, ends = ([each.times[k] for each in (target, source)] for k in (0, -1))
+    shorter = min(target.times[-1] - target.times[0], source.times[-1] - source.times[0])
+    if min(ends) - max(begins) >= shorter / 2:
+        return 0.0
+    return float(source.times[0] - target.times[0])
 
 
 def distinct(starts: Sequence[Start]) -> list[Start]:

@@ -30,7 +30,7 @@ from .out import out_folder
 @out_folder("Folder for result.json and report.html.", RESULT_FILE, REPORT_FILE)
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
-@run_options("poles", "up", "prior_rpy_deg", "prior_sigma_deg")
+@run_options("carried", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("map", "prior_xyz", "prior_sigma_m")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
@@ -70,6 +70,7 @@ def calibrate(
       retropole calibrate front.pcap rear.pcap --frames 100:150
       retropole calibrate map.laz mast.pcd --map --prior-xyz 412345 5654321 91
       retropole calibrate front.csv rear.csv --unit mm --plan retropole-plan
+      retropole calibrate walk.mcap walk.mcap --topic /front --topic /rear --carried
 
     \b
     Exit code:
@@ -80,6 +81,8 @@ def calibrate(
     """
     from ..api.calibration import calibrate_with
 
+    if options["carried"] and plan is not None:
+        raise click.UsageError("--plan is of standing poles, --carried of one that moves")
     # A plan that cannot be read is reported before the work.
     wanted = None
     if plan is not None:
@@ -90,7 +93,9 @@ def calibrate(
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
     targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
-    with listening(quiet, config.frames, units=False) as listener:
+    # Of a walk every sweep is searched, whatever the page shows.
+    asked = config.frames or (config.carried or None)
+    with listening(quiet, asked, units=False) as listener:
         result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
     following = {

@@ -108,11 +108,19 @@ class _OrSite(Brief, click.Group):
 @click.option(
     "--poles",
     type=Whole(0, MAX_POLES),
-    default=2,
-    help="In view of both; 0: the same place as with 2, before they are set up.",
+    help="In view of both; 0: the same place as with 2, before they are set up.  [default: 2]",
 )
 @run_options("radius_m")
-@SWEEPS
+@click.option(
+    "--carried", is_flag=True, help="A person carries one pole, and both LiDARs record the walk."
+)
+@click.option(
+    "--sweeps",
+    "frames",
+    type=Whole(1, 1200),
+    help="Of each LiDAR, 0.1 s each, up to 200 of standing poles; a recording of several is a "
+    "folder of them.  [default: 1, of a walk 400]",
+)
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -120,7 +128,17 @@ class _OrSite(Brief, click.Group):
     "or none.  [default: typical; for paper the paper's noise]",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) -> int:
+def simulate(
+    scene: str,
+    out: Path,
+    seed: int,
+    radius_m: float,
+    poles: int | None,
+    carried: bool,
+    frames: int | None,
+    quiet: bool,
+    **drawn: Any,
+) -> int:
     """Make two scans of taped poles whose true transform is known.
 
     \b
@@ -132,14 +150,26 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
       retropole calibrate m/lidar0 m/lidar1
       retropole simulate street --seed 1 --poles 0 --out bare
       retropole plan bare/lidar0.pcd bare/lidar1.pcd
+      retropole simulate street --carried --seed 1 --out w
+      retropole calibrate w/lidar0 w/lidar1 --carried
     """
+    most = 1200 if carried else 200
+    if (frames or 1) > most:
+        raise click.UsageError(f"--sweeps is {frames}, {most} at most without --carried")
+    if carried and poles is not None:
+        raise click.UsageError("--carried is with one pole, and without --poles")
     from ..api.simulation import simulate as run
-    from ..api.simulation import write_pair
+    from ..api.simulation import simulate_walk as run_walk
+    from ..api.simulation import write_pair, write_walk
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        pair = run(scene, radius=radius_m, **drawn)
-        recordings = write_pair(pair, out)
+        if carried:
+            walk = run_walk(scene, seed, radius=radius_m, frames=frames or 400, **drawn)
+            recordings = write_walk(walk, out, seed)
+        else:
+            drawn |= {"poles": 2 if poles is None else poles, "frames": frames or 1}
+            recordings = write_pair(run(scene, seed, radius=radius_m, **drawn), out)
     if not quiet:
         show_written(*(out / name for name in (*recordings, "truth.json")))
     return 0

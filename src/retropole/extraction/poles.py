@@ -51,6 +51,7 @@ def extract_poles(
     sensor: Sensor | None = None,
     threshold: float | None = None,
     radius: float = DEFAULT_RADIUS,
+    look_for_rings: bool = True,
 ) -> Detection:
     """Find the taped poles in a cloud, and say of every other bright thing why it is not one.
 
@@ -65,6 +66,8 @@ def extract_poles(
     radius
         Of the poles, metres. Thicker posts are doubtful: to about 0.07 m, and to 0.1 m where they
         are short.
+    look_for_rings
+        Whether points without rings are searched for them, which takes most of the time.
 
     Returns
     -------
@@ -84,7 +87,8 @@ def extract_poles(
     check_coordinates(cloud)
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
-    cloud = with_rings_shown(cloud) if sensor is None or sensor.rings else cloud
+    if look_for_rings and (sensor is None or sensor.rings):
+        cloud = with_rings_shown(cloud)
     assert cloud.intensity is not None
     ranges = lengths(cloud.xyz - cloud.origin)
     chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..adjustment.blunders import POOR, is_poor
 from ..base import se3
+from ..base.carried import CarriedWalk
 from ..base.clocks import NOTICED, is_set, words_of
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
@@ -359,6 +360,21 @@ def radius_words(result: ResultDoc) -> str | None:
     return f"{given} given, {value_and_error(radius.estimated, radius.sigma)} estimated"
 
 
+def clock_words(found: CarriedWalk) -> str:
+    """Say how the clocks of both LiDARs differ."""
+    offset = found.clock_offset_s
+    apart = f"{'+' if offset >= 0 else '−'} {abs(offset):.6f} s"
+    return f"t_target = t_source {apart}, 1 sigma {1e3 * found.clock_sigma_s:.2g} ms"
+
+
+def carried_words(found: CarriedWalk) -> str:
+    """Say how the pole was carried."""
+    return (
+        f"{found.seconds:.0f} s, {found.along_m:.1f} m to either side along and "
+        f"{found.across_m:.1f} m across, leaning by {DEGREES * found.lean_rad:.0f}° (all rms)"
+    )
+
+
 def scene_words(result: ResultDoc) -> str | None:
     """Say how many patches agree or contradict the pose; None where the scene was not asked."""
     return None if result.confirmation is None else result.confirmation.words
@@ -435,6 +451,9 @@ def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
     """Say what only a pair states: its weakest direction, the radius, what the scene says."""
     if pair.weakest is not None:
         yield f"weakest direction, 1 sigma: {pair.weakest.words}"
+    if pair.walk is not None:
+        yield f"clocks: {clock_words(pair.walk)}"
+        yield f"walk: {carried_words(pair.walk)}"
     radius, scene = radius_words(pair), scene_words(pair)
     if verbose and radius is not None:
         yield f"radius of the poles: {radius}"

@@ -64,7 +64,7 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     ends = [[p.point + s * p.length * p.direction for s in (-0.5, 0.5)] for p in site.poles]
     poles = np.array(ends).reshape(-1, 2, 3) @ R.T
     points = np.array([each.at for each in site.control_points]).reshape(-1, 3) @ R.T
-    scale, height, chart = _fit(np.concatenate([lidars, *poles, points])[:, :2])
+    scale, height, chart = fit(np.concatenate([lidars, *poles, points])[:, :2])
     labels = Labels(WIDTH, height)
     for x, y in [*chart.at(lidars), *chart.at(points), *chart.at(poles.mean(axis=1))]:
         labels.keep_free(x, y, 6.0)
@@ -93,7 +93,7 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     return picture("map-said", height, marks, _caption(site, plan, factor), "map")
 
 
-def _fit(points: Array) -> tuple[float, float, Chart]:
+def fit(points: Array) -> tuple[float, float, Chart]:
     """Choose units per metre and the height of the picture so that all points are in it."""
     low, high = points.min(axis=0), points.max(axis=0)
     span = np.maximum(high - low, LEAST_SPAN)

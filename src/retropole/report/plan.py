@@ -39,10 +39,10 @@ def plan_of(document: SiteDoc) -> Plan:
     for lidar in document.lidars:
         if lidar.up is not None and lidar.T_site_lidar is not None:
             up = np.array(lidar.T_site_lidar)[:3, :3] @ lidar.up.direction
-            return Plan(_turning(up), f"what the inertial sensor of {lidar.name} says", None)
+            return Plan(turning(up), f"what the inertial sensor of {lidar.name} says", None)
     if not document.poles:
         return Plan(np.eye(3), "the z axis of the site's frame", None)
-    return Plan(_turning(_along_poles(document)), "the way the poles stand on average", None)
+    return Plan(turning(_along_poles(document)), "the way the poles stand on average", None)
 
 
 def _along_poles(document: SiteDoc) -> Array:
@@ -54,7 +54,7 @@ def _along_poles(document: SiteDoc) -> Array:
     return np.asarray(along if np.sum(np.sign(upright)) >= 0 else -along)
 
 
-def _turning(up: Array) -> Array:
+def turning(up: Array) -> Array:
     """Turn a direction (3,) into z, on the shortest way."""
     up = up / np.linalg.norm(up)
     axis = np.cross(up, [0.0, 0.0, 1.0])

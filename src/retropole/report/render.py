@@ -30,6 +30,7 @@ from .recorded import missing_poles, poles, run
 from .subject import Recorded, as_subject, colour_class
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view, recordings_view
+from .walk import walk
 
 HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
 """Of a part of the page: its id, and its title."""
@@ -85,7 +86,10 @@ def render_report(
         raise ValueError("a report shows at least one placement of the poles")
     subject = as_subject(document, recorded, serials)
     answer, plan = subject.site, plan_of(subject.site)
-    view, found = page_view(subject, plan, max_points), poles(subject)
+    view = page_view(subject, plan, max_points)
+    # Of a pole that moves nothing is listed as standing.
+    carried = subject.pair is not None and subject.pair.config.carried
+    found = EMPTY if carried else poles(subject)
     refused, heading = answer.status == "refused", answer.name or "Site"
     if subject.pair is not None:
         named = input_names(subject.pair)
@@ -93,12 +97,13 @@ def render_report(
         heading = fill("pair-heading", target=target, source=source)
     curve = error_curve(subject)
     parts = [
-        missing_poles(subject),
+        EMPTY if carried else missing_poles(subject),
         transform(subject, curve),
         poses(subject, curve),
         site_map(subject, plan),
         viewer(view),
         next_steps(subject),
+        walk(subject),
         hypotheses(subject.pair),
         certainty(subject),
         apart(subject),

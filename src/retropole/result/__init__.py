@@ -28,6 +28,7 @@ from ..base.bounded import (
     Vector,
     Whole,
 )
+from ..base.carried import CarriedWalk
 from ..base.datatypes import Calibration, Hypothesis, Kind, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal, UsageError
 from ..base.reasons import Code
@@ -216,6 +217,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     radius: RadiusEstimate | None = None
     confirmation: Confirmation | None = None
     fitness: Fitness | None = None
+    walk: CarriedWalk | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: Number | None

@@ -160,6 +160,13 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
             "verdict is warn at best, and refused if the scene contradicts it."
         ),
     ] = None
+    carried: Annotated[
+        bool,
+        told(
+            "A person carried one pole through the view of both, who recorded the walk. Gives the "
+            "offset of the clocks as well."
+        ),
+    ] = False
     poles: Annotated[
         Poles | None,
         rare("Exact number of poles that both see; 0: none, the scene alone.  [default: any]"),

@@ -5,7 +5,8 @@ from .pairs import SCENES, SimulatedPair, SimulationError, place_again, simulate
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .scanning import LabelledScan, scan
 from .sites import SITES, SimulatedSite, Survey, simulate_site
-from .writing import write_pair, write_site
+from .walks import SimulatedWalk, simulate_walk
+from .writing import write_pair, write_site, write_walk
 
 __all__ = [
     "EXACT",
@@ -23,6 +24,7 @@ __all__ = [
     "Rectangle",
     "SimulatedPair",
     "SimulatedSite",
+    "SimulatedWalk",
     "SimulationError",
     "Surface",
     "Survey",
@@ -31,6 +33,8 @@ __all__ = [
     "scan",
     "simulate_pair",
     "simulate_site",
+    "simulate_walk",
     "write_pair",
     "write_site",
+    "write_walk",
 ]

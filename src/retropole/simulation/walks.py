@@ -218,6 +218,12 @@ class SimulatedWalk:
         target, source = (each.T_world_sensor for each in self.recorders)
         return se3.inverse(target) @ source
 
+    @property
+    def clock_offset(self) -> float:
+        """What is added to the source's times to have the target's, at the walk's middle, s."""
+        source = self.recorders[1]
+        return -source.clock - source.drift * self.walks[0].seconds / 2
+
     def record(self, lidar: int, rng: np.random.Generator) -> Iterator[PointCloud]:
         """Give the sweeps of the target (0) or the source (1), with the times of its clock."""
         return record_walk(self.walks, self.surfaces, self.recorders[lidar], rng)
@@ -230,6 +236,7 @@ def simulate_walk(
     seconds: float = 40.0,
     sensors: tuple[str, str] = ("VLP-16", "VLP-16"),
     noise: NoiseModel = TYPICAL,
+    radius: float = PAPER_RADIUS,
     clock: float = 2.0,
     lean: float = float(np.radians(14.0)),
     people: int = 1,
@@ -249,6 +256,8 @@ def simulate_walk(
         Names of the target's and the source's model.
     noise
         How recordings differ from exact geometry.
+    radius
+        Of the pole, metres.
     clock
         The source's clock is off by up to so much, s.
     lean
@@ -265,7 +274,7 @@ def simulate_walk(
         poses = [_draw_pose(model, rng) for model in models]
         at = [pose[:3, 3] for pose in poses]
         walks = tuple(
-            draw_walk(rng, seconds, clear, at, lean=lean, wears_vest=wears_vest)
+            draw_walk(rng, seconds, clear, at, radius=radius, lean=lean, wears_vest=wears_vest)
             for _ in range(people)
         )
         in_view = all(_is_in_view(walks[0], *each) for each in zip(models, poses, strict=True))

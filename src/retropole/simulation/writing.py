@@ -13,11 +13,12 @@ import msgspec
 import numpy as np
 
 from ..base.datatypes import PointCloud
-from ..base.files import write_together
-from ..io.pcd import pcd_of
+from ..base.files import write_atomically, write_together
+from ..io.pcd import pcd_of, write_pcd
 from .pairs import SimulatedPair
 from .raycast import Cylinder
 from .sites import SimulatedSite
+from .walks import SimulatedWalk
 
 
 def write_pair(pair: SimulatedPair, out: Path) -> tuple[str, str]:
@@ -46,6 +47,48 @@ def write_pair(pair: SimulatedPair, out: Path) -> tuple[str, str]:
     }
     clouds = {out / name: own for name, own in zip(names, (pair.target, pair.source), strict=True)}
     _write(out / "truth.json", _json(truth), clouds)
+    return names
+
+
+def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
+    """Write ``lidar0`` (target) and ``lidar1`` (source), a file for each sweep, and ``truth.json``.
+
+    Parameters
+    ----------
+    walk
+        What is recorded, sweep by sweep: all of them fit into no memory.
+    out
+        A folder; of a walk before, what is there goes first.
+    seed
+        Of what is random in both recordings.
+
+    Returns
+    -------
+    tuple of str
+        The names of both recordings.
+    """
+    names = ("lidar0", "lidar1")
+    truth = {
+        "T_target_source": walk.T_target_source,
+        "clock_offset_s": walk.clock_offset,
+        "clock_drift": -walk.recorders[1].drift,
+        "target": names[0],
+        "source": names[1],
+        "sensors": [each.sensor.name for each in walk.recorders],
+        "noise": asdict(walk.recorders[0].noise),
+        "radius_m": walk.walks[0].size[0],
+        "devices": {
+            role: each.device.as_dict()
+            for role, each in zip(("target", "source"), walk.recorders, strict=True)
+        },
+    }
+    (out / "truth.json").unlink(missing_ok=True)
+    for lidar, name in enumerate(names):
+        for left in (out / name).glob("[0-9]*.pcd"):
+            left.unlink()
+        for k, cloud in enumerate(walk.record(lidar, np.random.default_rng([seed, lidar]))):
+            write_pcd(out / name / f"{k:04}.pcd", cloud)
+    write_atomically(out / "truth.json", _json(truth))
     return names
 
 

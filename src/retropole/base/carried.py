@@ -1,0 +1,63 @@
+"""What is known of the walk with one pole behind an answer, as the result document holds it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from .bounded import LONGEST_LIST, Count, Number, Share, Size, Vector
+
+Row = Annotated[list[Number], Meta(max_length=4)]
+
+
+class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
+    """A walk before two LiDARs, and their clocks.
+
+    Times of the source become those of the target by::
+
+        t_target = t_source + clock_offset_s + clock_drift (t_target − middle_s)
+
+    Attributes
+    ----------
+    clock_offset_s, clock_sigma_s
+        The offset in the middle of the walk, and its 1 σ, s.
+    clock_drift, middle_s
+        By how much the target's clock is faster, s for each s; and the middle of the walk by it.
+    seconds
+        How long the pole was seen.
+    sweeps, found
+        Of the target and the source: how many were recorded, and in how many the pole was found.
+    along_m, across_m, lean_rad
+        Root mean squares of the way along its longest direction and across it, and of the lean.
+    left_out
+        Share of the returns, ring by ring, that count less than half.
+    range_scale, edge_jitter_rad
+        Of the target and the source: by how much ranges scatter beyond what is stated for the
+        sensor, a factor, and what moves the edges of the pole.
+    clock_windows
+        Of each window of 5 s: its middle, the offset beside that of the walk and its 1 σ, s.
+    up
+        (3,) the way the pole points on average, target axes.
+    path
+        Where the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
+        target's frame.
+    """
+
+    clock_offset_s: Number
+    clock_sigma_s: Size
+    clock_drift: Number
+    middle_s: Number
+    seconds: Size
+    sweeps: tuple[Count, Count]
+    found: tuple[Count, Count]
+    along_m: Size
+    across_m: Size
+    lean_rad: Size
+    left_out: Share
+    range_scale: tuple[Size, Size]
+    edge_jitter_rad: tuple[Size, Size]
+    clock_windows: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
+    up: Vector
+    path: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]

@@ -1,0 +1,186 @@
+"""The sweeps of a recording with a time for each point, all by one clock."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+
+from ..base.datatypes import Array, PointCloud
+from ..base.errors import Refusal
+from ..base.sensors import SWEEP_SECONDS
+from .recordings import Frame, Recording, is_unix
+
+LOOKED_AT = 20
+"""So many frames say how times count, and how long a sweep takes."""
+
+RUNS_ON = SWEEP_SECONDS / 4
+"""From sweep to sweep times that count from the start of the recording are later by more, s."""
+
+ONE_WAY = 0.8
+"""Part of all steps from point to point that must go one way about where a LiDAR spins (chosen: it
+is 1 but for jitter, and next to nothing for rosettes and what was sorted)."""
+
+BACK = float(np.radians(2.0))
+"""A step so far back is none of almost a whole turn, rad: beams of one column are less apart."""
+
+MORE_THAN_A_TURN = 1.2
+"""No sweep has more turns (chosen)."""
+
+NAME = re.compile(r"(?:^|\D)(?:(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}|\d{6}|\d{3}))|(\d{13,19}))$")
+"""How names end that are Unix times: seconds and a fraction, or milli-, micro- or nanoseconds."""
+
+LONGEST = 0.5
+"""Times that begin farther from zero, s, do not count from their sweep's stamp: their own begin is
+taken off, as of those that begin again with each second."""
+
+
+def timed_frames(recording: Recording, numbers: range) -> Iterator[Frame]:
+    """Read frames one by one, each point with its time by the clock of the recording.
+
+    Times that count from the start of each sweep are added to the frame's stamp: that of its
+    message, of the recorder, or in its file's name. Points without times have those that their
+    azimuths say, where the LiDAR spins and their order is that of the beams.
+
+    Parameters
+    ----------
+    recording, numbers
+        What to read, and which of its frames.
+
+    Raises
+    ------
+    Refusal
+        ``no_times``, with what is missing.
+    ReadError
+        As ``recording.read``.
+    """
+    coming = (frame for frame in recording.read(numbers) if len(frame.cloud))
+    first = list(islice(coming, LOOKED_AT))
+    runs_on = _runs_on(first)
+    stamps = [None if runs_on else stamp_of(frame) for frame in first]
+    period = _period(first, stamps)
+    before = -np.inf
+    for frame in chain(first, coming):
+        cloud, stamp = frame.cloud, None if runs_on else stamp_of(frame)
+        if not runs_on:
+            if stamp is None or stamp <= before:
+                raise _no_times(cloud, recording, stamp)
+            before = stamp
+            within = times_by_azimuth(cloud, period) if cloud.time is None else cloud.time
+            if within is None:
+                raise _no_times(cloud, recording, stamp)
+            begin = float(within.min())
+            stamp -= begin if abs(begin) > LONGEST else 0.0
+            cloud = replace(cloud, time=stamp + within)
+        elif cloud.time is None:
+            raise _no_times(cloud, recording, None)
+        yield replace(frame, cloud=cloud)
+
+
+def _runs_on(frames: Sequence[Frame]) -> bool:
+    """Whether times of points count on from sweep to sweep."""
+    starts = [float(f.cloud.time.min()) for f in frames if f.cloud.time is not None]
+    return len(starts) == len(frames) and bool(np.all(np.diff(starts) > RUNS_ON))
+
+
+def stamp_of(frame: Frame) -> float | None:
+    """When a frame begins, s: by its message, its recorder or the name of its file, or None."""
+    if frame.clock is not None:
+        return frame.clock
+    return time_in(Path(frame.cloud.source).stem) if frame.stamp is None else frame.stamp
+
+
+def time_in(name: str) -> float | None:
+    """Read the Unix time, s, that the name of a file ends with; None where it does not.
+
+    Parameters
+    ----------
+    name
+        Without its suffix: ``1698765432.123456``, ``lidar_1698765432123456789``.
+    """
+    found = NAME.search(name)
+    if found is None:
+        return None
+    whole, fraction, padded, ticks = found.groups()
+    if ticks is not None:
+        return next((s for k in (9, 6, 3) if is_unix(s := int(ticks) / 10**k)), None)
+    seconds = float(f"{whole}.{fraction or padded}")
+    return seconds if is_unix(seconds) else None
+
+
+def _period(frames: Sequence[Frame], stamps: Sequence[float | None]) -> float:
+    known = [
+        (frame.number, stamp)
+        for frame, stamp in zip(frames, stamps, strict=True)
+        if stamp is not None
+    ]
+    if len(known) < 2:
+        return SWEEP_SECONDS
+    number, stamp = np.array(known).T
+    return float(np.median(np.diff(stamp) / np.diff(number)))
+
+
+def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
+    """Times (N,) of points since the first beam, s, of a LiDAR that turns once in a period, s.
+
+    Points follow each other as they were measured, all together or ring by ring. None where they
+    do not turn one way.
+
+    Parameters
+    ----------
+    cloud
+        One sweep, in the LiDAR's frame.
+    period
+        Of the sweep, s.
+    """
+    first = np.cross(cloud.axis, np.eye(3)[int(np.argmin(np.abs(cloud.axis)))])
+    rays = cloud.xyz - cloud.origin
+    azimuth = np.arctan2(rays @ np.cross(cloud.axis, first), rays @ first)
+    ring = np.zeros(len(cloud), np.int64) if cloud.ring is None else cloud.ring
+    order = np.argsort(ring, kind="stable")
+    azimuth, ring = azimuth[order], ring[order]
+    is_first = np.r_[True, ring[1:] != ring[:-1]]
+    step = (np.diff(azimuth) + np.pi) % (2 * np.pi) - np.pi
+    step = step[~is_first[1:]]
+    turned_in_all = float(step.sum())
+    if abs(turned_in_all) <= ONE_WAY * np.abs(step).sum():
+        return None
+    way = np.sign(turned_in_all)
+    # Rings begin together, but for those whose first beams met nothing: before the others none.
+    begun = azimuth[is_first]
+    middle = np.angle(np.exp(1j * begun).mean())
+    off = way * ((begun - middle + np.pi) % (2 * np.pi) - np.pi)
+    start = middle + way * float(np.quantile(off, 0.1))
+    ahead = np.diff(azimuth, prepend=azimuth[0])
+    ahead[is_first] = begun - start
+    ahead = (way * ahead + BACK) % (2 * np.pi) - BACK
+    turned = np.cumsum(ahead)
+    turned -= (turned - ahead)[is_first][np.cumsum(is_first) - 1]
+    if turned.max() > MORE_THAN_A_TURN * 2 * np.pi:
+        return None
+    times = np.empty(len(cloud))
+    times[order] = turned / (2 * np.pi) * period
+    return times
+
+
+def _no_times(cloud: PointCloud, recording: Recording, stamp: float | None) -> Refusal:
+    if stamp is None:
+        what = "its sweeps have no times, neither in them nor in the names of their files"
+        if cloud.time is not None:
+            what = f"its points count their times from each sweep, and {what}"
+    elif cloud.time is None:
+        what = (
+            "its points have no times, and they do not follow each other about the LiDAR, by which "
+            "the time of each could be told"
+        )
+    else:
+        what = "a sweep has the time of the one before, or an earlier one"
+    return Refusal(
+        "no_times",
+        f"{cloud.source or recording.path}: {what}; record with a time for each point",
+        {"points": len(cloud)},
+    )

@@ -1,0 +1,108 @@
+"""The walk with one pole, from above, and the clocks of both LiDARs in each part of it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from ..base.carried import CarriedWalk
+from ..base.datatypes import Array
+from ..base.quantities import large, round_below
+from ..result import ResultDoc
+from ..result.site import LIDARS, input_names
+from .listings import Listing, carried_words, clock_words
+from .map import MARGIN, fit
+from .page import EMPTY, Html, fill, listed
+from .plan import turning
+from .subject import Subject, colour_class
+from .svg import WIDTH, Chart, Labels, picture, round_numbers, short
+
+SHADES = 6
+"""Colours of the way, from its begin to its end."""
+
+
+def walk(subject: Subject) -> Html:
+    """Show the walk; nothing of poles that stood."""
+    pair = subject.pair
+    if pair is None or pair.walk is None or pair.T_target_source is None:
+        return EMPTY
+    return fill(
+        "walk",
+        above=_from_above(pair, pair.walk),
+        clocks=_clocks(pair.walk),
+        figures=listed(_figures(pair.walk)),
+    )
+
+
+def _from_above(pair: ResultDoc, found: CarriedWalk) -> Html:
+    assert pair.T_target_source is not None
+    R = turning(np.array(found.up))
+    times, path = np.split(np.array(found.path).reshape(-1, 4), [1], axis=1)
+    way = path @ R.T
+    lidars = np.stack([np.zeros(3), np.array(pair.T_target_source)[:3, 3]]) @ R.T
+    scale, height, chart = fit(np.concatenate([lidars, way])[:, :2])
+    labels = Labels(WIDTH, height)
+    labels.keep_free(40.0, height - 10.0, 40.0)
+    for x, y in [*chart.at(lidars), *chart.at(way[:: max(1, len(way) // 60)])]:
+        labels.keep_free(x, y, 6.0)
+    marks = [*_way(chart, way)]
+    for name, at in ((f"{times[0, 0]:.0f} s", way[0]), (f"{times[-1, 0]:.0f} s", way[-1])):
+        x, y = chart.at(at[None])[0]
+        marks.append(fill("walk-end", x=x, y=y))
+        marks.append(labels.place(name, x, y, 9.0, "soft"))
+    names = input_names(pair) or LIDARS
+    for k, ((x, y), name) in enumerate(zip(chart.at(lidars), names, strict=False)):
+        marks.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
+        marks.append(labels.place(short(name), x, y, 11.0, f"name {colour_class(k)}"))
+    metres = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
+    bar = {"length": metres * scale, "m": large(metres)}
+    marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **bar))
+    said = (
+        f"Seen from above; up is the way the pole points on average. The line is where it was "
+        f"carried, from blue at the begin to orange at the end: {carried_words(found)}."
+    )
+    return picture("walk-said", height, marks, said, "map")
+
+
+def _way(chart: Chart, way: Array) -> list[Html]:
+    """Draw the way in parts, each with the colour of its time."""
+    ends = np.linspace(0, len(way) - 1, 4 * SHADES + 1).round().astype(int)
+    return [
+        fill("line", kind=f"when-{k // 4}", path=chart.line(*way[first : last + 1, :2].T))
+        for k, (first, last) in enumerate(pairwise(ends))
+        if last > first
+    ]
+
+
+def _clocks(found: CarriedWalk) -> Html:
+    """Draw the offset of the clocks in each window beside that of the walk, with 1 σ."""
+    if len(found.clock_windows) < 2:
+        return EMPTY
+    middle, offset, sigma = np.array(found.clock_windows).T
+    at, offset, sigma = middle - found.middle_s + found.seconds / 2, 1e3 * offset, 1e3 * sigma
+    most = 1.1 * float(np.max(np.abs(offset) + sigma))
+    chart = Chart((70.0, 34.0, 500.0, 196.0), (0.0, found.seconds), (-most, most))
+    marks = chart.axes(
+        round_numbers(0.0, found.seconds), round_numbers(-most, most), "time, s", "offset, ms"
+    )
+    for x, value, error in zip(at, offset, sigma, strict=True):
+        if 0 <= x <= found.seconds:
+            low, high = chart.at(np.array([[x, value - error], [x, value + error]]))
+            y = chart.at(np.array([[x, value]]))[0, 1]
+            marks.append(fill("clock-window", x=low[0], low=low[1], high=high[1], y=y))
+    said = (
+        f"{clock_words(found)}. The chart has windows of 5 s, each beside the whole walk, 1 σ. "
+        "Clocks that keep one rate stay about zero."
+    )
+    return picture("clocks-said", 250.0, marks, said, "curve")
+
+
+def _figures(found: CarriedWalk) -> Listing:
+    seen = [f"{n} of {count}" for n, count in zip(found.found, found.sweeps, strict=True)]
+    rows = [
+        ["sweeps in which the pole was found", *seen],
+        ["scatter of ranges, times what is stated", *(f"{x:.2f}" for x in found.range_scale)],
+        ["edges of the pole move by, mrad", *(f"{1e3 * x:.2f}" for x in found.edge_jitter_rad)],
+    ]
+    return Listing("What both saw", ["", *LIDARS], rows)
