@@ -98,3 +98,19 @@ def test_a_wrong_one_is_refused() -> None:
     )
     assert answer.status == "refused"
     assert answer.reasons[0].code in ("prior_contradicted", "no_overlap")
+
+
+def test_a_place_is_a_prior_as_a_rotation_is() -> None:
+    """What is farther than three sigma of it is left out, whatever the rotation."""
+    prior = pose_prior(False, None, 10.0, 2.0)
+    assert prior is not None
+    near, far = (se3.from_rt(np.eye(3), np.array([x, 0.0, 0.0])) for x in (5.9, 6.1))
+    assert prior.allows(near)
+    assert not prior.allows(far)
+    both = pose_prior(True, None, 5.0, 2.0)
+    assert both is not None
+    tilted = se3.from_rt(se3.exp_so3(np.array([0.3, 0.0, 0.0])), near[:3, 3])
+    assert both.allows(near)
+    assert not both.allows(tilted)
+    assert prior.allows(tilted)
+    assert pose_prior(False, None, 10.0) is None

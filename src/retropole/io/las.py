@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..base.datatypes import PointCloud
 from ..base.errors import MissingExtraError, ReadError, said
 from .fields import USUAL, Wanted, cloud_from_columns, has_meaning
-from .maps import is_near
+from .maps import is_near, nothing_near
 
 READ_BLOCK = 16 * 2**20
 """Bytes of decompressed points that are read at a time."""
@@ -91,6 +91,8 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     count = sum(read for read, _ in blocks)
     if count != header.point_count:
         raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
+    if wanted.place is not None and not any(len(own) for own, *_ in kept):
+        raise nothing_near(wanted.place, 0, header.mins, header.maxs)
     return cloud_from_columns(columns, wanted)
 
 

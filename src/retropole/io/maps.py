@@ -33,24 +33,17 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
         Where hardly any point lies near the place, and where a map without one is too large.
     """
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
-    spans = ", ".join(
-        f"{axis} {a:,.1f} to {b:,.1f}" for axis, a, b in zip("xyz", low, high, strict=True)
-    )
-    at = np.array(place.at) if place.at is not None else np.median(cloud.xyz, axis=0)
     if place.at is None and (high - low)[:2].max() > 2 * REACH:
         raise ReadError(
-            f"the map spans {spans} m: say roughly where in it the LiDAR is, with --prior-xyz"
+            f"the map spans {_spans(low, high)}: say roughly where in it the LiDAR is, with "
+            "--prior-xyz"
         )
     rows = np.flatnonzero(is_near(cloud.xyz[:, 0], cloud.xyz[:, 1], place))
-    if len(rows) < FEWEST:
-        where = ", ".join(f"{value:,.1f}" for value in at)
-        raise ReadError(
-            f"{counted(len(rows), 'point')} of the map within {REACH:g} m of ({where}), {FEWEST:,} "
-            f"are needed; it spans {spans} m: is --prior-xyz in its coordinates?"
-        )
+    if place.at is not None and len(rows) < FEWEST:
+        raise nothing_near(place, len(rows), low, high)
     return PointCloud(
         cloud.xyz[rows],
-        origin=at,
+        origin=np.median(cloud.xyz, axis=0) if place.at is None else np.array(place.at),
         source=cloud.source,
         fields=cloud.fields,
         dropped=cloud.dropped,
@@ -58,3 +51,17 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
         notes=cloud.notes,
         is_map=True,
     )
+
+
+def nothing_near(place: MapPlace, count: int, low: Array, high: Array) -> ReadError:
+    """Say that a map has too few points near a place, and from where to where it has any."""
+    where = ", ".join(f"{value:,.1f}" for value in place.at or ())
+    return ReadError(
+        f"{counted(count, 'point')} of the map within {REACH:g} m of ({where}), {FEWEST:,} are "
+        f"needed; it spans {_spans(low, high)}: is --prior-xyz in its coordinates?"
+    )
+
+
+def _spans(low: Array, high: Array) -> str:
+    spans = (f"{axis} {a:,.1f} to {b:,.1f}" for axis, a, b in zip("xyz", low, high, strict=True))
+    return f"{', '.join(spans)} m"
