@@ -37,12 +37,13 @@ from .hypotheses.joint_choice import Choices, check_linked, choose_poses, linked
 from .hypotheses.links import link_by_candidates, link_by_place, with_own_candidates
 from .hypotheses.pairs import Pair, find_pairs, poles_of
 from .hypotheses.placements import Chosen, leave_one_out
-from .hypotheses.prior import RotationPrior
+from .hypotheses.prior import PosePrior
 from .hypotheses.scans import SiteScans, Views, find_scans, patches_of, views_of
 from .hypotheses.search import choose, choose_with_candidates
 from .surfaces.scans import find_poles
 from .surfaces.static import check_poles, check_recordings
 from .verdict.fitness import judge
+from .verdict.map import of_map
 from .verdict.preference import check_near_poles
 from .verdict.similarity import check_similarity, explain
 from .verdict.site import check_decided, confirm_links, radius_denied
@@ -103,7 +104,7 @@ class Options:
     thresholds: tuple[float | None, float | None] = (None, None)
     poles: int | None = None
     scene: bool = True
-    prior: RotationPrior | None = None
+    prior: PosePrior | None = None
     by_hand: str | None = None
     trust_poles: bool = False
     deceiving: float | None = None
@@ -249,6 +250,7 @@ def calibrate_placements(
                 cause = explain(
                     refusal, placements, hypotheses, radius=radius, thresholds=thresholds
                 )
+                cause = of_map(cause) if placements[0].target.cloud.is_map else cause
                 answer = state_refusal(cause, placements, hypotheses, seconds, confirmation)
                 answer = list_hypotheses(answer, chosen, by_hand)
                 return Answered(origins.moved_back(answer))

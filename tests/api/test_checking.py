@@ -17,6 +17,7 @@ from retropole.api.stored import scans_of
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.io import sha256_of
+from retropole.io.fields import Wanted
 from retropole.result import RESULT_FILE, SITE_RESULT_FILE, encode
 from tests.api.clouds import calibrated, pair
 from tests.api.site_files import recorded
@@ -123,13 +124,13 @@ def test_of_a_site_angles_and_fields_are_those_of_each_lidar(tmp_path: Path) -> 
     unit = str((tmp_path / "unit.csv").resolve())
     config = read_stored(tmp_path, lidars=(first, last)).config
     assert (config.of_target.wanted, config.of_source.wanted) == (
-        (None, unit, ()),
-        ("echo", None, ()),
+        Wanted(None, unit),
+        Wanted("echo"),
     )
     config = read_stored(tmp_path, lidars=(last, first)).config
     assert (config.of_target.wanted, config.of_source.wanted) == (
-        ("echo", None, ()),
-        ("", unit, ()),
+        Wanted("echo"),
+        Wanted("", unit),
     )
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from retropole.api.site_file import LARGEST_SITE_FILE, decode_site_file, read_site_file
 from retropole.base.errors import ReadError
+from retropole.io.fields import Wanted
 
 LIDARS = """
 [[lidar]]
@@ -56,7 +57,7 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     text = HEAD + "max_points = 100000\n" + poles + reference + LIDARS + lidar + SURVEY + POINT
     site = decode_site_file(text.encode(), Path("/quay"))
     assert site.surveyed
-    assert site.lidar[2].reading(1000).wanted == ("echo", "/quay/units/7.csv", ())
+    assert site.lidar[2].reading(1000).wanted == Wanted("echo", "/quay/units/7.csv")
     assert site.lidar[2].frames == "0:20"
     assert site.control_point[0].seen[0].lidar == "mast-b"
     assert site.need is not None

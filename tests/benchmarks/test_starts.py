@@ -53,6 +53,7 @@ SMALLEST = {
     "benchmarks/leveling.py": ["--seeds 1000:1001"],
     "benchmarks/leveling_recorded.py": ["data --every 7"],
     "benchmarks/limits.py": ["--scene bare --frames 2 --mib 1 --points 9000 --bags 1"],
+    "benchmarks/mapped.py": ["--draws 1"],
     "benchmarks/masts.py": ["--runs 1 --heights 2 --distances 6 --models VLP-16"],
     "benchmarks/merge_live.py": ["--lidars 2 --minutes 0"],
     "benchmarks/merging.py": ["--seeds 100 101 --scenes street --noise typical"],

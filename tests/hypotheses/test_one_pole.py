@@ -23,6 +23,7 @@ from retropole.hypotheses.one_pole import (
     SLIDE,
     matches_about,
 )
+from retropole.hypotheses.prior import PosePrior
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair
 from retropole.surfaces.consistency import Standing
@@ -71,7 +72,7 @@ def test_the_highest_peak_over_the_ground_is_where_the_points_are(turn_deg: floa
         number = np.zeros(len(own), dtype=np.int64)
         up = np.array([0.0, 0.0, 1.0])
         seen.append(Standing(own, number, cKDTree(own), image, np.zeros(3), up))
-    best, second, *_ = about._ground_peaks(seen[0], seen[1])
+    best, second, *_ = about._ground_peaks(seen[0], seen[1], PosePrior())
     assert_near(best.T, T, degrees=0.01, metres=0.01)
     assert best.height > 2.0 * second.height
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from retropole.base import se3
 from retropole.base.datatypes import Match
 from retropole.base.errors import Refusal
-from retropole.hypotheses.prior import agreeing_with_prior, rotation_prior
+from retropole.hypotheses.prior import agreeing_with_prior, pose_prior
 from retropole.report.hypotheses import (
     axis_words,
     deciding,
@@ -83,13 +83,13 @@ def test_options_are_named_where_they_decide(
     poses = [np.array(each.T_target_source) for _, each in named]
     matches = [Match(((0, 0),), T, 0.01, True, True, np.eye(6)) for T in poses]
     try:
-        left = agreeing_with_prior(matches, rotation_prior(True, None, 10.0))
+        left = agreeing_with_prior(matches, pose_prior(True, None, 10.0))
     except Refusal:
         left = []
     assert (len(left) == 1) == (up is not None)
     if rpy:
         near = np.array(turns[0]) + np.array([0, 0, 25.0])
-        (kept,) = agreeing_with_prior(matches, rotation_prior(False, near.tolist(), 10.0))
+        (kept,) = agreeing_with_prior(matches, pose_prior(False, near.tolist(), 10.0))
         assert kept is matches[0]
 
 

@@ -1,5 +1,7 @@
 """Overlap and free space: what two views of one place must agree on, and what they may not know."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,33 @@ def test_free_space_knows_what_it_did_not_look_at() -> None:
     assert free_space_violation(image, np.array([[9.8, 0.0, 0.0]])) == 0.0, (
         "within the pose's error"
     )
+
+
+def test_a_map_looked_through_nothing_and_what_is_beyond_the_view_counts_for_nothing(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    """Of a map many times as large as the view, what a LiDAR sees of it decides alone."""
+    target, source, T = views
+    rng = np.random.default_rng(0)
+    beyond = rng.uniform([500.0, -50.0, 0.0], [600.0, 50.0, 9.0], (20_000, 3))
+    seen = [
+        compare_views(view_of(one, 0.25), view_of(source, 0.25), T, within=0.5)
+        for one in (
+            replace(target, is_map=True),
+            replace(target, xyz=np.r_[target.xyz, beyond], intensity=None, ring=None, is_map=True),
+        )
+    ]
+    assert seen[0].overlap == seen[1].overlap > 0.3
+    assert seen[0].free_space_violation == seen[1].free_space_violation < 0.03
+    assert seen[0].covisible_overlap == seen[1].covisible_overlap
+    image = range_image(replace(target, is_map=True))
+    assert free_space_violation(image, source.xyz) == 0.0
+    aside = se3.retract(T, np.array([0, 0, 0.6, 0.0, 0.0, 0.0]))
+    wrong = compare_views(
+        view_of(replace(target, is_map=True), 0.25), view_of(source, 0.25), aside, within=0.5
+    )
+    assert wrong.overlap < seen[0].overlap
+    assert wrong.free_space_violation > seen[0].free_space_violation
 
 
 def test_every_direction_has_a_cell() -> None:

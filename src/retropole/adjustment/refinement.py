@@ -35,7 +35,7 @@ from ..alignment.network import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from ..base.systematic import DEVICE_KINDS, ErrorModel
+from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
@@ -268,6 +268,7 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
             aligned.radius.given_sigma,
             left_in([each.placement for each in paired]),
         ),
+        distortion=MAP_DISTORTION if targets[0].cloud.is_map else None,
     )
 
 
@@ -280,6 +281,7 @@ def refine(
     model: ErrorModel | None = None,
     start: Array | None = None,
     origins_known: bool = False,
+    distortion: Array | None = None,
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -299,6 +301,8 @@ def refine(
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
         an object and its back cannot be told apart by their normals.
+    distortion
+        (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
@@ -318,7 +322,7 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
-    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start)
+    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, distortion)
 
 
 def refine_pair(
@@ -327,6 +331,7 @@ def refine_pair(
     patches: tuple[Patches, Patches],
     lever: float,
     start: Array | None = None,
+    distortion: Array | None = None,
 ) -> Refinement | None:
     """Search the pose that poles and scene agree on from several starts, and say how sure it is.
 
@@ -342,6 +347,8 @@ def refine_pair(
         Half of the second's points lie beyond this range, metres.
     start
         (4, 4) where the search starts; None takes the poles' pose.
+    distortion
+        As of `refine`.
 
     Returns
     -------
@@ -384,6 +391,8 @@ def refine_pair(
         less = excess(uncertainty_of_pair(parts_of(without, rest)).covariance, own)
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
+    if distortion is not None:
+        others.append(("distortion of the map", distortion))
     if disagree:
         # Which of both is not known: what is stated is never less than what the poles alone do.
         others.append(("poles and scene disagree", excess(poles.covariance, own)))

@@ -16,7 +16,7 @@ from ..adjustment.answer import SiteCalibration
 from ..base.datatypes import Placement, Scan
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..hypotheses.prior import rotation_prior
+from ..hypotheses.prior import PosePrior, pose_prior
 from ..hypotheses.scans import SiteScans
 from ..pipeline import Options
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
@@ -164,9 +164,9 @@ def calibrate_with(
             [pair.source.cloud for pair in pairs],
             options=replace(
                 known_of(pairs[0], config),
-                poles=config.poles,
+                poles=0 if config.map and config.poles is None else config.poles,
                 scene=config.refine,
-                prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+                prior=prior_of(config),
                 by_hand=config.hypothesis,
                 trust_poles=config.trust_poles,
                 deceiving=config.deceiving_share,
@@ -185,6 +185,12 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, placements=calibration.placements)
+
+
+def prior_of(config: RunConfig) -> PosePrior | None:
+    """Say what is known of the pose beforehand: of a map, where in it the source is."""
+    distance = None if config.prior_xyz is None else config.prior_sigma_m
+    return pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg, distance)
 
 
 def known_of(pair: InputPair, config: RunConfig) -> Options:

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace as replace_options
 
 from ..base.datatypes import PoseEstimate
-from ..base.errors import ReadError, Reason, Refusal
+from ..base.errors import ReadError, Reason, Refusal, UsageError
 from ..base.files import read_document
 from ..base.quantities import step_of
 from ..base.reasons import prefixed
@@ -191,6 +191,11 @@ def check_recordings(
         As `checking.drift.check`.
     """
     known = stored.config
+    if known.map:
+        raise UsageError(
+            "a check compares recordings of two LiDARs, and the target was a map: calibrate the "
+            "new recording to the map, and compare both transforms"
+        )
     config = replace_options(
         known,
         target_topic=topic_for(target, target_topic, known.target_topic),

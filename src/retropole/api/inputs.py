@@ -30,6 +30,7 @@ from ..io import (
 from ..io.beams import with_beam_origin, with_trusted_rings
 from ..io.coordinates import Oddity, oddity_of
 from ..io.fields import USUAL, in_metres, unit_named
+from ..io.maps import as_map
 from ..io.recordings import clock_offset
 from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..surfaces.scans import find_poles
@@ -107,7 +108,7 @@ class Input:
     @property
     def oddity(self) -> Oddity | None:
         """Why its coordinates cannot be metres about the LiDAR; None where they can."""
-        return oddity_of(self.cloud)
+        return None if self.cloud.is_map else oddity_of(self.cloud)
 
     @property
     def sensor_doubt(self) -> str:
@@ -180,7 +181,7 @@ def read_input(
             f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
             "of shape (N, 3) or (N, 4)"
         )
-    elif (how.topic, how.frames, how.wanted) != (None, None, USUAL):
+    elif (how.topic, how.frames, how.wanted._replace(place=None)) != (None, None, USUAL):
         raise UsageError(
             f"{role}: a topic or frames, intensity and angles are chosen in files, not in arrays"
         )
@@ -191,6 +192,8 @@ def read_input(
             given = np.asarray(given)
             cloud = cloud_from_array(given, role)
         cloud = downsample(in_metres(cloud, unit), how.max_points)
+    if how.wanted.place is not None:
+        cloud = as_map(cloud, how.wanted.place)
     taken = Input(given, cloud, sensor, how.threshold, read, how)
     listener.on_read(taken)
     return taken

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from ..base.errors import UsageError, said
 from ..base.sensors import name_from
 from ..hypotheses.choice import is_hypothesis_name
-from ..hypotheses.prior import rotation_prior
+from ..hypotheses.prior import pose_prior
 from ..result import DEFAULT_CONFIG, RunConfig
 from ..result.options import OPTIONS, PAIRS, UNITS, radius_in_metres
 
@@ -100,7 +100,11 @@ def checked_options(config: RunConfig) -> RunConfig:
     if config.carried and spare:
         names = ", ".join(keyword(field) for field in spare)
         raise UsageError(f"of a pole that is carried there is no use for {names}: leave it out")
-    rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
+    pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
+    if config.prior_xyz is not None and not config.map:
+        raise UsageError("prior_xyz (--prior-xyz) is a place in a map: give map (--map) as well")
+    if config.map and not config.refine:
+        raise UsageError("a map gives the pose by its surfaces: leave out refine (--no-refine)")
     sensors = (name_from(Path(), name) for name in (config.sensor_target, config.sensor_source))
     named = dict(zip(("sensor_target", "sensor_source"), sensors, strict=True))
     files = (("angles", config.angles), ("angles_source", config.angles_source))
@@ -110,7 +114,7 @@ def checked_options(config: RunConfig) -> RunConfig:
 
 NOT_OF_WALKS = (
     *("radius_sigma_m", "up", "prior_rpy_deg", "prior_sigma_deg", "hypothesis", "poles"),
-    *("trust_poles", "deceiving_share", "mast_sway_deg"),
+    *("trust_poles", "deceiving_share", "mast_sway_deg", "map", "prior_xyz"),
 )
 """Options of standing poles that say nothing of one that is carried."""
 

@@ -46,7 +46,7 @@ PER_POINT = ("intensity", "ring", "time", "frame")
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points of one LiDAR in its own frame.
+    """Points of one LiDAR in its own frame, or of a map.
 
     Attributes
     ----------
@@ -58,7 +58,8 @@ class PointCloud:
         (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
         that the point came from; or None.
     origin, axis
-        (3,) where the beams start, and the unit vector about which they turn.
+        (3,) where the beams start, and the unit vector about which they turn; of a map the place
+        that is of interest, and the vertical.
     recorded
         First and last time by the recorder's clock, Unix seconds; None where the file has none.
     dropped, thinned, source, fields, notes
@@ -67,6 +68,8 @@ class PointCloud:
     model, nominal_angles
         Of LiDAR, where its packets name it: as ``sensors.toml`` calls it, else maker and model. And
         the model by whose angles the points were placed, where those of the unit are not known.
+    is_map
+        Whether the points were seen from many places: what beams looked through is not known.
     """
 
     xyz: Array
@@ -84,6 +87,7 @@ class PointCloud:
     notes: tuple[str, ...] = ()
     model: str = ""
     nominal_angles: str = ""
+    is_map: bool = False
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""

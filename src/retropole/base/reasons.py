@@ -30,6 +30,8 @@ Code = Literal[
     "ambiguous",
     "no_overlap",
     "too_few_points",
+    "map_differs",
+    "map_leaves_open",
     "prior_contradicted",
     "placements_disagree",
     "moving_pole",

@@ -35,7 +35,7 @@ from ..extraction.sensor_pattern import check_sensor, error_sizes
 from ..hypotheses.choice import MIN_OVERLAP
 from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict, scenes_of
 from ..hypotheses.placements import left_in
-from ..hypotheses.prior import RotationPrior
+from ..hypotheses.prior import PosePrior
 from ..pipeline import NOTHING_KNOWN, Options, calibrate
 from ..surfaces.consistency import Standing
 from ..surfaces.registration import MIN_CLOUD_POINTS
@@ -107,7 +107,7 @@ def by_poles(
     """
     answer = again
     if is_ambiguous(answer):
-        near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
+        near = PosePrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
         answer = calibrate(clouds.target, clouds.source, options=replace(options, prior=near))
     pose = answer.refined or answer.poles
     if pose is None or pose.covariance is None or answer.T_target_source is None:

@@ -31,6 +31,7 @@ from .out import out_folder
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
 @run_options("carried", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
+@run_options("map", "prior_xyz", "prior_sigma_m")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
 @more_option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
@@ -67,6 +68,7 @@ def calibrate(
       retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
       retropole calibrate front.pcd rear.pcd --up --level
       retropole calibrate front.pcap rear.pcap --frames 100:150
+      retropole calibrate map.laz mast.pcd --map --prior-xyz 412345 5654321 91
       retropole calibrate front.csv rear.csv --unit mm --plan retropole-plan
       retropole calibrate walk.mcap walk.mcap --topic /front --topic /rear --carried
 

@@ -166,6 +166,7 @@ METRES = Number(min=0, min_open=True, max=1000)
 
 METAVARS = {
     "prior_rpy_deg": "R P Y",
+    "prior_xyz": "E N H",
     "hypothesis": "LETTER",
     "sensor_target": "NAME",
     "target_topic": "NAME",
@@ -175,7 +176,10 @@ METAVARS = {
 }
 """What stands for the values of options in the help, where their type says too little."""
 
-NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
+NAMES = {
+    **{"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"},
+    "prior_sigma_m": "--prior-sigma-m",
+}
 """Options that are not called as their fields without the unit."""
 
 SENSORS = PAIRS["sensor"], PAIRS["threshold"]
@@ -318,5 +322,5 @@ def _type(field: str, kind: inspect.Type) -> Any:
             number = (Radius if field == "radius_m" else Number)(
                 into, min=least, min_open=kind.ge is None, max=scale * kind.le
             )
-            return (number,) * 3 if field == "prior_rpy_deg" else number
+            return (number,) * 3 if field in ("prior_rpy_deg", "prior_xyz") else number
     return click.Path() if field == "angles" else None

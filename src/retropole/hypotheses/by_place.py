@@ -35,7 +35,7 @@ from .placements import (
     is_by_place,
     rank_joint_hypotheses,
 )
-from .prior import RotationPrior, agreeing_with_prior
+from .prior import PosePrior, agreeing_with_prior
 
 HELD = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
@@ -62,7 +62,7 @@ def choose_by_place(
     radius: float,
     *,
     count: int | None = None,
-    prior: RotationPrior | None = None,
+    prior: PosePrior | None = None,
 ) -> Chosen | None:
     """Lay one pole on one pole in every placement, and let the place give the rest of the pose.
 
@@ -90,7 +90,8 @@ def choose_by_place(
     try:
         scored = []
         for placement, standing in zip(placements, grounds, strict=True):
-            found = agreeing_with_prior(_matches(placement, standing, radius, count), prior)
+            found = _matches(placement, standing, radius, count, prior)
+            found = agreeing_with_prior(found, prior)
             # What is not exact is only compared with.
             own = [each for each in found if not each.exact or count in (None, len(each.pairs))]
             if not any(match.exact for match in own):
@@ -121,7 +122,7 @@ def align_by_place_where_open(
     radius_sigma: float,
     by_place: bool,
     count: int | None = None,
-    prior: RotationPrior | None = None,
+    prior: PosePrior | None = None,
 ) -> tuple[Chosen, BeamAlignment]:
     """Align the chosen poles; where these leave the pose all but free, let the place choose.
 
@@ -163,15 +164,16 @@ def _matches(
     grounds: tuple[Sequence[Standing], Sequence[Standing]],
     radius: float,
     count: int | None,
+    prior: PosePrior | None,
 ) -> list[Match]:
     """Lay a placement on itself about one pole, or without any where that is asked for."""
     if count == 0:
-        return matches_from_above(placement, grounds)
+        return matches_from_above(placement, grounds, prior=prior)
     found = matches_about(placement, (grounds[0][0], grounds[1][0]), radius)
     if any(match.exact for match in found) or not all(scan.poles for scan in placement.scans):
         return found
     # A short piece of a pole does not tell which way it leans.
-    return matches_from_above(placement, grounds, radius)
+    return matches_from_above(placement, grounds, radius, prior)
 
 
 Grounds = Sequence[tuple[Sequence[Standing], Sequence[Standing]]]

@@ -31,6 +31,7 @@ from ..surfaces.visibility import SCORING_VOXEL
 from .candidate_confirmation import FACING_SIDES
 from .correspondence import EXTENSION_RMS, extended, same_pose
 from .icp_refinement import prepared, registered
+from .prior import MAX_SIGMAS, PosePrior
 
 CELL_ABOUT_POLE, ANGLES = 0.5, 360
 """Depth and height of a cell, metres, and cells about the pole: 0.5 m wide at 30 m."""
@@ -280,6 +281,7 @@ def matches_from_above(
     placement: Placement,
     grounds: tuple[Sequence[Standing], Sequence[Standing]],
     radius: float | None = None,
+    prior: PosePrior | None = None,
 ) -> list[Match]:
     """Find the poses that lay the ground on the ground and the place on the place.
 
@@ -291,6 +293,8 @@ def matches_from_above(
         What stands off each plane that may be the ground, in either cloud.
     radius
         Of the poles, metres, of which one at least must lie on one, too; None asks for none.
+    prior
+        Others than the poses that it allows are not looked for.
 
     Returns
     -------
@@ -302,7 +306,7 @@ def matches_from_above(
     settled, origin = _settling(placement), np.zeros(3)
     found: list[tuple[float, Match]] = []
     for standing in product(*grounds):
-        peaks = _ground_peaks(*standing)
+        peaks = _ground_peaks(*standing, prior or PosePrior())
         for peak in peaks:
             is_low = peak.height < LOW * peaks[0].height
             T = None if is_low else settled(peak.T, origin)
@@ -323,7 +327,7 @@ def _laid(T: Array) -> Match:
     return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
 
 
-def _ground_peaks(target: Standing, source: Standing) -> list[GroundPeak]:
+def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[GroundPeak]:
     """Find the rotations and shifts at which most cells coincide, the best first."""
     levels = _level(target), _level(source)
     above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
@@ -334,18 +338,24 @@ def _ground_peaks(target: Standing, source: Standing) -> list[GroundPeak]:
         for quarter in quarters[:2]
     ]
     over = [*half, *np.conj(half)]
+    # Shifts of more than half of the cells are those the other way.
+    shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
+    reach = MAX_SIGMAS * prior.distance_sigma + POSES_APART[1]
+    near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)
+    turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / MAX_SIGMAS)
     found = []
     for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
         R = _about_z(turn)
         cells = np.conj(fft.rfft2(_cells(above[1] @ R[:3, :3].T)))
         for quarter, other in zip(quarters, over, strict=True):
             total = fft.irfft2((other * cells).sum(axis=0), s=(CELLS, CELLS))
-            for k in np.argpartition(total, -PER_TURN, axis=None)[-PER_TURN:]:
-                # Shifts of more than half of the cells are those the other way.
-                shift = (np.array(np.unravel_index(k, total.shape)) + CELLS // 2) % CELLS
-                step = se3.from_rt(np.eye(3), np.r_[CELL * (shift - CELLS // 2), 0.0])
+            heights = total.reshape(-1)[near]
+            for k in np.argpartition(heights, -PER_TURN)[-PER_TURN:]:
+                i, j = np.unravel_index(near[k], total.shape)
+                step = se3.from_rt(np.eye(3), np.r_[shifts[i], shifts[j], 0.0])
                 T = se3.inverse(levels[0]) @ quarter @ step @ R @ levels[1]
-                found.append(GroundPeak(T, float(total.flat[k])))
+                if turned.allows(T):
+                    found.append(GroundPeak(T, float(heights[k])))
     found.sort(key=lambda peak: -peak.height)
     return list(_apart(found))
 

@@ -1,4 +1,4 @@
-"""What the user knows of the rotation beforehand: used to choose a hypothesis, never needed."""
+"""What the user knows of the pose beforehand: used to choose a hypothesis, never needed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ MAX_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class RotationPrior:
-    """What is known of the rotation of the source in the target's frame.
+class PosePrior:
+    """What is known of the pose of the source in the target's frame.
 
     Attributes
     ----------
@@ -25,29 +25,42 @@ class RotationPrior:
         (3, 3) the expected rotation; None where only the tilt is expected, to be zero: both LiDARs
         stand upright.
     sigma
-        1 σ of the angle, rad.
+        1 σ of the angle, rad; infinite where no rotation is expected.
+    distance_sigma
+        1 σ of how far the source lies from the target's origin, metres: that of a map is the rough
+        place of the LiDAR.
     """
 
-    rotation: Array | None
-    sigma: float
+    rotation: Array | None = None
+    sigma: float = np.inf
+    distance_sigma: float = np.inf
 
-    def misfit(self, T: Array) -> float:
-        """How far a pose (4, 4) lies from the prior, in 1 σ."""
+    def misfits(self, T: Array) -> tuple[float, float]:
+        """How far rotation and position of a pose (4, 4) lie from the prior, in 1 σ."""
         if self.rotation is None:
             angle = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
         else:
             angle = se3.rotation_angle(T[:3, :3] @ self.rotation.T)
-        return angle / self.sigma
+        return angle / self.sigma, float(np.linalg.norm(T[:3, 3])) / self.distance_sigma
+
+    def misfit(self, T: Array) -> float:
+        """How far a pose (4, 4) lies from the prior, in 1 σ."""
+        return max(self.misfits(T))
 
     def allows(self, T: Array) -> bool:
         """Whether a pose (4, 4) agrees with the prior."""
         return self.misfit(T) <= MAX_SIGMAS
 
 
-def rotation_prior(
-    up: bool, rpy_deg: Sequence[float] | None, sigma_deg: float
-) -> RotationPrior | None:
+def pose_prior(
+    up: bool,
+    rpy_deg: Sequence[float] | None,
+    sigma_deg: float,
+    distance_sigma: float | None = None,
+) -> PosePrior | None:
     """Take the prior as a user gives it: upright, or roll, pitch and yaw in degrees, or neither.
+
+    And how far the source lies from the target's origin, 1 σ in metres, where that is known.
 
     Raises
     ------
@@ -56,13 +69,14 @@ def rotation_prior(
     """
     if up and rpy_deg is not None:
         raise UsageError("up and prior_rpy_deg (--up, --prior-rpy-deg) exclude each other")
-    sigma = float(np.radians(sigma_deg))
-    if rpy_deg is not None:
-        return RotationPrior(se3.rotation_from_rpy(np.radians(rpy_deg)), sigma)
-    return RotationPrior(None, sigma) if up else None
+    if not up and rpy_deg is None and distance_sigma is None:
+        return None
+    rotation = None if rpy_deg is None else se3.rotation_from_rpy(np.radians(rpy_deg))
+    sigma = float(np.radians(sigma_deg)) if up or rpy_deg is not None else np.inf
+    return PosePrior(rotation, sigma, np.inf if distance_sigma is None else distance_sigma)
 
 
-def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:
+def agreeing_with_prior(matches: Sequence[Match], prior: PosePrior | None) -> list[Match]:
     """Keep the matches that agree with the prior.
 
     Only those whose poles fit exactly can be the answer, and only they count as agreeing.
@@ -75,14 +89,18 @@ def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -
     if prior is None:
         return list(matches)
     kept = [match for match in matches if prior.allows(match.T_target_source)]
-    misfits = [prior.misfit(match.T_target_source) for match in matches if match.exact]
+    misfits = [prior.misfits(match.T_target_source) for match in matches if match.exact]
     if misfits and not any(match.exact for match in kept):
-        least, count = min(misfits), len(misfits)
+        angle, distance = min(misfits, key=max)
+        least, count = max(angle, distance), len(misfits)
+        apart, of, check = f"{np.degrees(angle * prior.sigma):.0f}°", "rotation", "sign and order"
+        if distance > angle:
+            apart, of, check = f"{distance * prior.distance_sigma:.1f} m", "place", "coordinates"
         raise Refusal(
             "prior_contradicted",
             f"of {count} {'hypothesis' if count == 1 else 'hypotheses'} that fit the poles none "
-            f"agrees with the given rotation: the nearest is {np.degrees(least * prior.sigma):.0f}"
-            f"° away, {least:.1f} times its sigma; check its sign and order, or leave it out",
+            f"agrees with the given {of}: the nearest is {apart} away, {least:.1f} times its sigma;"
+            f" check its {check}, or leave it out",
             {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": count},
         )
     return kept

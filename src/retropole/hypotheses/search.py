@@ -31,7 +31,7 @@ from .placements import (
     Tried,
     with_what_was_tried,
 )
-from .prior import RotationPrior, agreeing_with_prior
+from .prior import PosePrior, agreeing_with_prior
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
@@ -53,7 +53,7 @@ def choose_with_candidates(
     step: Step,
     *,
     count: int | None = None,
-    prior: RotationPrior | None = None,
+    prior: PosePrior | None = None,
     by_place: bool = True,
 ) -> Chosen:
     """Choose by the confirmed poles; where they give nothing, by the candidates too.
@@ -132,7 +132,7 @@ def explained(refusal: Refusal, placements: Sequence[Placement]) -> Refusal:
 
 
 def _choose_without_poles(
-    placements: Sequence[Placement], radius: float, step: Step, prior: RotationPrior | None
+    placements: Sequence[Placement], radius: float, step: Step, prior: PosePrior | None
 ) -> Chosen:
     chosen = _first_by_place([placements], radius, step, 0, prior)
     if chosen is not None:
@@ -175,7 +175,7 @@ def _first_by_place(
     radius: float,
     step: Step,
     count: int | None,
-    prior: RotationPrior | None,
+    prior: PosePrior | None,
 ) -> Chosen | None:
     """Choose by the place with the first poles that lie on each other.
 
@@ -219,7 +219,7 @@ def _attempts(
     placements: Sequence[Placement],
     step: Step,
     count: int | None,
-    prior: RotationPrior | None,
+    prior: PosePrior | None,
 ) -> Iterator[Chosen]:
     """Choose by the candidate poles too, in one way after the other."""
     # Without any candidate pole the confirmed ones may still settle.
@@ -240,7 +240,7 @@ def choose(
     step: Step,
     *,
     count: int | None = None,
-    prior: RotationPrior | None = None,
+    prior: PosePrior | None = None,
 ) -> Chosen:
     """Match the poles of every placement and let the scene choose; a refusal is kept."""
     try:
@@ -265,7 +265,7 @@ def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:
 
 
 def match_poles(
-    placement: Placement, count: int | None, prior: RotationPrior | None
+    placement: Placement, count: int | None, prior: PosePrior | None
 ) -> PlacementMatches:
     """Find the ways of laying the source poles on the target poles that the prior allows."""
     found, laid = correspondence.every_match(

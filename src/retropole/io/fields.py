@@ -67,6 +67,12 @@ REAL_KINDS = "fiub"
 Columns = Mapping[str, NDArray[Any]]
 
 
+class MapPlace(NamedTuple):
+    """The place of a map that is read, roughly, metres in its coordinates; None where not known."""
+
+    at: tuple[float, float, float] | None = None
+
+
 class Wanted(NamedTuple):
     """What a user says of how points are made; most files need none of it.
 
@@ -80,11 +86,14 @@ class Wanted(NamedTuple):
     if_any
         Those of both, by name, that are left out where a file has no use for them: they are known
         from an older recording, and were not given for this one.
+    place
+        Of a map, the place that is read; None for a recording of one LiDAR.
     """
 
     intensity: str | None = None
     angles: str | None = None
     if_any: tuple[str, ...] = ()
+    place: MapPlace | None = None
 
     def names(self, fields: Iterable[str]) -> tuple[str, ...]:
         """Say what the intensity is called among the fields of a file.

@@ -7,14 +7,17 @@ sizes that the header promises are therefore compared with the size of the file 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import MissingExtraError, ReadError, said
 from .fields import USUAL, Wanted, cloud_from_columns, has_meaning
+from .maps import is_near, nothing_near
 
 READ_BLOCK = 16 * 2**20
 """Bytes of decompressed points that are read at a time."""
@@ -74,7 +77,7 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
             names = [*"xyz", *(name for name in own if has_meaning(name, *known))]
             # In blocks, so that memory follows what is in the file, not what its header promises.
             chunks = file.chunk_iterator(max(1, READ_BLOCK // header.point_format.size))
-            blocks = [[np.array(block[name]) for name in names] for block in chunks]
+            blocks = [_columns(block, names, wanted) for block in chunks]
     except (ReadError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except BaseException as error:
@@ -83,11 +86,26 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
         raise ReadError(f"is not a readable LAS file ({said(error)})") from None
     if not blocks:
         raise ReadError("holds no points, expected at least one")
-    columns = {name: np.concatenate(column) for name, *column in zip(names, *blocks, strict=True)}
-    count = sum(len(block[0]) for block in blocks)
+    kept = [columns for _, columns in blocks]
+    columns = {name: np.concatenate(column) for name, *column in zip(names, *kept, strict=True)}
+    count = sum(read for read, _ in blocks)
     if count != header.point_count:
         raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
+    if wanted.place is not None and not any(len(own) for own, *_ in kept):
+        raise nothing_near(wanted.place, 0, header.mins, header.maxs)
     return cloud_from_columns(columns, wanted)
+
+
+def _columns(
+    block: Any, names: Sequence[str], wanted: Wanted
+) -> tuple[int, list[NDArray[np.generic]]]:
+    """Count a block's points, and give the columns of those that are wanted."""
+    columns = [np.array(block[name]) for name in names]
+    count = len(columns[0])
+    if wanted.place is not None:
+        rows = np.flatnonzero(is_near(columns[0], columns[1], wanted.place))
+        columns = [column[rows] for column in columns]
+    return count, columns
 
 
 def _check_header(file: BinaryIO, size: int) -> None:

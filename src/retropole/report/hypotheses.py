@@ -12,7 +12,7 @@ from ..base.datatypes import Array
 from ..base.quantities import counted
 from ..base.reasons import plain
 from ..hypotheses.choice import hypothesis_name
-from ..hypotheses.prior import MAX_SIGMAS, RotationPrior
+from ..hypotheses.prior import MAX_SIGMAS, PosePrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
 from .listings import number, numbers
@@ -81,7 +81,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
     sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
     reach = f"{math.degrees(MAX_SIGMAS * sigma):.0f}°"
     if not config.up and config.prior_rpy_deg is None:
-        upright = RotationPrior(None, sigma)
+        upright = PosePrior(None, sigma)
         left = [name for (name, _), T in zip(named, poses, strict=True) if upright.allows(T)]
         if len(left) == 1:
             yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"

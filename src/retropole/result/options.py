@@ -17,7 +17,7 @@ from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.errors import UsageError
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
-from ..io.fields import METRES, USUAL, Unit, Wanted
+from ..io.fields import METRES, USUAL, MapPlace, Unit, Wanted
 from ..io.recordings import LEAST_POINTS, MAX_POINTS
 
 UNITS = get_args(Unit)
@@ -36,6 +36,7 @@ Intensity = Annotated[float, Meta(gt=0, le=1e9)]
 Angle = Annotated[float, Meta(ge=-360, le=360)]
 Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
+Coordinate = Annotated[float, Meta(ge=-1e8, le=1e8)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
 MastSway = Annotated[float, Meta(gt=0, le=1)]
@@ -143,6 +144,15 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         rare("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
     ] = None
     prior_sigma_deg: Annotated[PriorSigma, rare("1 sigma of --up or --prior-rpy-deg.")] = 10.0
+    map: Annotated[
+        bool,
+        rare("TARGET is a map: a cloud in any coordinates, put together from many places."),
+    ] = False
+    prior_xyz: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate] | None,
+        rare("Where SOURCE roughly is in the map: E N H, of GNSS or of a viewer."),
+    ] = None
+    prior_sigma_m: Annotated[Distance, rare("1 sigma of --prior-xyz, m.")] = 2.0
     hypothesis: Annotated[
         Text | None,
         rare(
@@ -254,8 +264,11 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        how = slice_of(self.frames), self.max_points, self.unit, Wanted(self.intensity, self.angles)
-        return Reading(sensor, threshold, topic, *how)
+        place = MapPlace(self.prior_xyz) if self.map else None
+        wanted = Wanted(self.intensity, self.angles, place=place)
+        return Reading(
+            sensor, threshold, topic, slice_of(self.frames), self.max_points, self.unit, wanted
+        )
 
     @property
     def of_source(self) -> Reading:

@@ -61,6 +61,9 @@ MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 OTHER_GROUND = np.radians(10.0)
 """Planes tilted against each other by more than this are not one ground, rad."""
 
+MOVABLE = 2.5
+"""What is no higher above the ground may have driven off since a map was made, metres: a van."""
+
 MIN_AREA = 0.1
 """Least area that the three points span, twice, m²: fewer than three span no plane."""
 
@@ -97,6 +100,8 @@ class Standing:
         Of all returns.
     ground, up
         (3,) a point of the ground, metres, and its normal.
+    is_map
+        Whether it is not what a LiDAR records now, but a map.
     """
 
     points: Array
@@ -105,6 +110,14 @@ class Standing:
     image: RangeImage
     ground: Array
     up: Array
+    is_map: bool = False
+
+    @property
+    def movable(self) -> BoolArray:
+        """Which cubes, by number, hold nothing higher above the ground than `MOVABLE`."""
+        height = np.zeros(int(self.voxel.max(initial=-1)) + 1)
+        np.maximum.at(height, self.voxel, np.abs((self.points - self.ground) @ self.up))
+        return np.asarray(height < MOVABLE)
 
     @property
     def voxels(self) -> int:
@@ -141,7 +154,8 @@ def standing_in(
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     voxel = labels_of(np.floor(standing / VOXEL_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, voxel, tree_of(points), range_image(cloud), ground, up)
+    image = range_image(cloud)
+    return Standing(standing, voxel, tree_of(points), image, ground, up, cloud.is_map)
 
 
 def grounds_in(
@@ -298,6 +312,8 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
 def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
     """How many voxels of the other cloud agree with what the seer saw, and how many do not."""
     _, yes, no = _judged(seer, other, T)
+    if other.is_map:
+        no[other.movable] = 0
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
 
 

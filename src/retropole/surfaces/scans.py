@@ -57,8 +57,10 @@ def find_poles(
     `mast_sway` is 1 σ of the angle that the LiDAR's mast is said to sway by, rad.
 
     Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
-    found elsewhere is not lost.
+    found elsewhere is not lost. A map is taken as it is.
     """
+    if cloud.is_map:
+        return Scan(cloud, sensor)
     sway = motion = None
     try:
         cloud = remove_dynamic_points(located(without_copies(cloud), radius))

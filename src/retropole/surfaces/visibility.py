@@ -161,8 +161,8 @@ class RangeImage:
 
 @kept
 def range_image(cloud: PointCloud) -> RangeImage:
-    """Sort a cloud's ranges into cells of direction about its beam origin."""
-    rays = cloud.xyz - cloud.origin
+    """Sort a cloud's ranges into cells of direction about its beam origin; a map has none."""
+    rays = cloud.xyz[: 0 if cloud.is_map else None] - cloud.origin
     return RangeImage(cloud.origin, nearest_around(cells_of(rays), se3.lengths(rays)))
 
 
@@ -188,12 +188,13 @@ def free_space_violation(image: RangeImage, points: Array) -> float:
 
 class _Seen(NamedTuple):
     """Points by what a LiDAR saw: their ranges from it, metres, whether they stand where it looked
-    through, and whether it has returns in their direction.
+    through, whether it has returns in their direction, and whether these are far before them.
     """
 
     ranges: Array
     is_in_the_way: BoolArray
     is_in_view: BoolArray
+    is_hidden: BoolArray
 
 
 def _seen_by(image: RangeImage, points: Array) -> _Seen:
@@ -201,8 +202,9 @@ def _seen_by(image: RangeImage, points: Array) -> _Seen:
     ranges = se3.lengths(rays)
     cells = cells_of(rays)
     nearest = image.nearest.ranges[cells]
-    is_in_the_way = (nearest > ranges + range_margin(ranges)) & image.nearest.seen[cells]
-    return _Seen(ranges, is_in_the_way, np.isfinite(nearest))
+    margin = range_margin(ranges)
+    is_in_the_way = (nearest > ranges + margin) & image.nearest.seen[cells]
+    return _Seen(ranges, is_in_the_way, np.isfinite(nearest), nearest < ranges - margin)
 
 
 def tree_of(points: Array) -> cKDTree:
@@ -226,12 +228,15 @@ class View:
         Of all returns.
     reach
         How far the LiDAR sees, metres from where its beams start.
+    is_map
+        Whether no LiDAR sees what the points show.
     """
 
     points: Array
     tree: cKDTree
     image: RangeImage
     reach: float
+    is_map: bool = False
 
     @property
     def size(self) -> int:
@@ -258,7 +263,7 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     image = range_image(cloud)
     ranges = se3.lengths(points - image.origin)
     reach = float(np.quantile(ranges, REACH_QUANTILE)) if len(points) else 0.0
-    return View(some, tree_of(points), image, reach)
+    return View(some, tree_of(points), image, reach, cloud.is_map)
 
 
 @kept
@@ -274,10 +279,12 @@ class Agreement:
     Attributes
     ----------
     overlap, free_space_violation
-        Shares of the points, mean of both directions.
+        Shares of the points, mean of both directions. With a map, the first of the LiDAR's points,
+        the second of those of the map in its view.
     covisible_overlap
         Overlap of the points of both clouds that both LiDARs could see: not on the own vehicle,
-        where the other has returns in their direction, and no farther than it reaches.
+        where the other has returns in their direction, and no farther than it reaches. Of a map
+        those that nothing hides, and of its LiDAR all.
     distances
         (S,) of the source's points from the target's cloud, metres; infinite beyond the limit.
     """
@@ -311,19 +318,31 @@ def compare_views(
         for tree, points in ((target.tree, there), (source.tree, back))
     ]
     seen = _seen_by(target.image, there), _seen_by(source.image, back)
-    violation = np.mean([np.mean(each.is_in_the_way) for each in seen])
-    could_see = np.concatenate(
-        [_covisible(source, target, seen[0]), _covisible(target, source, seen[1])]
-    )
+    sides = (source, target, seen[0]), (target, source, seen[1])
+    could_see = np.concatenate([_covisible(*each) for each in sides])
     near = np.concatenate(distances) <= within
     covisible = float(np.mean(near[could_see])) if could_see.any() else 0.0
-    return Agreement(overlap(distances, within), float(violation), covisible, distances[0])
+    # Most of a map lies outside of the view, and says nothing.
+    violated = [
+        each.is_in_the_way[_in_reach(other, each) if view.is_map else slice(None)]
+        for view, other, each in sides
+        if not other.is_map
+    ]
+    violation = np.mean([np.mean(each) if len(each) else 0.0 for each in violated])
+    of_lidars = [each for each, (view, *_) in zip(distances, sides, strict=True) if not view.is_map]
+    return Agreement(overlap(of_lidars, within), float(violation), covisible, distances[0])
 
 
 def _covisible(view: View, other: View, seen: _Seen) -> BoolArray:
     """Which points of a view the other LiDAR could see."""
+    if view.is_map:
+        return np.asarray(_in_reach(other, seen) & ~seen.is_hidden)
     is_own = se3.lengths(view.points - view.image.origin) < OWN_VEHICLE
-    return np.asarray(~is_own & seen.is_in_view & (seen.ranges <= other.reach))
+    return np.asarray(~is_own & (_in_reach(other, seen) | other.is_map))
+
+
+def _in_reach(other: View, seen: _Seen) -> BoolArray:
+    return np.asarray(seen.is_in_view & (seen.ranges <= other.reach))
 
 
 def overlap(distances: Sequence[Array], within: float) -> float:

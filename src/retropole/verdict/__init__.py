@@ -101,6 +101,8 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
         yield from check_angles([pole.direction for pole in poles])
         return
     lead = confirmation.z_margin or 0.0
+    if not poles and paired[0].placement.target.cloud.is_map:
+        return
     if not poles:
         yield Reason(
             "without_poles",

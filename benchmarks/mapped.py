@@ -1,0 +1,216 @@
+"""A LiDAR in an existing map: how often it is found, how exactly, and what is said of a wrong map.
+
+A place is recorded by 3 to 8 LiDARs with all the errors of the field. Their clouds are put together
+by the truth, thinned to 5, 10 or 20 cm, and get noise of 5 to 30 mm: the map. Another LiDAR is
+calibrated to it from a rough place (2 m, 1 σ), without a heading. In some draws cars were moved
+since, or something large, and in a fifth the map is of another place. Prints a Markdown table.
+
+    python benchmarks/mapped.py --draws 60
+
+Seeds below 1000 are for setting constants; those from 1000 on, where this starts, state figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
+
+from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
+from hard_scenes import FIRST_STATED_SEED
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.sensors import find_sensor
+from retropole.hypotheses.prior import PosePrior
+from retropole.io.fields import MapPlace
+from retropole.io.maps import as_map
+from retropole.pipeline import Options, calibrate
+from retropole.simulation import FIELD, Box, Surface, draw_device, scan
+from retropole.simulation.scenes import METAL, SURROUNDINGS
+from retropole.surfaces.registration import voxel_downsample
+
+SCENES = ("street", "harbor", "square")
+MODELS = ("VLP-16", "XT32", "OS1", "HDL-32E")
+ORIGIN = np.array([412_345.0, 5_654_321.0, 87.0])
+THINNING = (0.05, 0.1, 0.2)
+NOISE = (0.005, 0.03)
+ROUGH = 2.0
+"""1 σ of the rough place, metres."""
+
+MOVED, FACADE, ELSEWHERE = 0.5, 0.1, 0.2
+"""Shares of the draws: cars moved, of those of the same place; something large moved; elsewhere."""
+
+KINDS = "same", "cars moved", "large thing moved", "elsewhere"
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """A map, a LiDAR in it, and what is known of it: true and rough."""
+
+    scene: str
+    kind: str
+    map: PointCloud
+    lidar: PointCloud
+    T_map_lidar: Array
+    rough: Array
+    model: str
+
+
+def pose_in(clear: Array, rng: np.random.Generator) -> Array:
+    at = rng.uniform(-1, 1, 2) * np.maximum(np.array(clear) - 0.5, 1.0)
+    tilt = Rotation.from_rotvec(np.r_[rng.normal(0, 0.05, 2), 0.0])
+    R = (tilt * Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))).as_matrix()
+    return se3.from_rt(R, np.r_[at, rng.uniform(2.0, 5.0)])
+
+
+def cars(clear: Array, rng: np.random.Generator) -> list[Surface]:
+    found: list[Surface] = []
+    for _ in range(int(rng.integers(3, 7))):
+        at = rng.uniform(-1, 1, 2) * np.array([25.0, clear[1]])
+        yaw = Rotation.from_euler("z", rng.choice([0, np.pi]) + rng.normal(0, 0.05)).as_matrix()
+        found.append(Box(np.r_[at, 0.8], yaw, np.array([2.2, 0.9, 0.7]), METAL))
+    return found
+
+
+def draw(seed: int) -> Draw:
+    rng = np.random.default_rng([77, seed])
+    scene = SCENES[seed % 3]
+    place = SURROUNDINGS[scene](rng)
+    clear = place.clear
+    u = rng.uniform()
+    kind = (
+        "elsewhere"
+        if u < ELSEWHERE
+        else "large thing moved"
+        if u < ELSEWHERE + FACADE
+        else ("cars moved" if rng.uniform() < MOVED else "same")
+    )
+    then = [*place.surfaces, *cars(clear, rng)]
+    pieces = []
+    for _ in range(int(rng.integers(3, 9))):
+        sensor = find_sensor(str(rng.choice(MODELS)))
+        pose = pose_in(clear, rng)
+        device = draw_device(sensor, FIELD, rng)
+        cloud = scan(then, sensor, pose, rng, noise=FIELD, device=device).cloud
+        pieces.append(se3.apply(pose, cloud.xyz))
+    xyz = voxel_downsample(np.concatenate(pieces), float(rng.choice(THINNING)))
+    xyz = xyz + rng.normal(0, rng.uniform(*NOISE), xyz.shape)
+    if kind == "elsewhere":
+        now = [*SURROUNDINGS[scene](rng).surfaces, *cars(clear, rng)]
+    elif kind == "large thing moved":
+        large = [k for k, each in enumerate(place.surfaces) if k and each.bounding_radius > 2.5]
+        k = large[int(rng.integers(len(large)))]
+        way = rng.uniform(0, 2 * np.pi)
+        step = rng.uniform(0.5, 2.0) * np.array([np.cos(way), np.sin(way), 0.0])
+        moved = replace(place.surfaces[k], centre=place.surfaces[k].centre + step)
+        now = [*place.surfaces[:k], moved, *place.surfaces[k + 1 :], *cars(clear, rng)]
+    elif kind == "cars moved":
+        now = [*place.surfaces, *cars(clear, rng)]
+    else:
+        now = then
+    model = str(rng.choice(MODELS))
+    sensor = find_sensor(model)
+    pose = pose_in(clear, rng)
+    lidar = scan(now, sensor, pose, rng, noise=FIELD, device=draw_device(sensor, FIELD, rng)).cloud
+    rough = pose[:3, 3] + rng.normal(0, ROUGH, 3) * [1, 1, 0.5]
+    return Draw(
+        scene,
+        kind,
+        PointCloud(xyz + ORIGIN),
+        lidar,
+        se3.from_rt(np.eye(3), ORIGIN) @ pose,
+        rough + ORIGIN,
+        model,
+    )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one draw; ``chi2`` is that of the truth with the stated covariance."""
+
+    kind: str
+    seed: int
+    status: str
+    code: str
+    rotation: float = np.nan
+    translation: float = np.nan
+    at_30m: float = np.nan
+    chi2: float = np.nan
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether a pose is given that is not right; of another place, whether any is."""
+        far = self.rotation > WRONG_ANGLE or self.translation > WRONG_DISTANCE
+        return self.status != "refused" and (far or self.kind == "elsewhere")
+
+
+def run(seed: int) -> Outcome:
+    """Draw and calibrate."""
+    drawn = draw(seed)
+    given = as_map(drawn.map, MapPlace((drawn.rough[0], drawn.rough[1], drawn.rough[2])))
+    sensors = None, find_sensor(drawn.model)
+    known = Options(sensors=sensors, poles=0, prior=PosePrior(distance_sigma=ROUGH))
+    found = calibrate(given, drawn.lidar, options=known)
+    code = ", ".join(reason.code for reason in found.reasons)
+    if found.T_target_source is None or found.covariance is None:
+        return Outcome(drawn.kind, seed, found.status, code)
+    off = se3.difference(found.T_target_source, drawn.T_map_lidar)
+    step = se3.local(found.T_target_source, drawn.T_map_lidar)
+    return Outcome(
+        drawn.kind,
+        seed,
+        found.status,
+        code,
+        off.rotation,
+        off.translation,
+        float(np.hypot(30.0 * off.rotation, off.translation)),
+        float(step @ np.linalg.solve(found.covariance, step)),
+    )
+
+
+def row(name: str, own: Sequence[Outcome]) -> str:
+    answered = [o for o in own if o.status != "refused"]
+    inside = sum(o.chi2 <= chi2.ppf(0.95, 6) for o in answered)
+    refused = Counter(o.code for o in own if o.status == "refused")
+    cells = (
+        name,
+        len(own),
+        len(answered),
+        sum(o.status == "ok" for o in own),
+        sum(o.is_wrong for o in own),
+        f"{1000 * np.median([o.at_30m for o in answered]):.0f}" if answered else "",
+        f"{inside} of {len(answered)}" if answered else "",
+        ", ".join(f"{code} {count}" for code, count in refused.most_common()),
+    )
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draws", type=int, default=300)
+    parser.add_argument("--first", type=int, default=FIRST_STATED_SEED, help="first seed")
+    parser.add_argument("--verbose", action="store_true", help="print every draw as it ends")
+    arguments = parser.parse_args()
+    outcomes = []
+    with threadpool_limits(1):
+        for seed in range(arguments.first, arguments.first + arguments.draws):
+            outcomes.append(run(seed))
+            if arguments.verbose:
+                print(outcomes[-1], flush=True)
+    print(
+        "| the map | draws | answered | ok | wrong | error at 30 m, mm, median | in the 95 % "
+        "region | refused for |\n| --- |" + " --- |" * 7
+    )
+    for kind in KINDS:
+        print(row(kind, [o for o in outcomes if o.kind == kind]))
+    print(row("all", outcomes))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Why a LiDAR has no pose in a map, in words of a map and not of poles."""
+
+from __future__ import annotations
+
+from ..base.errors import Refusal
+from ..base.quantities import counted
+
+DIFFERS = {"scene_contradicts", "too_few_poles", "poles_scene_contradict"}
+"""Refusals of poses in a map that what the LiDAR sees speaks against."""
+
+
+def of_map(refusal: Refusal) -> Refusal:
+    """Say of a refusal what it means where the target is a map."""
+    values = refusal.values
+    if refusal.code in DIFFERS:
+        found = "hardly anything of it lies on the map"
+        if "agreeing" in values:
+            agreeing, against = int(values["agreeing"]), int(values["contradicting"])
+            found = (
+                f"of the patches off the ground {counted(agreeing, 'agrees', 'agree')}, and the "
+                f"LiDAR looked through {against:,} of the map that are too high to have driven off"
+            )
+        return Refusal(
+            "map_differs",
+            f"the map does not show what the LiDAR sees: {found}; has the place changed since, or "
+            "is the map of another one? Take a newer map, or another place (--prior-xyz)",
+            values,
+        )
+    if refusal.code == "degenerate_poles":
+        sizes = ""
+        if "rotation_sigma_rad" in values:
+            sizes = refusal.message.partition("hold the pose to ")[2].partition(";")[0]
+            sizes = f": they hold the pose to {sizes}"
+        return Refusal(
+            "map_leaves_open",
+            f"the surfaces of the map that the LiDAR sees leave a part of its pose open{sizes}; "
+            "take a map that has more of what is around, or set up poles that two LiDARs see",
+            values,
+        )
+    if refusal.code in ("ambiguous", "no_overlap"):
+        said = refusal.message.rpartition(": ")[0] or refusal.message
+        advice = "give a heading (--prior-rpy-deg) or a better place (--prior-xyz, --prior-sigma-m)"
+        return Refusal(refusal.code, f"{said}: {advice}", values)
+    return refusal
