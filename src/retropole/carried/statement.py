@@ -13,7 +13,7 @@ from ..adjustment.agreement import (
     check_minima,
 )
 from ..adjustment.refinement import Refinement, refine
-from ..alignment.certainty import FLOOR, part_of, root_of, uncertainty_of_pair
+from ..alignment.certainty import FLOOR, POLES, part_of, root_of, uncertainty_of_pair
 from ..alignment.origins import beam_origins
 from ..base import se3
 from ..base.carried import CarriedWalk
@@ -125,7 +125,7 @@ def _uncertainty(adjusted: Adjusted) -> Uncertainty:
     scatter = root_of(adjusted.random)
     parts = [
         *adjusted.parts,
-        part_of("scatter of the poles' returns", np.vstack([0 * scatter, scatter]), is_random=True),
+        part_of(POLES, np.vstack([0 * scatter, scatter]), is_random=True),
         part_of(FLOOR, np.vstack([NO_POSE, root_of(floor())])),
     ]
     return uncertainty_of_pair(parts)

@@ -177,7 +177,9 @@ METAVARS = {
 """What stands for the values of options in the help, where their type says too little."""
 
 NAMES = {
-    **{"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"},
+    "need_m": "--need-cm",
+    "at_m": "--at-m",
+    "refine": "--no-refine",
     "prior_sigma_m": "--prior-sigma-m",
 }
 """Options that are not called as their fields without the unit."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -112,7 +113,7 @@ class Standing:
     up: Array
     is_map: bool = False
 
-    @property
+    @cached_property
     def movable(self) -> BoolArray:
         """Which cubes, by number, hold nothing higher above the ground than `MOVABLE`."""
         height = np.zeros(int(self.voxel.max(initial=-1)) + 1)
