@@ -43,7 +43,7 @@ NO_POSE = np.zeros((6, 6))
 def state_walk(
     found: WalkCalibration, placement: Placement, seconds: Mapping[str, float], *, scene: bool
 ) -> Calibration:
-    """State the answer of a walk, refined by the surfaces that stood around where they are known.
+    """State the answer of a walk, refined by the surfaces around where they are known.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def state_walk(
     Raises
     ------
     Refusal
-        Where a LiDAR did not stand still, and where what stands conflicts with the answer.
+        Where a LiDAR moved, and where the surroundings conflict with the answer.
     """
     for scan in placement.scans:
         if scan.refusal is not None:

@@ -25,7 +25,7 @@ from ..extraction.line_search import near_box
 from ..extraction.lines import LINK, clusters
 from ..extraction.poles import extract_poles
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
-from ..io.scan_lines import with_rings_shown
+from ..io.scan_lines import with_rings
 
 STANDS = 0.4
 """What is found within `SAME_PLACE` in more than this part of the sweeps stands there."""
@@ -186,8 +186,8 @@ def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
     """
     cloud = with_beam_origin(with_trusted_rings(cloud))
     levels = None
-    if cloud.ring is None and (sensor is None or sensor.rings):
-        cloud = with_rings_shown(cloud)
+    if cloud.ring is None:
+        cloud = with_rings(cloud, sensor)
         if cloud.ring is not None:
             elevation = elevations(cloud.xyz - cloud.origin, cloud.axis)
             levels = np.array(

@@ -17,7 +17,7 @@ from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import with_trusted_rings
-from ..io.scan_lines import with_rings_shown
+from ..io.scan_lines import with_rings
 from .acceptance_shape import MIN_POLE_POINTS, Failure
 from .certainty import too_thick_for_radius
 from .line_search import MAX_POLES, Sought, find_lines, near_box, parts_of
@@ -60,8 +60,7 @@ def with_candidates(
     Detection
         The same, with `candidates` filled: those it has and those found now, at most `MAX_POLES`.
     """
-    cloud = with_trusted_rings(cloud)
-    cloud = with_rings_shown(cloud) if sensor is None or sensor.rings else cloud
+    cloud = with_rings(with_trusted_rings(cloud), sensor)
     assert cloud.intensity is not None
     chosen = _threshold_of(detection)
     free = np.asarray(cloud.intensity >= chosen.at(lengths(cloud.xyz - cloud.origin)))

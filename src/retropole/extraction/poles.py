@@ -31,7 +31,7 @@ from ..base.quantities import counted
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, threshold_for
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
-from ..io.scan_lines import with_rings_shown
+from ..io.scan_lines import with_rings
 from .acceptance_shape import MIN_LENGTH, MIN_POLE_POINTS, Failure
 from .certainty import doubt_of
 from .extent import check_coordinates
@@ -87,8 +87,7 @@ def extract_poles(
     check_coordinates(cloud)
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
-    if look_for_rings and (sensor is None or sensor.rings):
-        cloud = with_rings_shown(cloud)
+    cloud = with_rings(cloud, sensor) if look_for_rings else cloud
     assert cloud.intensity is not None
     ranges = lengths(cloud.xyz - cloud.origin)
     chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)

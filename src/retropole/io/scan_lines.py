@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, IntArray, PointCloud, every_nth, kept
 from ..base.se3 import lengths
+from ..base.sensors import Sensor
 from .beams import (
     CONE_SPREAD,
     MAX_RINGS,
@@ -47,6 +48,11 @@ MAX_LEVEL_SHARE, FARTHER = 0.5, 1.5
 """Of the points, at most so many are on one ring, and some are so many times as far away as others:
 from beside a plane, or from far away, all have one elevation. Points within 4 m of a place that is
 3 to 8 m away have 1.7 of the second."""
+
+
+def with_rings(cloud: PointCloud, sensor: Sensor | None) -> PointCloud:
+    """Give a cloud the rings that its points alone show, unless the named sensor has none."""
+    return with_rings_shown(cloud) if sensor is None or sensor.rings else cloud
 
 
 @kept

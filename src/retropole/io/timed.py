@@ -175,7 +175,7 @@ def _no_times(cloud: PointCloud, recording: Recording, stamp: float | None) -> R
     elif cloud.time is None:
         what = (
             "its points have no times, and they do not follow each other about the LiDAR, by which "
-            "the time of each could be told"
+            "the time of each could be found"
         )
     else:
         what = "a sweep has the time of the one before, or an earlier one"
