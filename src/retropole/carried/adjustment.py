@@ -281,7 +281,9 @@ def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Ar
     for lidar in (0, 1):
         own = system.lidar == lidar
         w, sigma = weights[own], system.sigma[own]
-        left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
+        # Rows that leave the same open across are one, each a part of it.
+        share = np.stack([np.ones(len(w)), 1 / frame.seen[lidar].rows.sharing], axis=1)
+        left = (w * (share - np.minimum(leverage[own], 0.95 * share))).sum(axis=0)
         known = np.isfinite(sigma[:, 1])
         off = np.where(known[:, None], sigma, 0.0) * system.residuals[own]
         stated = system.stated[own]
