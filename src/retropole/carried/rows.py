@@ -50,6 +50,10 @@ PASSAGE = 0.002
 """Returns follow each other by less, s, while beams pass over a pole: columns of spinning LiDARs
 are 0.05 to 0.2 ms apart, and a carried pole moves by 3 mm."""
 
+SEEN_WIDTH = 0.9
+"""Of single returns, so large a share lies no wider than the pole with the beam (chosen: others are
+of passages whose line is off)."""
+
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(6)
 """Where the depth is taken within what is open, for its variance, and with which weights."""
 
@@ -108,7 +112,7 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     ranges = np.linalg.norm(track.xyz, axis=1)
     rays = track.xyz / ranges[:, None]
     if track.rings[0] < 0 or (sensor is not None and sensor.pattern == "rosette"):
-        return _single(track, rays, ranges, wide, noise)
+        return _single(track, rays, ranges, radius, wide, noise)
     middle = np.arctan2(track.points[:, 1], track.points[:, 0])[track.sweep]
     azimuth = _wrapped(np.arctan2(rays[:, 1], rays[:, 0]) - middle)
     order = np.lexsort((azimuth, track.rings, track.sweep))
@@ -159,7 +163,9 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     )  # fmt: skip
 
 
-def _single(track: Track, rays: Array, ranges: Array, wide: float, noise: float) -> Rows:
+def _single(
+    track: Track, rays: Array, ranges: Array, radius: float, wide: float, noise: float
+) -> Rows:
     """Make a row of each return, moved to the middle of those that leave the same open."""
     order = np.lexsort((track.stamps, track.sweep))
     order = order[track.is_whole[order]]
@@ -180,10 +186,14 @@ def _single(track: Track, rays: Array, ranges: Array, wide: float, noise: float)
     np.minimum.at(low, half, y)
     np.maximum.at(high, half, y)
     aside = (y - (low + high)[half] / 2) / ranges
+    seen = (high - low)[half]
+    # Where tape glows, returns reach farther than beams are wide.
+    widest = float(np.quantile((seen - 2 * radius) / ranges, SEEN_WIDTH))
+    wide = float(np.clip(widest, wide, max(wide, WIDEST)))
     moved = rays - aside[:, None] * across
     moved /= np.linalg.norm(moved, axis=1, keepdims=True)
     return Rows(
-        moved, ranges, stamps, np.ones(len(ranges)), np.inf, (high - low)[half] / ranges,
+        moved, ranges, stamps, np.ones(len(ranges)), np.inf, seen / ranges,
         aside, np.full(len(ranges), -1), sweep, np.bincount(half)[half].astype(float), wide, noise,
     )  # fmt: skip
 
