@@ -98,3 +98,15 @@ def seen_walk(
         T,
         offset,
     )
+
+
+def seen_by_all(seconds: float = 6.0) -> tuple[list[Track], Array]:
+    """Walk before three LiDARs: their tracks, each by its own clock, and poses (3, 4, 4)."""
+    turns = np.array([[0.0, 0.0, 0.0], [0.05, -0.04, 2.3], [-0.03, 0.06, -1.7]])
+    places = np.array([[0.0, 0.0, 0.0], [8.0, 1.0, 0.3], [4.0, 6.0, -0.2]])
+    poses = se3.from_rt(np.array([se3.exp_so3(turn) for turn in turns]), places)
+    tracks = [
+        _track(T, ahead, seconds, 0.25, phase, False)
+        for T, ahead, phase in zip(poses, (0.0, 0.731, -0.42), (0.0, 0.037, 0.071), strict=True)
+    ]
+    return tracks, poses
