@@ -12,6 +12,7 @@ from retropole.api.simulation import simulate_walk, write_walk
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import UsageError
+from retropole.base.sensors import find_sensor
 from retropole.export.recording import Track, write_recording
 from retropole.io import open_recording, read_frames, write_pcd
 from retropole.io.recordings import Frame, chosen_frames
@@ -70,6 +71,9 @@ def test_a_written_walk_is_answered_within_what_is_stated(
     assert step @ np.linalg.solve(answer.covariance, step) < 22.5
     clock = answer.walk.clock_offset_s - truth["clock_offset_s"]
     assert abs(clock) < 4 * answer.walk.clock_sigma_s
+    assert [each.threshold for each in answer.document.inputs] == 2 * [
+        find_sensor("VLP-16").threshold
+    ]
     answer.save(tmp_path)
     again = rp.load_result(tmp_path)
     assert 'id="walk"' in again.report(tmp_path / "again.html").read_text()
@@ -123,7 +127,8 @@ def changed(folder: Path, times: str, shift: float) -> tuple[Frames, Callable[[F
 def test_files_of_any_kind_give_the_same_answer(
     folder: Path, answer: rp.CalibrationResult, tmp_path: Path, times: str, shift: float
 ) -> None:
-    both = as_bag(*changed(folder, times, shift), tmp_path)
+    frames, change = changed(folder, times, shift)
+    both = as_bag(frames, tmp_path, change)
     topics = {"topic": ("/lidar0", "/lidar1")}
     found = rp.calibrate(both[0], both[1], **NAMED, **topics)  # type: ignore[arg-type]
     rotation, translation, offset = differs(found, answer)

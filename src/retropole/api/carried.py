@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from ..base.datatypes import Placement, PointCloud
@@ -79,6 +80,10 @@ def calibrate_walk(
                 (of_target, first), (of_source, second) = (
                     _track(given, radius, listener) for given in pair
                 )
+            documents = [
+                structs.replace(each, threshold=track.threshold)
+                for each, track in zip(documents, (of_target, of_source), strict=True)
+            ]
             with step("adjust"):
                 known = None if first is None or second is None else second - first
                 sensors = pair.target.sensor, pair.source.sensor
