@@ -29,7 +29,7 @@ SMALLEST = {
     "benchmarks/blunder.py": ["posts pole --lidars 2 --placements 1"],
     "benchmarks/bound.py": ["--setups 1 --trials 1"],
     "benchmarks/carried.py": ["--seeds 1 --seconds 8 --scene bare"],
-    "benchmarks/carried_recorded.py": ["data --draws 1 --seconds 5"],
+    "benchmarks/carried_recorded.py": ["data --draws 1 --seconds 2"],
     "benchmarks/certify.py": ["--runs 1 --only field"],
     "benchmarks/check.py": ["--sites 1 --noise typical"],
     "benchmarks/codes.py": ["--easy 0 --hard 1 --draws 0"],

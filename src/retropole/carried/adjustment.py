@@ -385,10 +385,11 @@ def _offsets(
     Returns the offsets (K,) beside that of all, s, and their covariance (K, K).
     """
     number = int(place.max()) + 1
-    windows = np.zeros((*system.residuals.shape, number))
     own = np.flatnonzero((system.lidar == 1) & (place >= 0))
-    windows[own, :, place[own]] = system.offset_slopes[own]
-    wider = csr_array(hstack([system.by_border, windows.reshape(-1, number)]))
+    at = (2 * own[:, None] + [0, 1]).ravel(), np.repeat(place[own], 2)
+    slopes = system.offset_slopes[own].ravel()
+    windows = csr_array((slopes, at), shape=(system.residuals.size, number))
+    wider = csr_array(hstack([system.by_border, windows]))
     prior = np.r_[frame.prior, np.ones(number)]
     prior[OFFSET] = HELD
     step = _solve(
