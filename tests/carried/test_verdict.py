@@ -59,6 +59,7 @@ def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
     assert chosen([replace(sound, clock_step=step * [1, 0.8, 1])]) is not None
 
 
+@pytest.mark.full
 def test_a_step_of_the_clock_is_found_when_it_was() -> None:
     walk = seen_walk()
     target, source = walk.tracks
