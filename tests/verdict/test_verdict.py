@@ -16,7 +16,7 @@ from retropole.adjustment.agreement import (
 )
 from retropole.adjustment.descent import End
 from retropole.adjustment.refinement import Refinement
-from retropole.alignment.adjustment import RADIUS_CONFLICT, AxesTest, BeamAlignment
+from retropole.alignment.adjustment import AxesTest, BeamAlignment
 from retropole.alignment.network import gaussian_factor
 from retropole.base.datatypes import (
     Array,
@@ -32,7 +32,7 @@ from retropole.base.datatypes import (
 from retropole.base.errors import Reason, Refusal, warnings_and_notes
 from retropole.base.se3 import PoseDifference
 from retropole.base.sensors import SENSORS
-from retropole.base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
+from retropole.base.uncertainty import SIGMAS, RadiusEstimate, Uncertainty, WeakDirection
 from retropole.base.uncertainty.confirmation import DECEIVING, Confirmation
 from retropole.hypotheses.evidence import (
     MAX_CONFLICTING,
@@ -175,13 +175,13 @@ def test_several_minima_are_told_with_the_furthest(good: list[Pole]) -> None:
 def test_a_radius_that_the_returns_deny_is_told(good: list[Pole]) -> None:
     radius = RadiusEstimate(0.04, 0.0008, 0.0203, 0.0011)
     (reason,) = reasons_of(
-        good, good, replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT + 4)
+        good, good, replace(an_alignment(), radius=radius, radius_conflict=SIGMAS + 4)
     )
     assert reason.code == "radius_differs"
     assert reason.values == {"given_m": 0.04, "estimated_m": 0.0203, "sigma_m": 0.0011}
     assert "40.0 mm" in reason.message
     assert "20.3 ± 1.1 mm" in reason.message
-    hardly = replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT - 0.1)
+    hardly = replace(an_alignment(), radius=radius, radius_conflict=SIGMAS - 0.1)
     assert codes_of(good, good, hardly) == []
 
 

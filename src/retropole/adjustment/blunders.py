@@ -26,7 +26,7 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
-from .agreement import MAX_AXES_CHI2, WARN_MAHALANOBIS_SQ
+from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
 from .datum import Datum, Hanging, without_poles, without_survey
 from .descent import FEW, End, SceneTerm
 from .refinement import distance_sq
@@ -210,20 +210,16 @@ def _without(
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)
 
 
-BLUNDER, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
+BLUNDER, POOR = 6.5, 5.0
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it
-fits poorly, with so much χ² for each degree of freedom: with many degrees of freedom small errors
-that are not modelled add up. The last is what a pair's poles are allowed (`agreement`). Of 11
+fits poorly, with more than `MAX_AXES_CHI2` for each degree of freedom: with many degrees of freedom
+small errors that are not modelled add up. Of 11
 sound sites the largest w was 5.9 (benchmarks/site.py sites, seeds 0 to 12); of 20 with a pole that
 was bumped by 3 cm or 1° and more 16 came to more than 6.5, 2 to more than 5, and 2 were refused
 before (blunders, seeds 0 to 59)."""
 
 MOST_BLUNDERS = 3
 """So many are left out at most."""
-
-MOST_SUSPECTS = 5
-"""So many suspects are tried by turns, the worst first."""
-
 
 SEPARABLE = chi2_limit(2)
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
@@ -261,7 +257,7 @@ def significant(tests: Sequence[Test], above: float = BLUNDER) -> list[Test]:
 
 def is_poor(w: float, chi2: float, freedom: int, above: float = POOR) -> bool:
     """Whether a test with so much χ² says that something does not fit, by a limit of its w."""
-    return w > above and chi2 > PER_FREEDOM * freedom
+    return w > above and chi2 > MAX_AXES_CHI2 * freedom
 
 
 def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
@@ -430,7 +426,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                 own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
                 if own:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
-    worst = list(found.values())[:MOST_SUSPECTS]
+    worst = list(found.values())[:MOST_LEFT_OUT]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
     # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
     of_end = {end.name: end.axis for end in now.datum.surveyed.ends}

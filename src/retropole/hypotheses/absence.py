@@ -16,12 +16,13 @@ from ..alignment.likelihood import closest_approach
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Hypothesis, Match, Placement, Pole, Scan
 from ..base.sensors import Threshold
+from ..extraction.acceptance_shape import MIN_POLE_POINTS
 from .choice import is_as_possible
 from .correspondence import MOVED
 
-ABSENT = 0.0025
+ABSENT = np.exp(-float(MIN_POLE_POINTS))
 """A pole is absent where so few bright returns, or fewer, have at most this probability: none where
-six are to be expected, as many as a pole needs (`extraction.acceptance_shape`)."""
+as many are expected as a pole needs."""
 
 
 def without_absent(

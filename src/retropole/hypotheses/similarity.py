@@ -37,20 +37,20 @@ from ..surfaces.visibility import (
     view_of,
 )
 from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs, match_poles, pair_starts
-from .evidence import MIN_TOTAL
+from .evidence import BETTER, MIN_TOTAL
+from .one_pole import MOST_POLES
 
 SAME_FACTOR = 0.05
 """Ratios of distances nearer to each other than this, as a part of them, are one factor: the scene
 refines it."""
 
-CHANGES_TRIED, POLES_TRIED = 3, 6
-"""Rigid poses, the best scored first, and factors, the most frequent first, that are fitted; poles
-of each cloud, the best supported first, that are matched under a change."""
+CHANGES_TRIED = 3
+"""Rigid poses, the best scored first, and factors, the most frequent first, that are fitted."""
 
-CLEARLY_BETTER, AS_MANY = 1.15, 0.95
+CLEARLY_BETTER = 1.15
 """So many times more fits under a change than under a rigid motion: the ratio of the points that
 lie on the other cloud's surfaces, times that of the voxels that agree, less those that conflict.
-Neither ratio is less than the second: 2 % of scale are
+Neither ratio is less than 1 by more than the factor `BETTER`: 2 % of scale are
 within the tolerance of the depth. Of three mirrored clouds that were answered off bare ground
 (benchmarks/deception.py, seeds below 120) the product was 1.18 in a street of plain fronts, and 1.7
 and more in the others."""
@@ -100,7 +100,7 @@ class Found:
         by_voxels = self.voxels / max(rigid.voxels, 1)
         is_changed = self.factor < 0 or abs(np.log(self.factor)) > LEAST_CHANGE
         is_more = by_support * by_voxels >= CLEARLY_BETTER
-        return bool(is_changed and is_more and min(by_support, by_voxels) >= AS_MANY)
+        return bool(is_changed and is_more and BETTER * min(by_support, by_voxels) >= 1.0)
 
     @property
     def voxels(self) -> int:
@@ -243,9 +243,9 @@ def _standing(cloud: PointCloud) -> Standing:
 
 def _matches(placement: Placement, change: float) -> list[Array]:
     """Poses (4, 4) under which the poles fit exactly, those of the source once changed."""
-    source = [changed_pole(pole, change) for pole in placement.source.poles[:POLES_TRIED]]
+    source = [changed_pole(pole, change) for pole in placement.source.poles[:MOST_POLES]]
     try:
-        matches = match_poles(placement.target.poles[:POLES_TRIED], source)
+        matches = match_poles(placement.target.poles[:MOST_POLES], source)
     except Refusal:
         return []
     return [match.T_target_source for match in matches if match.exact]

@@ -29,7 +29,15 @@ from ..base.uncertainty.confirmation import Confirmation
 from .averaging import averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
-from .visibility import OWN_VEHICLE, SCORING_VOXEL, RangeImage, cells_of, range_image, tree_of
+from .visibility import (
+    OVERLAP_DISTANCE,
+    OWN_VEHICLE,
+    SCORING_VOXEL,
+    RangeImage,
+    cells_of,
+    range_image,
+    tree_of,
+)
 
 VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
@@ -318,18 +326,15 @@ def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
 
 
-SHIFT_CELL, LAYER = SCORING_VOXEL, 0.75
+LAYER = 0.75
 """Side and height of a cell, metres; where heights are compared, the height and the side."""
 
 LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
-SAME_SHIFT = 0.5
-"""Shifts up to this are the same pose, metres."""
-
 PEAKS = 4
-"""So many shifts are found, farther from each other than `SAME_SHIFT`: where most cells coincide
-need not be where most of the scene agrees."""
+"""So many shifts are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
+coincide need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
 """Cells so far about the middle of the source's points are compared, metres."""
@@ -370,7 +375,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     """
     if not len(target) or not len(source):
         return []
-    axes, cells, shape = _cells(target, source, up, T, np.array([SHIFT_CELL, SHIFT_CELL, LAYER]))
+    axes, cells, shape = _cells(target, source, up, T, np.array([*[SCORING_VOXEL] * 2, LAYER]))
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
     spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
@@ -381,7 +386,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
             spectrum += fft.rfft2(grids[0] / 2) * np.conj(fft.rfft2(grids[1]))
     total = fft.irfft2(spectrum, s=fast)
     # The shifts about the pose as it is, from one end to the other.
-    reach = int(LARGEST_SHIFT / SHIFT_CELL)
+    reach = int(LARGEST_SHIFT / SCORING_VOXEL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     return _peaks(total, axes[:2])
 
@@ -394,8 +399,8 @@ def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]
     """
     if not len(target) or not len(source):
         return []
-    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, SHIFT_CELL]))
-    reach = int(LARGEST_SHIFT / SHIFT_CELL)
+    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, SCORING_VOXEL]))
+    reach = int(LARGEST_SHIFT / SCORING_VOXEL)
     # Room above and below for what is lifted.
     occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)
     occupied[a[:, 0], a[:, 1], a[:, 2] + reach] = True
@@ -427,19 +432,19 @@ def _cells(
 def _peaks(total: NDArray[np.float32], axes: Array) -> list[Shift]:
     """The best shifts along some axes (rows), of the cells that coincide at each."""
     place = (
-        np.moveaxis(np.indices(total.shape), 0, -1) - int(LARGEST_SHIFT / SHIFT_CELL)
-    ) * SHIFT_CELL
+        np.moveaxis(np.indices(total.shape), 0, -1) - int(LARGEST_SHIFT / SCORING_VOXEL)
+    ) * SCORING_VOXEL
     apart = np.abs(place).max(axis=-1)
-    here = max(float(total[apart <= SHIFT_CELL].max()), 1.0)
-    left = np.where(apart > SAME_SHIFT, total, -1.0)
+    here = max(float(total[apart <= SCORING_VOXEL].max()), 1.0)
+    left = np.where(apart > OVERLAP_DISTANCE, total, -1.0)
     found = []
     for _ in range(PEAKS):
         best = np.unravel_index(int(np.argmax(left)), left.shape)
         if left[best] <= 0:
             break
-        at = place[best] + SHIFT_CELL * _beside_peak(total, best)
+        at = place[best] + SCORING_VOXEL * _beside_peak(total, best)
         found.append(Shift(at @ axes, float(left[best]) / here))
-        left[np.abs(place - place[best]).max(axis=-1) <= SAME_SHIFT] = -1.0
+        left[np.abs(place - place[best]).max(axis=-1) <= OVERLAP_DISTANCE] = -1.0
     return found
 
 

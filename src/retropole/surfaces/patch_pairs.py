@@ -18,7 +18,8 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RADIUS, RING, Layout
-from .patches import Patches, selected
+from ..base.uncertainty import SIGMAS
+from .patches import SPAN, Patches, selected
 
 GEMAN_HALF = 0.6120
 """The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half."""
@@ -129,15 +130,7 @@ MAX_NORMAL_ANGLE = np.radians(35.0)
 
 MIN_CORRESPONDENCE_DISTANCE, MAX_CORRESPONDENCE_DISTANCE = 0.10, 1.5
 """Distance across the surface within which patches correspond: the first, metres, beyond
-`POSE_SIGMAS` of the pose, and the second at most."""
-
-POSE_SIGMAS = 3.0
-"""So many σ of the pose at a patch are added to the correspondence distance."""
-
-SPAN = 0.5
-"""Patches as far from each other along their surface may be one surface, metres, or as far as the
-wider of them reaches to its side: where rings are far apart, so are the patches of both LiDARs. How
-well the one's normal predicts where the other lies is counted."""
+`SIGMAS` of the pose, and the second at most."""
 
 BLENDED = 4
 """Nearest patches of the target that make its surface; the next one beyond has no weight left."""
@@ -349,9 +342,7 @@ def pair_patches(
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
     # Where a pose is all but free, rounding may leave less than none.
     spread = np.sqrt(np.maximum(np.einsum("mik,mik->m", lever @ covariance, lever), 0.0))
-    limit = np.minimum(
-        MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
-    )
+    limit = np.minimum(MIN_CORRESPONDENCE_DISTANCE + SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE)
     own = np.maximum(np.maximum(limit, SPAN), source.extent)
     distance, near = sets.tree.query(
         moved, k=BLENDED + 1, distance_upper_bound=2.0 * float(own.max())

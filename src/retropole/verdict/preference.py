@@ -14,10 +14,7 @@ from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import error
 from ..surfaces.patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
-from ..surfaces.patches import Patches, selected, surface_patches
-
-SURFACE_REACH = 0.5
-"""A patch belongs to the surface of a patch of the other cloud so near, metres."""
+from ..surfaces.patches import SPAN, Patches, selected, surface_patches
 
 HALF_COUNTED = 0.03
 """Distance across the surface at which a patch counts for half, metres: that of a movement that
@@ -112,7 +109,7 @@ def preferences(
 
 def _losses(target: Patches, tree: cKDTree, source: Patches, T: Array) -> Array:
     moved = se3.apply(T, source.centres)
-    distance, near = tree.query(moved, distance_upper_bound=SURFACE_REACH)
+    distance, near = tree.query(moved, distance_upper_bound=SPAN)
     met = np.isfinite(distance)
     at = np.where(met, near, 0)
     cosine = np.abs(np.einsum("mi,mi->m", source.normals @ T[:3, :3].T, target.normals[at]))
