@@ -28,15 +28,10 @@ from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
 from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
 from .datum import Datum, Hanging, without_poles, without_survey
-from .descent import FEW, End, SceneTerm
+from .descent import CLOSE, FEW, End, SceneTerm
 from .refinement import distance_sq
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, find_links, without_observations
-
-CLOSE = 0.02
-"""Patches that lie so far apart count by half, metres: twice what the range offset of a LiDAR is
-taken for where nothing is known of it, and a tenth of what a pose is off by that a moved pole makes
-wrong."""
 
 PLACED_APART = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""

@@ -28,14 +28,10 @@ a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost 
 Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
 MANY = 400
-"""Of more points than this, some stand for all: here one for each occupied `CLUSTER_CELL`, in a
+"""Of more points than this, some stand for all: here one for each occupied `SEARCH_ROOM`, in a
 search for lines every second, third … It bounds their pairs: 400 points have 80,000, a bright
 ground of 5,000 points 12 million. Larger clusters are searched without the bright surfaces in them.
 Sensitivity at 280: 1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
-
-CLUSTER_CELL = 0.04
-"""Side of such a cell, metres: a third of the narrowest width told apart here, the 0.12 m radius of
-a tube about a pole of 2 cm. Sensitivity at 0.028: 5 fewer false; at 0.056: 5 fewer false."""
 
 PATCH_RADIUS = 0.3
 """Radius of the neighbourhood that tells a surface from a line, metres: wider than the 0.12 m
@@ -61,7 +57,7 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
     xyz
         (N, 3) points, metres.
     link
-        Longest step, metres; between cells of `CLUSTER_CELL` where the points are many.
+        Longest step, metres; between cells of `SEARCH_ROOM` where the points are many.
 
     Returns
     -------
@@ -114,7 +110,7 @@ def _cells(xyz: Array) -> tuple[Array, IntArray]:
     if len(xyz) <= MANY:
         return xyz, np.arange(len(xyz))
     member: IntArray = np.zeros(len(xyz), dtype=np.int64)
-    for column in ((xyz - xyz.min(axis=0)) // CLUSTER_CELL).T:
+    for column in ((xyz - xyz.min(axis=0)) // SEARCH_ROOM).T:
         # Axis by axis: np.unique over rows would sort them as text, ten times slower.
         _, places = np.unique(column, return_inverse=True)
         _, member = np.unique(member * len(xyz) + places, return_inverse=True)

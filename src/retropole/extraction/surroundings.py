@@ -62,10 +62,6 @@ MIN_WALL_GAP = 0.08
 """A wall at this distance from the line, metres, is not one that the line lies on. A stripe is on
 its wall. Sensitivity at 0.056: 2 more found; at 0.112: no effect."""
 
-NEIGHBOUR_REACH = 0.3
-"""Neighbours are looked for among points no farther than this from a sample first, metres; all are
-asked where one has none there: the answer is the same."""
-
 SWEEP_NEIGHBOURS, FEWEST_AROUND = 8, 16
 """Nearest neighbours of each return that tell the direction of the sweep; fewer returns than the
 second say nothing: without that, 2 poles of an OS1 are lost in clouds without rings."""
@@ -151,9 +147,9 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
     order = np.argsort(distance, kind="stable")[:MANY]
     sample = points[order]
     # Of a dense cloud few points are so near to the sample that they can be its neighbours.
-    around = points[distance <= distance[order[-1]] + NEIGHBOUR_REACH]
+    around = points[distance <= distance[order[-1]] + MAX_BESIDE]
     away, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
-    if away.max() > NEIGHBOUR_REACH:
+    if away.max() > MAX_BESIDE:
         around = points
         _, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
     span = around[neighbour[:, 1:]] - sample[:, None]

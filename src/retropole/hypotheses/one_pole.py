@@ -27,7 +27,7 @@ from ..base.datatypes import Array, Match, Placement, PointCloud, Pole, Scan, ke
 from ..base.uncertainty import SIGMAS
 from ..extraction.acceptance_shape import MAX_LENGTH
 from ..surfaces.averaging import averaged
-from ..surfaces.consistency import Standing, is_ground_on_ground
+from ..surfaces.consistency import HALF_SIDE, Standing, is_ground_on_ground
 from ..surfaces.registration import voxel_downsample
 from ..surfaces.visibility import SCORING_VOXEL
 from .candidate_confirmation import FACING_SIDES
@@ -35,13 +35,13 @@ from .correspondence import EXTENSION_RMS, extended, same_pose
 from .icp_refinement import prepared, registered
 from .prior import PosePrior
 
-CELL, REACH = 0.5, 32.0
-"""Side of a cell, metres, and how far from a pole, or from its LiDAR, a point counts, metres."""
+CELL = 0.5
+"""Side of a cell, metres. Points up to `HALF_SIDE` from a pole, or from their LiDAR, count."""
 
 ANGLES = 360
 """Cells about the pole: 0.5 m wide at 30 m."""
 
-RINGS = int(REACH / CELL)
+RINGS = int(HALF_SIDE / CELL)
 """Cells away from the pole, and along it, of which `SLIDE` at either end stay empty."""
 
 SLIDE = int(MAX_LENGTH / CELL)
@@ -259,11 +259,11 @@ def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]
 
 
 TURNS = 240
-"""Rotations that are tried: 1.5° apart, 0.8 m at `REACH`."""
+"""Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
 
 CELLS = RINGS * 4
-"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * REACH`` apart see no point beside one that
-lies there only since FFTs wrap."""
+"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point beside one
+that lies there only since FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
 """Limits of the layers, metres above the ground: thin where cars, fences and people are."""
@@ -391,7 +391,7 @@ def _level(standing: Standing) -> Array:
 def _cells(points: Array) -> NDArray[np.float32]:
     """Sort points (N, 3) above the ground into cells (H, `CELLS`, `CELLS`), about (0, 0)."""
     layer = np.searchsorted(HEIGHTS, points[:, 2]) - 1
-    kept = (np.hypot(points[:, 0], points[:, 1]) < REACH) & (layer >= 0)
+    kept = (np.hypot(points[:, 0], points[:, 1]) < HALF_SIDE) & (layer >= 0)
     kept &= layer < len(HEIGHTS) - 1
     x, y = np.round(points[kept, :2].T / CELL).astype(np.intp)
     cells = np.zeros((len(HEIGHTS) - 1, CELLS, CELLS), dtype=np.float32)

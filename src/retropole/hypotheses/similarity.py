@@ -38,14 +38,12 @@ from ..surfaces.visibility import (
 )
 from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs, match_poles, pair_starts
 from .evidence import BETTER, MIN_TOTAL
+from .icp_refinement import MOST_REFINED
 from .one_pole import MOST_POLES
 
 SAME_FACTOR = 0.05
 """Ratios of distances nearer to each other than this, as a part of them, are one factor: the scene
 refines it."""
-
-CHANGES_TRIED = 3
-"""Rigid poses, the best scored first, and factors, the most frequent first, that are fitted."""
 
 CLEARLY_BETTER = 1.15
 """So many times more fits under a change than under a rigid motion: the ratio of the points that
@@ -147,7 +145,7 @@ def changed_pole(pole: Pole, factor: float) -> Pole:
 
 
 def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
-    """Find by which factors the source's poles may be scaled, `CHANGES_TRIED` most frequent."""
+    """Find by which factors the source's poles may be scaled, `MOST_REFINED` most frequent."""
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
@@ -161,7 +159,7 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
     for k in np.argsort(-near.sum(axis=1), kind="stable"):
         if all(abs(ratios[k] - other) >= SAME_FACTOR for other in found):
             found.append(float(np.median(ratios[near[k]])))
-    return [float(np.exp(each)) for each in found[:CHANGES_TRIED]]
+    return [float(np.exp(each)) for each in found[:MOST_REFINED]]
 
 
 def find_change(placement: Placement, rigid: Sequence[Array]) -> tuple[Found, Found | None] | None:
@@ -218,7 +216,7 @@ def _better(
         for found in _fitted(scene, change, starts):
             if found.is_confirmed:
                 if rivals is None:
-                    rivals = _fitted(scene, 1.0, rigid, CHANGES_TRIED, is_rigid=True)
+                    rivals = _fitted(scene, 1.0, rigid, MOST_REFINED, is_rigid=True)
                 nearest = _counterparts(scene, found)
                 rivals += _fitted(scene, 1.0, nearest, len(nearest), is_rigid=True)
                 if all(found.is_better(rival) for rival in rivals):

@@ -26,7 +26,8 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
-from .averaging import averaged
+from ..extraction.lines import FIT_ROUNDS
+from .averaging import DEPTH_TOLERANCE, RELATIVE_TOLERANCE, averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import (
@@ -41,11 +42,7 @@ from .visibility import (
 
 VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
-metres."""
-
-DEPTH_TOLERANCE, RELATIVE_TOLERANCE = 0.15, 0.02
-"""Depths agree within this, metres, and this part of the range, together not more than the side of
-a voxel."""
+metres. Depths agree within no more than the second."""
 
 PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""
@@ -60,9 +57,9 @@ CLEARANCE = 0.3
 """What lies so near the ground, metres, belongs to it, and `RELATIVE_TOLERANCE` of its range more:
 it is cambered. What lies so near a pole is left out: poles agree with any pose that they give."""
 
-GROUND_TRIALS, GROUND_ROUNDS = 300, 3
+GROUND_TRIALS = 300
 """Planes through three points that are tried for the ground, of one for each of the points that
-vote, and how often the best is fitted to the points near it."""
+vote."""
 
 MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 """LiDARs are tilted by less, as a rule, rad; of a steeper plane every vote counts this much."""
@@ -72,9 +69,6 @@ OTHER_GROUND = np.radians(10.0)
 
 MOVABLE = 2.5
 """What is no higher above the ground may have driven off since a map was made, metres: a van."""
-
-MIN_AREA = 0.1
-"""Least area that the three points span, twice, m²: fewer than three span no plane."""
 
 
 class Line(Protocol):
@@ -224,18 +218,18 @@ def _ground(
     a, b, c = (sample[rng.integers(len(sample), size=SAMPLE)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     area = se3.lengths(normals)
-    normals /= np.maximum(area, MIN_AREA)[:, None]
+    normals /= np.maximum(area, VOXEL**2)[:, None]
     is_level = np.abs(normals @ axis) > np.cos(max_tilt)
-    tried = np.argsort(~(is_level & (area > MIN_AREA)), kind="stable")[:GROUND_TRIALS]
+    tried = np.argsort(~(is_level & (area > VOXEL**2)), kind="stable")[:GROUND_TRIALS]
     a, normals, area, is_level = (each[tried] for each in (a, normals, area, is_level))
     # In single precision, which is exact to a hundredth of a millimetre, in half the time.
     level, across = sample.astype(np.float32), normals.astype(np.float32)
     height = level @ across.T - np.einsum("ij,ij->i", a, normals).astype(np.float32)
     votes = np.count_nonzero(np.abs(height) < DEPTH_TOLERANCE, axis=0)
-    votes = np.where(area > MIN_AREA, votes, -1)
+    votes = np.where(area > VOXEL**2, votes, -1)
     best = int(np.argmax(np.where(is_level, votes, LEVEL_VOTES * votes)))
     middle, up = a[best], normals[best]
-    for _ in range(GROUND_ROUNDS):
+    for _ in range(FIT_ROUNDS):
         near = sample[np.abs((sample - middle) @ up) < DEPTH_TOLERANCE]
         if len(near) < 3:
             break

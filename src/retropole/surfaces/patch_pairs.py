@@ -28,12 +28,10 @@ START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
 """Where the search for the scale begins, about the square of the mean: its place for normal ones,
 logarithms."""
 
-LOG_ROUNDING = 1e-7
-"""Step of a logarithm at which its place is found: the next of Newton's is its square."""
-
 LEAST_SCATTER = 1e-6
 """Least that values are found to scatter by, and their variance in common, as a part of what is
-predicted: less is rounding."""
+predicted: less is rounding. And step of a logarithm at which its place is found: the next of
+Newton's is its square."""
 
 
 MOST_HALVINGS = 100
@@ -119,7 +117,7 @@ def _root(
         new = x - value / slope if slope < 0.0 else np.inf
         if not low <= new <= high:
             new = 0.5 * (low + high)
-        if abs(new - x) < LOG_ROUNDING:
+        if abs(new - x) < LEAST_SCATTER:
             return new
         x = new
     return x
