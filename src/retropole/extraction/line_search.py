@@ -28,6 +28,7 @@ from .lines import (
     HALF,
     MANY,
     MIN_LINE_POINTS,
+    MOST,
     SEARCH_ROOM,
     Line,
     clusters,
@@ -50,10 +51,6 @@ MAX_POLES = 8
 """Poles taken out of one group at most, and candidates that are kept of a cloud, the most probable
 ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
 effect."""
-
-ENOUGH_SHARE = 0.9
-"""A pole with so much of a group's points is taken without trying the other proposals. Sensitivity
-from 0.86 to 0.93: no effect."""
 
 
 class Sought(NamedTuple):
@@ -173,8 +170,6 @@ def find_lines(
                 first = first or each
             elif best is None or each.log_odds > best.log_odds:
                 best = each
-                if len(each.line.index) >= ENOUGH_SHARE * len(left):
-                    break
         if best is None:
             return found, _failure_of_all(cloud, left, first)
         found.append(best)
@@ -270,7 +265,7 @@ def _failure_of_all(cloud: PointCloud, left: IntArray, first: Judged | None) -> 
         nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
         return Failure("too_short", nothing)
     line, failure = first.line, first.failure
-    if len(line.index) >= ENOUGH_SHARE * len(left):
+    if len(line.index) >= MOST * len(left):
         return failure
     centre, axes = principal_axes(cloud.xyz[left])
     extent = np.ptp((cloud.xyz[left] - centre) @ axes, axis=0)

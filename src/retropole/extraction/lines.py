@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
-from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter, returns_per_ring
+from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter
 
 LINK = 1.2
 """Points with no longer step between them are one cluster, metres. Longer than two ring spacings of
@@ -206,8 +206,6 @@ class Line:
         What beams wider than ordinary ones add to the scatter of the returns, metres.
     thicker
         What a radius above the usual one adds to it, metres.
-    returns_per_ring
-        How many returns each ring can leave on a pole there; infinite where it is not known.
     """
 
     index: IntArray
@@ -220,7 +218,6 @@ class Line:
     tube: float
     beam_scatter: float = 0.0
     thicker: float = 0.0
-    returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
         """Give the largest scatter, metres, that a line of so much has by beams of this width.
@@ -461,7 +458,6 @@ def _line_of(
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
         thicker=RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0),
-        returns_per_ring=returns_per_ring(away, radius, beams),
     )
 
 

@@ -28,7 +28,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..extraction.certainty import MAX_SURE_RMS
+from ..extraction.acceptance_shape import MAX_SURE_RMS
 from .placements import Share
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5

@@ -15,8 +15,7 @@ from ..base.errors import Reason
 from ..base.sensors import Sensor
 from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
-from ..extraction.acceptance_shape import MIN_POLE_RINGS
-from ..extraction.certainty import MAX_SURE_RMS
+from ..extraction.acceptance_shape import MAX_SURE_RMS, MIN_POLE_RINGS
 from ..extraction.sensor_pattern import sensor_doubt
 from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
 from ..hypotheses.candidate_confirmation import candidate_reasons
