@@ -10,7 +10,7 @@ import pytest
 from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction import acceptance_shape as rules
 from retropole.extraction.acceptance_shape import shape_failure
-from retropole.extraction.lines import WIDTH_IN_RMS, Line
+from retropole.extraction.lines import MIN_POLE_POINTS, WIDTH_IN_RMS, Line
 from tests.extraction.synthetic import FOOT, UP, code_of, line_with
 
 
@@ -31,8 +31,8 @@ SLIM_RATIO = rules.MIN_SLENDERNESS * WIDTH_IN_RMS
 
 LIMITS: dict[str, tuple[Line, Line, str, str]] = {
     "points": (
-        line_with(rules.MIN_POLE_POINTS, rings=6),
-        line_with(rules.MIN_POLE_POINTS - 1, rings=5),
+        line_with(MIN_POLE_POINTS, rings=6),
+        line_with(MIN_POLE_POINTS - 1, rings=5),
         "too_few_points",
         "5 points in line",
     ),

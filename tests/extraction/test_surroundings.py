@@ -13,7 +13,7 @@ from retropole.extraction import surroundings
 from retropole.extraction import surroundings as rules
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
-from retropole.extraction.lines import HALF, LITTLE, MOST, SEARCH_ROOM, Line
+from retropole.extraction.lines import HALF, LITTLE, MAX_BESIDE, MOST, SEARCH_ROOM, Line
 from retropole.extraction.poles import extract_poles
 from retropole.extraction.surroundings import (
     Surroundings,
@@ -76,8 +76,8 @@ def test_few_is_fewer_than_the_limit(rings: int, few: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "limit"),
     [
-        (0.5 * shared.MAX_BESIDE, shared.MAX_BESIDE),
-        (1.2 * shared.MAX_BESIDE, 1.2 * shared.MAX_BESIDE),
+        (0.5 * MAX_BESIDE, MAX_BESIDE),
+        (1.2 * MAX_BESIDE, 1.2 * MAX_BESIDE),
     ],
 )
 def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
@@ -89,7 +89,7 @@ def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> N
 def test_beside_is_outside_the_tube_and_between_the_ends() -> None:
     pole = on_pole()
     own = about(pole).line
-    limit = shared.MAX_BESIDE
+    limit = MAX_BESIDE
     away = np.array([0.99 * own.tube, 1.01 * own.tube, 0.99 * limit, 1.01 * limit, 0.2])
     seen = about(pole, (offset(away, 0.0, np.array([0, 0, 0, 0, 0.81])), DIM))
     assert seen.beside[-5:].tolist() == [False, True, True, False, False]

@@ -15,11 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.quantities import counted
 from ..base.reasons import Code
 from ..io.beams import elevations
-from .lines import MIN_LINE_POINTS, WIDTH_IN_RMS, Line
-
-MIN_POLE_POINTS = 6
-"""Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
-steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
+from .lines import MIN_LINE_POINTS, MIN_POLE_POINTS, WIDTH_IN_RMS, Line
 
 MIN_POLE_RINGS = MIN_LINE_POINTS
 """Fewest rings that hit a pole: one for each point that a line needs."""

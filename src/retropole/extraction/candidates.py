@@ -18,10 +18,10 @@ from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import with_trusted_rings
 from ..io.scan_lines import with_rings
-from .acceptance_shape import MIN_POLE_POINTS, Failure
+from .acceptance_shape import Failure
 from .certainty import too_thick_for_radius
 from .line_search import MAX_POLES, Sought, find_lines, near_box, parts_of
-from .lines import LINK, MANY, MIN_LINE_POINTS, SEARCH_ROOM, TUBE, clusters
+from .lines import LINK, MANY, MIN_LINE_POINTS, MIN_POLE_POINTS, SEARCH_ROOM, TUBE, clusters
 from .poles import extract_poles, is_too_low, pole_on
 from .sensor_pattern import beams_by
 from .surroundings import Surroundings, along_the_sweeps

@@ -19,7 +19,6 @@ from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
     MIN_LENGTH,
-    MIN_POLE_POINTS,
     THICK_RMS,
     Failure,
     shape_failure,
@@ -27,7 +26,9 @@ from .acceptance_shape import (
 from .lines import (
     HALF,
     MANY,
+    MAX_BESIDE,
     MIN_LINE_POINTS,
+    MIN_POLE_POINTS,
     MOST,
     SEARCH_ROOM,
     Line,
@@ -41,11 +42,6 @@ from .lines import (
 from .odds import log_odds
 from .sensor_pattern import NEAR_POLES_END, Beams
 from .surroundings import SHORT_LENGTH, Surroundings, surroundings_of
-
-SURFACE_LINK = 0.4
-"""Points of a large cluster that are on no surface are grouped again with this step, metres: a
-third of `LINK`, so that stray points on bright ground do not connect. Sensitivity at 0.28: 7 fewer
-false; at 0.56: 3 fewer false."""
 
 MAX_POLES = 8
 """Poles taken out of one group at most, and candidates that are kept of a cloud, the most probable
@@ -103,7 +99,7 @@ def parts_of(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Fail
         return [cluster], None
     flat = on_surface(cloud.xyz[cluster])
     rest = cluster[~flat]
-    parts = [rest[group] for group in clusters(cloud.xyz[rest], SURFACE_LINK)]
+    parts = [rest[group] for group in clusters(cloud.xyz[rest], MAX_BESIDE)]
     share = np.count_nonzero(flat) / len(cluster)
     if share <= HALF:
         return parts, None

@@ -27,11 +27,20 @@ LINK = 1.2
 a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring divides no pole.
 Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
+MAX_BESIDE = 0.35
+"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
+of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
+5 of them recorded posts, 16 fewer false."""
+
 MANY = 400
 """Of more points than this, some stand for all: here one for each occupied `SEARCH_ROOM`, in a
 search for lines every second, third … It bounds their pairs: 400 points have 80,000, a bright
 ground of 5,000 points 12 million. Larger clusters are searched without the bright surfaces in them.
 Sensitivity at 280: 1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
+
+MIN_POLE_POINTS = 6
+"""Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
+steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
 
 PATCH_RADIUS = 0.3
 """Radius of the neighbourhood that tells a surface from a line, metres: wider than the 0.12 m
@@ -43,10 +52,6 @@ PATCH_WIDTH = 0.09
 metres. Points spread over a disc of 0.3 m have 0.15, over the half of one at an edge 0.079, and on
 a pole no more than `MAX_RMS`, 0.06. Sensitivity at 0.063: 1 more found, 5 fewer false; at 0.126: 4
 fewer false."""
-
-PATCH_POINTS = 8
-"""A neighbourhood with fewer points says nothing: rings can be farther apart than it is wide.
-Sensitivity from 6 to 11: no effect; without it, 1 more false in a recording."""
 
 
 def clusters(xyz: Array, link: float) -> list[IntArray]:
@@ -102,7 +107,7 @@ def on_surface(xyz: Array) -> BoolArray:
     mean = sums[:, 1:4] / count
     scatter = (sums[:, 4:] / count).reshape(-1, 3, 3) - np.einsum("ni,nj->nij", mean, mean)
     across = np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 1], 0.0))
-    return np.asarray(((across > PATCH_WIDTH) & (count[:, 0] >= PATCH_POINTS))[member])
+    return np.asarray(((across > PATCH_WIDTH) & (count[:, 0] >= MIN_POLE_POINTS))[member])
 
 
 def _cells(xyz: Array) -> tuple[Array, IntArray]:

@@ -34,6 +34,7 @@ from .lines import (
     HALF,
     LITTLE,
     MANY,
+    MAX_BESIDE,
     MIN_LINE_POINTS,
     MOST,
     SEARCH_ROOM,
@@ -155,11 +156,6 @@ SHORT_LENGTH = 0.8
 """A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
 of lamps are. It is the least length of tape that the advice in `reasons` asks for. Sensitivity at
 0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
-
-MAX_BESIDE = 0.35
-"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
-of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
-5 of them recorded posts, 16 fewer false."""
 
 PIECES = 8
 """Pieces that a line is cut into, to see along how much of it other returns are beside it.

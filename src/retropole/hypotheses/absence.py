@@ -16,7 +16,7 @@ from ..alignment.likelihood import closest_approach
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Hypothesis, Match, Placement, Pole, Scan
 from ..base.sensors import Threshold
-from ..extraction.acceptance_shape import MIN_POLE_POINTS
+from ..extraction.lines import MIN_POLE_POINTS
 from .choice import is_as_possible
 from .correspondence import SAME_POSE_DISTANCE
 

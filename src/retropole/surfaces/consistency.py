@@ -27,7 +27,7 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.lines import FIT_ROUNDS
-from .averaging import DEPTH_TOLERANCE, RELATIVE_TOLERANCE, averaged
+from .averaging import DEPTH_TOLERANCE, averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import (
@@ -43,6 +43,9 @@ from .visibility import (
 VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
 metres. Depths agree within no more than the second."""
+
+RELATIVE_TOLERANCE = 0.02
+"""Depths agree within `DEPTH_TOLERANCE` and this part of the range."""
 
 PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""

@@ -25,7 +25,7 @@ from ..base.datatypes import (
     kept,
 )
 from ..base.errors import Reason, Refusal
-from ..extraction.acceptance_shape import MIN_POLE_POINTS
+from ..extraction.lines import MIN_POLE_POINTS
 from ..io.recordings import time_of_recording
 from .registration import SAMPLE, Registration, Surface, prepare, register, surface_of
 from .sweeps import numbered, order_of
