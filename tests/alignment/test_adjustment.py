@@ -8,6 +8,7 @@ from scipy.stats import chi2, kstest
 from threadpoolctl import threadpool_limits
 
 from retropole.alignment.adjustment import AxesTest, BeamAlignment, align_beams
+from retropole.alignment.certainty import MAX_NORMAL
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, State, beam_geometry
 from retropole.alignment.solver import levenberg_marquardt
@@ -16,7 +17,6 @@ from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS
 from retropole.base.systematic import Sizes
-from retropole.base.uncertainty import SIGMAS
 from retropole.checking.metrics import e_rt
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
 from retropole.simulation.pairs import Arrangement, Recorders, record
@@ -180,7 +180,7 @@ def test_a_radius_not_known_is_estimated() -> None:
     right = align(pair, radius=0.05)
     assert abs(right.radius.estimated - 0.05) < 3 * right.radius.sigma
     assert right.radius.sigma <= right.radius.given_sigma
-    assert right.radius_conflict < SIGMAS
+    assert right.radius_conflict < MAX_NORMAL
 
 
 @pytest.mark.full

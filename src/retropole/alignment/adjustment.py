@@ -23,9 +23,10 @@ from ..base.datatypes import Array, BoolArray, IntArray, PoseEstimate
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
-from ..base.uncertainty import SIGMAS, RadiusEstimate, Uncertainty
+from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..extraction.lines import MIN_LINE_POINTS
 from .certainty import (
+    MAX_NORMAL,
     POLES,
     WORKING_SHARE,
     considered,
@@ -382,7 +383,7 @@ def align_all(
     found, network = maximum(state, noise_of_start(state, sights), given_sigma)
     by_returns = radius_of_returns(network, model, radius)
     contradicted = by_returns.sigmas_below(radius, given_sigma)
-    if contradicted <= SIGMAS:
+    if contradicted <= MAX_NORMAL:
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))

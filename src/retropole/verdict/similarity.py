@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..adjustment.refinement import Refinement
+from ..alignment.certainty import MAX_NORMAL
 from ..base import se3
 from ..base.datatypes import MAX_RADIUS, Array, Hypothesis, Placement, PointCloud, Scan
 from ..base.errors import Refusal
 from ..base.sensors import SENSORS
-from ..base.uncertainty import SIGMAS
 from ..hypotheses.similarity import (
     LEAST_CHANGE,
     Found,
@@ -153,7 +153,7 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
     if found is not None:
         raise _refusal(*found, placements[0])
     factor, sigma = (1.0, 0.0) if refined is None or refined.scale is None else refined.scale
-    if abs(factor - 1.0) > max(LEAST_CHANGE, SIGMAS * sigma):
+    if abs(factor - 1.0) > max(LEAST_CHANGE, MAX_NORMAL * sigma):
         because = "one of the two clouds is scaled, or the pose is wrong"
         raise _wrong_scale(factor, because, {"sigma": sigma}, f" (1 σ: {sigma:.4f})")
 
