@@ -26,7 +26,7 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
-from .agreement import MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
+from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
 from .datum import Datum, Hanging, without_poles, without_survey
 from .descent import CLOSE, FEW, End, SceneTerm
 from .refinement import distance_sq

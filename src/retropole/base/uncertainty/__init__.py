@@ -16,7 +16,7 @@ MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
 
 SIGMAS = 3.0
-"""What lies further off, in 1 σ of its own, is contradicted: once in 370 times by chance."""
+"""Whatever is further off, in units of its own 1 σ, is left out: once in 370 times by chance."""
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
