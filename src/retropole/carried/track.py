@@ -20,9 +20,8 @@ from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCl
 from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, threshold_for
-from ..extraction.acceptance_shape import MIN_POLE_POINTS
 from ..extraction.line_search import near_box
-from ..extraction.lines import LINK, clusters
+from ..extraction.lines import LINK, MIN_POLE_POINTS, clusters
 from ..extraction.poles import extract_poles
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings

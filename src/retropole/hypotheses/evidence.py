@@ -21,7 +21,6 @@ from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty.confirmation import CLEAR_Z_MARGIN, DECEIVING, TOGETHER, Confirmation
 from ..surfaces.consistency import (
-    SAME_SHIFT,
     Standing,
     best_lifts,
     best_shifts,
@@ -32,6 +31,7 @@ from ..surfaces.consistency import (
     standing_in,
 )
 from ..surfaces.static import recorded_together
+from ..surfaces.visibility import OVERLAP_DISTANCE
 from .correspondence import are_alike
 from .placements import PairedPlacement, is_by_place
 
@@ -187,7 +187,7 @@ def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
     Grounds that lie on each other conflict with all lifts, and are not among the points.
     """
     return any(
-        abs((target.ground - se3.apply(T, source.ground)) @ target.up) > SAME_SHIFT
+        abs((target.ground - se3.apply(T, source.ground)) @ target.up) > OVERLAP_DISTANCE
         for target, source in scenes
     )
 

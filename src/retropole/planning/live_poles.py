@@ -15,13 +15,14 @@ from ..base.errors import ReadError, Refusal, quoting
 from ..base.quantities import counted
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
+from ..extraction.acceptance_shape import MIN_POLE_RINGS
 from ..extraction.candidates import with_candidates, with_dimmer_candidates
 from ..extraction.poles import extract_poles
 from ..hypotheses.correspondence import line_pair, widest_angle
 from ..io import Frame
 from ..io.live import Source
 from ..result.watching import LidarNow, PoleNow
-from ..verdict import FEW_POINTS, FEW_RINGS
+from ..verdict import FEW_POINTS
 
 AT_EDGE = 0.5
 """A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
@@ -304,7 +305,7 @@ def word_on(track: Tracked, now: float) -> str:
         return "moving" if track.has_moved else "new"
     if len(track.pole.xyz) < FEW_POINTS:
         return "few returns"
-    return "few rings" if track.pole.rings <= FEW_RINGS else ""
+    return "few rings" if track.pole.rings <= MIN_POLE_RINGS else ""
 
 
 class Origin(NamedTuple):
