@@ -269,8 +269,8 @@ class Watch:
             self._note(f"{self._wish.names[k]}: {words}")
         if taken.is_of_another_frame:
             self._capture = None
-        elif taken.searched is not None and self._capture is not None:
-            self._capture = self._capture.with_frame(k, taken.searched)
+        elif taken.frame is not None and self._capture is not None:
+            self._capture = self._capture.with_frame(k, taken.frame)
 
     def _next(self, now: float) -> Advice:
         """Say what is to be done; keep sweeps while all is good, and work out the answer."""

@@ -120,6 +120,8 @@ class Adjusted:
         each systematic error adds.
     converged, cost
         Whether steps came to rest; the sum of the robust losses with the priors.
+    frame, state, border
+        The knots, the unknowns about the start of the beams, and the covariance of the border.
     """
 
     T_target_source: Array
@@ -142,6 +144,9 @@ class Adjusted:
     off_along: Array
     converged: bool
     cost: float
+    frame: Frame
+    state: State
+    border: Array
 
     @property
     def left_out(self) -> float:
@@ -234,6 +239,9 @@ def adjust(
         sigma * system.residuals[:, 0],
         converged,
         float(cost),
+        frame,
+        state,
+        step.covariance,
     )
 
 
@@ -312,24 +320,15 @@ def _solve(
     """One step, the covariance of the border, and the noise of the motion that follows."""
     w = weights.reshape(-1)
     r = system.residuals.reshape(-1)
-    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
-    normal = (weighted.T @ system.by_coefs).tocoo()
-    band = curvature_band(frame.count, noise)
-    lower = normal.row >= normal.col
-    row, column = normal.row[lower], normal.col[lower]
-    np.add.at(band, (row - column, column), normal.data[lower])
-    side = np.asarray((weighted.T @ system.by_border).todense())
-    corner = np.asarray(
-        (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
-    ) + np.diag(frame.prior**-2)
+    weighted, factor, side, corner = _normal(frame, system, w, noise)
+    corner += np.diag(frame.prior**-2)
     held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
     second = curvature(state.coefs) * KNOT / noise
     pull = np.zeros_like(state.coefs)
-    for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
-        pull[k : len(pull) - 2 + k] += factor * second
+    for k, part in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
+        pull[k : len(pull) - 2 + k] += part * second
     g_coefs = weighted.T @ r + pull.ravel()
     g_border = system.by_border.T @ (w * r) + held
-    factor = cholesky_banded(band, lower=True)
     solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
     schur = corner - side.T @ solved[:, :-1]
     covariance = np.linalg.inv(schur)
@@ -348,6 +347,27 @@ def _solve(
     found = KNOT * total
     both = np.repeat([found[:2].mean(), found[2:].mean()], 2)
     return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
+
+
+def _normal(
+    frame: Frame, system: System, w: Array, noise: Array
+) -> tuple[csr_array, Array, Array, Array]:
+    """Weighted rows by the splines, the Cholesky factor of the splines' band, side and corner."""
+    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
+    normal = (weighted.T @ system.by_coefs).tocoo()
+    band = curvature_band(frame.count, noise)
+    lower = normal.row >= normal.col
+    row, column = normal.row[lower], normal.col[lower]
+    np.add.at(band, (row - column, column), normal.data[lower])
+    side = np.asarray((weighted.T @ system.by_border).todense())
+    corner = np.asarray((system.by_border.multiply(w[:, None]).T @ system.by_border).todense())
+    return weighted, cholesky_banded(band, lower=True), side, corner
+
+
+def information_of(frame: Frame, system: System, weights: Array, noise: Array) -> Array:
+    """What residuals with weights (2 N,) say of the border, its prior left out: (C, C)."""
+    _, factor, side, corner = _normal(frame, system, weights, noise)
+    return np.asarray(corner - side.T @ cho_solve_banded((factor, True), side))
 
 
 def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
