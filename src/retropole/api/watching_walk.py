@@ -24,13 +24,13 @@ from ..base.datatypes import Array, Placement
 from ..base.errors import Refusal, quoting
 from ..base.files import stream_atomically
 from ..base.quantities import error
-from ..base.sensors import Sensor
-from ..base.uncertainty.purpose import USABLE
-from ..carried.adjustment import Adjusted, in_recordings
-from ..carried.guidance import Continuation, error_of, next_steps
+from ..base.uncertainty import floor, predicted_error
+from ..base.uncertainty.purpose import USABLE, displacement_bound
+from ..carried.adjustment import Adjusted, in_recordings, steps_in_recordings
+from ..carried.guidance import Continuation, next_steps
 from ..carried.statement import axes_in_target, state_walk
 from ..carried.track import Found, Search
-from ..carried.verdict import MAX_ERROR
+from ..carried.verdict import AT, MAX_ERROR
 from ..carried.walk import solve_tracks, taken
 from ..export.recording import TOPICS, cloud_stream, records_of_sweep
 from ..io import sha256_of
@@ -127,7 +127,8 @@ class Walked:
 class Solution(NamedTuple):
     """A walk so far: why it is no answer, or the answer with the surroundings, and how to go on.
 
-    ``sigma`` is 1 σ at the range of the need by the pole alone, metres; infinite without a pose.
+    At the range of the need, ``sigma`` is 1 σ and ``bound`` what no point is off by more than, with
+    95 % probability, metres; infinite without a pose.
     """
 
     refusal: Refusal | None
@@ -136,6 +137,7 @@ class Solution(NamedTuple):
     charts: list[ChartNow]
     seconds: float
     sigma: float
+    bound: float
 
 
 def solve(
@@ -157,17 +159,18 @@ def solve(
     try:
         solved = solve_tracks(seen.tracks, sensors, config.radius_m, seen.between)
     except Refusal as none:
-        return Solution(none, None, [], _each_alone(seen, names), 0.0, np.inf)
+        return Solution(none, None, [], _each_alone(seen, names), 0.0, np.inf, np.inf)
     best = min(solved.solutions, key=lambda each: each.cost)
-    steps = next_steps(best, sensors, names[0], at)
-    sigma = error_of(best.covariance[:6, :6], at)
     apart = best.offset + solved.ahead
     target, source = (track.times for track in seen.tracks)
     period = float(np.median(np.diff(target)))
     after = np.clip(np.searchsorted(source - apart, target), 1, len(source) - 1)
     near = np.abs(np.stack([source[after - 1], source[after]]) - apart - target).min(axis=0)
     seconds = period * float(np.count_nonzero(near < period))
-    charts = [_both(best, seen, sensors, names)] if sigma <= MAX_ERROR else _each_alone(seen, names)
+    alone = best.covariance[:6, :6] + floor()
+    is_placed = predicted_error(alone, (AT,))[0].sigma_m <= MAX_ERROR
+    charts = [_both(best, seen, names)] if is_placed else _each_alone(seen, names)
+    bound, information = displacement_bound(alone, at), None
     refusal: Refusal | None = None
     outcome: Outcome | None = None
     try:
@@ -178,9 +181,21 @@ def solve(
         inputs = input_documents(surroundings)
         document = result_document(answer, inputs=inputs, config=config, seconds={})
         outcome = outcome_of(document, config.need)
+        if stated.covariance is not None:
+            frames = (track.T_recording_beams for track in seen.tracks)
+            J = steps_in_recordings(best, *frames)
+            information = J.T @ _more(stated.covariance, found.covariance) @ J
+        bound = outcome.bound or bound
     except Refusal as caught:
         refusal = caught
-    return Solution(refusal, outcome, steps, charts, seconds, sigma)
+    sigma, steps = next_steps(best, sensors, names[0], at, information)
+    return Solution(refusal, outcome, steps, charts, seconds, sigma, bound)
+
+
+def _more(after: Array, before: Array) -> Array:
+    """What is known with one covariance beyond another: the difference of their inverses."""
+    values, vectors = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
@@ -194,9 +209,7 @@ def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
     return charts
 
 
-def _both(
-    best: Adjusted, seen: SeenWalk, sensors: tuple[Sensor | None, ...], names: tuple[str, str]
-) -> ChartNow:
+def _both(best: Adjusted, seen: SeenWalk, names: tuple[str, str]) -> ChartNow:
     """Draw what both saw in the frame of the target."""
     target, source = (track.T_recording_beams for track in seen.tracks)
     found = in_recordings(best, target, source)
@@ -239,7 +252,7 @@ class WalkWatch(Watch):
         self._solving: Future[Solution] | None = None
         self._solution: Solution | None = None
         self._expected = None
-        self._solved_at, self._errors = self._clock(), list[tuple[float, float]]()
+        self._solved_at, self._bounds = self._clock(), list[tuple[float, float]]()
 
     def finish(self) -> list[Path]:
         """Keep the recording of what was walked, and let go of the sources."""
@@ -342,8 +355,8 @@ class WalkWatch(Watch):
         if self._solving is not None and self._solving.done():
             self._solution, self._solving = self._solving.result(), None
             found = self._solution
-            if np.isfinite(found.sigma):
-                self._errors.append((found.seconds, found.sigma))
+            if np.isfinite(found.bound):
+                self._bounds.append((found.seconds, found.bound))
             self._expected = found.outcome
         if self._solving is not None or now - self._solved_at < EVERY:
             return
@@ -403,8 +416,9 @@ class WalkWatch(Watch):
         if refusal is not None and refusal.code not in ("too_little_walk", "several_walks_fit"):
             return Advice(refusal.code, f"{refusal}. {remedy_of(refusal.code)}".strip())
         step, at = solution.steps[0], (self._wish.config.need or USABLE).at
-        falls = f"By the pole alone {error(solution.sigma)} at {at:g} m, after 5 s of it"
-        return Advice(step.code, f"{step.words} {falls} {error(step.sigma)}.", is_good=True)
+        falls = f"{error(solution.sigma)} now, {error(step.sigma)} after 5 s of this"
+        words = f"{step.words} 1 σ at {at:g} m: {falls}."
+        return Advice(step.code, words, is_good=True)
 
     def _said(self, advice: Advice, now: float) -> WatchDoc:
         said, found = super()._said(advice, now), self._solution
@@ -418,8 +432,7 @@ class WalkWatch(Watch):
             seconds=found.seconds,
             charts=found.charts,
             at_m=(self._wish.config.need or USABLE).at,
-            errors=self._errors,
-            after_m=found.steps[0].sigma if found.steps else None,
+            bounds=self._bounds,
         )
         return with_fields(said, lidars=lidars, walk=walk)
 

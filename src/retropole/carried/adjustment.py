@@ -256,11 +256,8 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
     """
     T = T_target @ found.T_target_source @ se3.inverse(T_source)
-    R = T_target[:3, :3]
-    # Errors are those of another origin of the source, on other axes.
     J = np.eye(7)
-    J[:3, :3] = J[3:6, 3:6] = R
-    J[3:6, :3] = -se3.hat(T[:3, 3] - (T_target @ found.T_target_source)[:3, 3]) @ R
+    J[:6, :6] = steps_in_recordings(found, T_target, T_source)
     wide = np.eye(12)
     wide[6:, 6:] = J[:6, :6]
     return replace(
@@ -271,6 +268,18 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
         T_walk_target=found.T_walk_target @ se3.inverse(T_target),
     )
+
+
+def steps_in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Array:
+    """Give (6, 6) that takes errors ``[φ, δ]`` of a pose to the frames of `in_recordings`.
+
+    They are those of another origin of the source, on other axes.
+    """
+    whose = T_target @ found.T_target_source
+    R, J = T_target[:3, :3], np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = R
+    J[3:, :3] = -se3.hat((whose @ se3.inverse(T_source))[:3, 3] - whose[:3, 3]) @ R
+    return J
 
 
 def _weights(residuals: Array) -> Array:

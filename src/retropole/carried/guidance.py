@@ -36,10 +36,7 @@ HEIGHTS = 24
 
 
 class Continuation(NamedTuple):
-    """A way to go on: what it is called, what is done, and the error after it.
-
-    ``sigma`` is 1 σ at a range, metres, by the pole alone.
-    """
+    """A way to go on: what it is called, what is done, and 1 σ at a range after it, metres."""
 
     code: str
     words: str
@@ -61,8 +58,9 @@ def next_steps(
     sensors: tuple[Sensor | None, Sensor | None],
     name: str,
     at: float,
-) -> list[Continuation]:
-    """Predict the error after each candidate, the least first.
+    surroundings: Array | None = None,
+) -> tuple[float, list[Continuation]]:
+    """Predict the error now, 1 σ in metres, and after each candidate, the least first.
 
     Parameters
     ----------
@@ -74,20 +72,25 @@ def next_steps(
         What words call the target, from which left and right are seen.
     at
         Range at which the error is predicted, metres.
+    surroundings
+        (6, 6) what they say of the pose, about the start of the beams: inverse of a covariance.
     """
     known = np.linalg.inv(found.border)
+    if surroundings is not None:
+        known[POSE, POSE] += surroundings
     poses = [found.frame.T_walk_target, found.frame.T_walk_target @ found.state.T]
+    now = error_of(np.asarray(np.linalg.inv(known)), at)
     steps = []
     for each in _candidates(found, poses, name):
         more = _information(found, each, sensors, poses)
-        covariance = np.asarray(np.linalg.inv(known + more)[POSE, POSE])
-        steps.append(Continuation(each.code, each.words, error_of(covariance, at)))
-    return sorted(steps, key=lambda step: step.sigma)
+        sigma = error_of(np.asarray(np.linalg.inv(known + more)), at)
+        steps.append(Continuation(each.code, each.words, sigma))
+    return now, sorted(steps, key=lambda step: step.sigma)
 
 
 def error_of(covariance: Array, at: float) -> float:
-    """1 σ of a point at a range, metres, unmodelled errors included."""
-    return predicted_error(np.asarray(covariance + floor()), (at,))[0].sigma_m
+    """1 σ of a point at a range, metres, by a border's covariance and with unmodelled errors."""
+    return predicted_error(covariance[POSE, POSE] + floor(), (at,))[0].sigma_m
 
 
 def _candidates(found: Adjusted, poses: list[Array], name: str) -> Iterator[_Candidate]:

@@ -99,18 +99,16 @@ class WalkNow(msgspec.Struct, frozen=True, kw_only=True):
     charts
         One of both LiDARs where their pose is known, else one for each.
     at_m
-        Range of the errors below.
-    errors
-        1 σ by the pole alone after each solution: how long the walk was, s, and metres.
-    after_m
-        The same as it is predicted for 5 s of what is to be done next; None where nothing is.
+        Range of the need.
+    bounds
+        What no point up to there is off by more than, with 95 % probability, after each solution:
+        how long the walk was, s, and metres.
     """
 
     seconds: Size
     charts: list[ChartNow]
     at_m: Size
-    errors: Points
-    after_m: Size | None
+    bounds: Points
 
 
 class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
