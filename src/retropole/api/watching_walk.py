@@ -61,6 +61,8 @@ UNSEEN = 2.0
 MOST_POINTS = 150
 """Of a path that is shown."""
 
+AGAIN = "Walk again, and for longer."
+
 NO_WAY = Advice(
     "walking", "Walk to and fro and across, and lean the pole to all sides.", is_good=True
 )
@@ -330,7 +332,7 @@ class WalkWatch(Watch):
     def _next(self, now: float) -> Advice:
         """Say what is to be done; solve the walk, and work out the answer once it is enough."""
         if self._outcome is not None and self._outcome.is_enough:
-            return advice_after(self._outcome, 1)
+            return advice_after(self._outcome, AGAIN)
         if self._is_to_wait(now):
             assert self._no_room is not None
             return self._no_room[0]
@@ -340,7 +342,7 @@ class WalkWatch(Watch):
         if ended and self._path is None:
             self.is_over = True
             if self._outcome is not None:
-                return advice_after(self._outcome, 1)
+                return advice_after(self._outcome, AGAIN)
             return Advice("ended", "The recordings have ended before anything was kept.")
         self._solve(now)
         if ended or (self._expected is not None and self._expected.is_enough):
@@ -415,9 +417,15 @@ class WalkWatch(Watch):
         refusal = solution.refusal
         if refusal is not None and refusal.code not in ("too_little_walk", "several_walks_fit"):
             return Advice(refusal.code, f"{refusal}. {remedy_of(refusal.code)}".strip())
+        warned = ""
+        if solution.outcome is not None:
+            after = advice_after(solution.outcome, AGAIN)
+            if after.code == "need_too_small":
+                return after
+            warned = "" if after.code == "need_not_met" else f" {after.words}"
         step, at = solution.steps[0], (self._wish.config.need or USABLE).at
         falls = f"{error(solution.sigma)} now, {error(step.sigma)} after 5 s of this"
-        words = f"{step.words} 1 σ at {at:g} m: {falls}."
+        words = f"{step.words} 1 σ at {at:g} m: {falls}.{warned}"
         return Advice(step.code, words, is_good=True)
 
     def _said(self, advice: Advice, now: float) -> WatchDoc:

@@ -113,7 +113,7 @@
 
   // --- a walk ---
 
-  const WIDE = 640, EDGE = 40;
+  const WIDE = 480, EDGE = 36;
   function drawn(tag, kind, attributes, text) {
     const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
     if (kind) made.setAttribute("class", kind);
@@ -132,7 +132,7 @@
     const all = [...chart.lidars, ...chart.paths.flat()];
     const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((k) => all.reduce((v, p) => most(v, p[k]), all[0][k])));
     const span = [0, 1].map((k) => Math.max(high[k] - low[k], 1));
-    const scale = Math.min((WIDE - 2 * EDGE) / span[0], 480 / span[1]), tall = span[1] * scale + 2 * EDGE + 20;
+    const scale = Math.min((WIDE - 2 * EDGE) / span[0], 420 / span[1]), tall = span[1] * scale + 2 * EDGE + 20;
     const at = ([x, y]) => [EDGE + (x - low[0]) * scale, EDGE + (high[1] - y) * scale];
     const parts = chart.names.flatMap((name, k) => {
       const path = chart.paths[k].map(at), [x, y] = at(chart.lidars[k]), last = path[path.length - 1];
