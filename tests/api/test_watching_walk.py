@@ -16,6 +16,7 @@ from retropole.api.watching import Wish
 from retropole.api.watching_walk import Solution, WalkWatch
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
+from retropole.base.reasons import Code
 from retropole.carried import track
 from retropole.carried.guidance import Continuation
 from retropole.planning.live_advice import ENOUGH
@@ -83,7 +84,7 @@ def test_it_gives_what_calibrate_gives_of_the_recording_and_searches_each_sweep_
     assert seen.watch.result is not None
     assert again.walk is not None
     assert np.array_equal(again.required_transform(), seen.watch.result.required_transform())
-    assert np.array_equal(again.covariance, seen.watch.result.covariance)
+    assert np.array_equal(np.array(again.covariance), np.array(seen.watch.result.covariance))
     assert again.walk == seen.watch.result.walk or again.walk.path == seen.watch.result.walk.path  # type: ignore[union-attr]
     assert seen.searched == sum(again.walk.sweeps)
 
@@ -152,7 +153,7 @@ def test_where_there_is_no_room_it_is_said_and_the_walk_begins_again(
     ("code", "begins_again"), [("two_walks", False), ("clock_jumps", True), (None, False)]
 )
 def test_what_is_wrong_goes_before_how_to_go_on(
-    tmp_path: Path, code: str | None, begins_again: bool
+    tmp_path: Path, code: Code | None, begins_again: bool
 ) -> None:
     sources = [Walking(name, map(cloud, range(60))) for name in "ab"]
     now = [0.0]
