@@ -3,15 +3,17 @@
 Usage:
     python benchmarks/carried.py --seeds 12
     python benchmarks/carried.py --seeds 12 --seconds 60 --sensors XT32 VLP-16 --noise field
+    python benchmarks/carried.py --seeds 12 --mixed
     python benchmarks/carried.py --seeds 4 --deceive
     python benchmarks/carried.py --seeds 12 --watch 0.03
 
 A walk with all errors of a noise model in a street, a harbor or on bare ground, seed by seed: by
 the pole alone, and with the surfaces around that every tenth sweep shows. With --deceive each is
-spoilt in one way: two poles are carried, the pole never leans, the source's clock jumps. An answer
-is wrong where it is off by more than 5 σ, and by 5 cm or more at 30 m or by 5 ms. With --watch
-each is watched with that need at 30 m, in metres, until it stops by itself. Seeds below 100 tune;
-seeds from 5000 state.
+spoilt in one way: two poles are carried, the pole never leans, the source's clock jumps, or it
+steps by 20 ms. With --mixed sensors and length change from seed to seed, two OS1-128 without ring
+numbers among them. An answer is wrong where it is off by more than 5 σ, and by 5 cm or more at
+30 m or by 5 ms. With --watch each is watched with that need at 30 m, in metres, until it stops by
+itself. Seeds below 1000 tune; seeds from 5000 state.
 """
 
 from __future__ import annotations
@@ -52,7 +54,16 @@ from retropole.simulation.walks import SimulatedWalk, simulate_walk
 from retropole.surfaces.scans import find_poles
 
 SCENES = "street", "harbor", "bare"
-DECEPTIONS = "two", "upright", "jump"
+DECEPTIONS = "two", "upright", "jump", "step"
+SENSORS = (
+    ("VLP-16", "VLP-16"),
+    ("XT32", "VLP-16"),
+    ("OS1-128", "OS1-128"),
+    ("OS1-128", "XT32"),
+    ("Mid-360", "VLP-16"),
+)
+SECONDS = 20.0, 40.0, 60.0
+WITHOUT_RINGS = "OS1-128", "OS1-128"
 AT, WRONG, WRONG_CLOCK, SIGMAS = 30.0, 0.05, 0.005, 5.0
 EVERY = 10
 """So many sweeps apart are those that show the surfaces around."""
@@ -60,15 +71,15 @@ EVERY = 10
 CHI2 = 12.592
 """95 % of χ² with six degrees of freedom."""
 
-JUMP = 0.4
+JUMPS = {"jump": 0.4, "step": 0.02}
 """The clock of a source that deceives jumps by so much in the middle, s."""
 
 
-def jumping(sweeps: Iterable[PointCloud], half: float) -> Iterator[PointCloud]:
+def jumping(sweeps: Iterable[PointCloud], half: float, by: float) -> Iterator[PointCloud]:
     """Set the clock ahead after a number of sweeps."""
     for k, cloud in enumerate(sweeps):
         assert cloud.time is not None
-        yield replace(cloud, time=cloud.time + JUMP * (k > half))
+        yield replace(cloud, time=cloud.time + by * (k > half))
 
 
 def metered(
@@ -181,15 +192,26 @@ class Missed(NamedTuple):
 
 def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
     """Draw the walk of a seed."""
+    scene = (seed + seed // 15) % len(SCENES) if args.mixed else seed % len(SCENES)
     return simulate_walk(
-        args.scene or SCENES[seed % len(SCENES)],
+        args.scene or SCENES[scene],
         np.random.default_rng(seed),
         seconds=args.seconds,
         sensors=tuple(args.sensors),
         noise=NOISE_MODELS[args.noise],
+        stops=args.stops,
         people=2 if deception == "two" else 1,
         lean=1e-3 if deception == "upright" else float(np.radians(14.0)),
     )
+
+
+def recorded(
+    args: argparse.Namespace, walk: SimulatedWalk, seed: int, lidar: int
+) -> Iterator[PointCloud]:
+    """Record the sweeps of a LiDAR."""
+    for cloud in walk.record(lidar, np.random.default_rng([seed, lidar])):
+        numbered = not args.mixed or tuple(args.sensors) != WITHOUT_RINGS
+        yield cloud if numbered else replace(cloud, ring=None)
 
 
 def main() -> None:
@@ -201,6 +223,8 @@ def main() -> None:
     parser.add_argument("--scene", choices=SCENES)
     parser.add_argument("--sensors", nargs=2, default=["VLP-16", "VLP-16"])
     parser.add_argument("--noise", choices=sorted(NOISE_MODELS), default="field")
+    parser.add_argument("--stops", type=int, default=0)
+    parser.add_argument("--mixed", action="store_true")
     parser.add_argument("--deceive", action="store_true")
     parser.add_argument("--watch", type=float, metavar="NEED")
     args = parser.parse_args()
@@ -211,15 +235,17 @@ def main() -> None:
     wrong = 0
     for seed in range(args.first, args.first + args.seeds):
         deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
+        if args.mixed:
+            args.sensors, args.seconds = SENSORS[seed % 5], SECONDS[seed % 3]
         walk = draw(args, seed, deception)
+        kind = f"{deception} {' '.join(args.sensors)} {args.seconds:g} s".strip()
         spent: list[float] = []
         kept: tuple[list[PointCloud], list[PointCloud]] = ([], [])
         sweeps = [
-            metered(walk.record(lidar, np.random.default_rng([seed, lidar])), spent, kept[lidar])
-            for lidar in (0, 1)
+            metered(recorded(args, walk, seed, lidar), spent, kept[lidar]) for lidar in (0, 1)
         ]
-        if deception == "jump":
-            sweeps[1] = jumping(sweeps[1], 5 * args.seconds)
+        if deception in JUMPS:
+            sweeps[1] = jumping(sweeps[1], 5 * args.seconds, JUMPS[deception])
         begun = time.process_time()
         target, source = walk.recorders
         try:
@@ -228,7 +254,7 @@ def main() -> None:
             scans = [scene_of(*each) for each in zip(kept, sensors, strict=True)]
             answer = state_walk(found, Placement(*scans), {}, scene=True)
         except Refusal as refusal:
-            print(f"{seed} {deception} refused, {refusal.reason.code}: {refusal}", flush=True)
+            print(f"{seed} {kind} refused, {refusal.reason.code}: {refusal}", flush=True)
             continue
         seconds = time.process_time() - begun - sum(spent)
         assert answer.T_target_source is not None
@@ -242,7 +268,7 @@ def main() -> None:
         wrong += is_wrong
         rows.append((alone, whole, abs(clock), seconds))
         print(
-            f"{seed} {deception} at {AT:g} m {alone.words}; with the scene {whole.words}, "
+            f"{seed} {kind} at {AT:g} m {alone.words}; with the scene {whole.words}, "
             f"{answer.status}; clock {1e3 * clock:+.2f} ms ({1e3 * found.offset_sigma:.2f}); "
             f"{seconds:.1f} s{' WRONG' * is_wrong}",
             flush=True,

@@ -24,8 +24,17 @@ class SeenWalk(NamedTuple):
     offset: float
 
 
-def axis_at(times: Array, lean: float = 0.25) -> tuple[Array, Array]:
+REST = 1.5
+"""How long a pole rests, s, within every four."""
+
+
+def axis_at(times: Array, lean: float = 0.25, rests: bool = False) -> tuple[Array, Array]:
     """Where a pole is, (N, 3), and where it points, (N, 3), at times (N,), s."""
+    if rests:
+        # It comes to rest smoothly, for 1.5 of each 4 s.
+        fine = np.arange(0.0, 40.0, 0.01)
+        speed = np.clip(np.abs((fine + 2.0) % 4.0 - 2.0) - REST / 2, 0.0, 0.4) / 0.4
+        times = np.interp(times, fine, np.cumsum(speed) * 0.01)
     middle = np.stack([4 + np.sin(0.6 * times), 1.5 * np.cos(0.45 * times), 0 * times], axis=1)
     slope = lean * np.stack([np.sin(1.1 * times), np.cos(0.9 * times + 1)], axis=1)
     along = np.concatenate([slope, np.ones((len(times), 1))], axis=1)
@@ -78,10 +87,14 @@ def _track(T_world_lidar: Array, ahead: float, seconds: float, axis: Axis, phase
 
 
 def seen_walk(
-    seconds: float = 12.0, lean: float = 0.25, offset: float = 0.731, axis: Axis | None = None
+    seconds: float = 12.0,
+    lean: float = 0.25,
+    offset: float = 0.731,
+    rests: bool = False,
+    axis: Axis | None = None,
 ) -> SeenWalk:
     """Walk before two LiDARs, the source's clock ahead by an offset, s."""
-    axis = axis or partial(axis_at, lean=lean)
+    axis = axis or partial(axis_at, lean=lean, rests=rests)
     turn = se3.exp_so3(np.array([0.05, -0.04, 2.3]))
     T = se3.from_rt(turn, np.array([8.0, 1.0, 0.3]))
     return SeenWalk(
@@ -92,3 +105,15 @@ def seen_walk(
         T,
         offset,
     )
+
+
+def seen_by_all(seconds: float = 6.0) -> tuple[list[Track], Array]:
+    """Walk before three LiDARs: their tracks, each by its own clock, and poses (3, 4, 4)."""
+    turns = np.array([[0.0, 0.0, 0.0], [0.05, -0.04, 2.3], [-0.03, 0.06, -1.7]])
+    places = np.array([[0.0, 0.0, 0.0], [8.0, 1.0, 0.3], [4.0, 6.0, -0.2]])
+    poses = se3.from_rt(np.array([se3.exp_so3(turn) for turn in turns]), places)
+    tracks = [
+        _track(T, ahead, seconds, 0.25, phase, False)
+        for T, ahead, phase in zip(poses, (0.0, 0.731, -0.42), (0.0, 0.037, 0.071), strict=True)
+    ]
+    return tracks, poses

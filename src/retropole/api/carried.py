@@ -7,6 +7,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from ..base.datatypes import Placement, PointCloud
@@ -98,6 +99,10 @@ def calibrate_walk(
                 raise twice
             with step("extract"):
                 seen = _search(pair, radius, listener) if walk is None else walk()
+            documents = [
+                structs.replace(each, threshold=track.threshold)
+                for each, track in zip(documents, seen.tracks, strict=True)
+            ]
             with step("adjust"):
                 sensors = pair.target.sensor, pair.source.sensor
                 found = calibrate_tracks(seen.tracks, sensors, radius, seen.between)

@@ -70,6 +70,9 @@ FASTER = 1.6
 """Power to which a change of the noise is raised: it comes to rest in half of the steps (EM comes
 there slowly where the data leave much of the motion open)."""
 
+SHORT = 1.0
+"""Steps of the clock are sought at times so far from each other, s."""
+
 HELD = 1e-6
 """The offset of all is held to so much, s, where each window has its own."""
 
@@ -115,6 +118,8 @@ class Adjusted:
     clock_windows
         (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
         beside that of all, and its 1 σ, s.
+    clock_step
+        (3,) when a step of the offset is likeliest, s, the step and its 1 σ, s.
     random, parts
         (6, 6) of `covariance` from the scatter of the returns and the motion of the pole, and what
         each systematic error adds.
@@ -139,6 +144,7 @@ class Adjusted:
     T_walk_target: Array
     spread: Array
     clock_windows: Array
+    clock_step: Array
     random: Array
     parts: tuple[Part, ...]
     off_along: Array
@@ -233,7 +239,7 @@ def adjust(
         at,
         frame.T_walk_target,
         spread,
-        _clock_windows(frame, state, system, weights, motion, draws),
+        *_clock(frame, state, system, weights, motion, draws),
         step.covariance[POSE, POSE] - systematic,
         parts,
         sigma * system.residuals[:, 0],
@@ -298,7 +304,9 @@ def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Ar
     for lidar in (0, 1):
         own = system.lidar == lidar
         w, sigma = weights[own], system.sigma[own]
-        left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
+        # Rows that leave the same open across are one, each a part of it.
+        share = np.stack([np.ones(len(w)), 1 / frame.seen[lidar].rows.sharing], axis=1)
+        left = (w * (share - np.minimum(leverage[own], 0.95 * share))).sum(axis=0)
         known = np.isfinite(sigma[:, 1])
         off = np.where(known[:, None], sigma, 0.0) * system.residuals[own]
         stated = system.stated[own]
@@ -392,38 +400,80 @@ def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
             at += count
 
 
-def _clock_windows(
+def _offsets(
     frame: Frame,
     state: State,
     system: System,
     weights: Array,
     motion: Array,
     draws: Array,
-) -> Array:
-    """Give each window an offset of its own: (K, 3) its middle, the offset and its 1 σ, s."""
-    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
-    counted = (weights > 0).all(axis=1)
-    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
-    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
-    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
-    place[system.lidar == 0] = -1
-    if len(number) < 2:
-        return np.zeros((0, 3))
-    windows = np.zeros((*system.residuals.shape, len(number)))
-    for k, own in enumerate(number):
-        windows[place == own, :, k] = system.offset_slopes[place == own]
-    wider = csr_array(hstack([system.by_border, windows.reshape(-1, len(number))]))
-    prior = np.r_[frame.prior, np.ones(len(number))]
+    place: IntArray,
+) -> tuple[Array, Array]:
+    """Give the source's rows with each place (N,), from 0 on, an offset of their own.
+
+    Returns the offsets (K,) beside that of all, s, and their covariance (K, K).
+    """
+    number = int(place.max()) + 1
+    own = np.flatnonzero((system.lidar == 1) & (place >= 0))
+    at = (2 * own[:, None] + [0, 1]).ravel(), np.repeat(place[own], 2)
+    slopes = system.offset_slopes[own].ravel()
+    windows = csr_array((slopes, at), shape=(system.residuals.size, number))
+    wider = csr_array(hstack([system.by_border, windows]))
+    prior = np.r_[frame.prior, np.ones(number)]
     prior[OFFSET] = HELD
     step = _solve(
         replace(frame, prior=prior),
-        state._replace(border=np.r_[state.border, np.zeros(len(number))]),
+        state._replace(border=np.r_[state.border, np.zeros(number)]),
         system._replace(by_border=wider),
         weights,
         motion,
         draws,
     )
     of_windows = slice(len(frame.prior), None)
-    sigma = np.sqrt(np.diag(step.covariance)[of_windows])
+    return step.border[of_windows], step.covariance[of_windows, of_windows]
+
+
+def _clock(
+    frame: Frame,
+    state: State,
+    system: System,
+    weights: Array,
+    motion: Array,
+    draws: Array,
+) -> tuple[Array, Array]:
+    """Where the clocks' offset changes: `Adjusted.clock_windows` and `Adjusted.clock_step`.
+
+    A step at t is tested against a steady offset by all of the walk: with offsets b of short
+    windows, their covariance C and h = 1 from t on, its best estimate is::
+
+        hᵀ P b / hᵀ P h,    P = C⁻¹ − C⁻¹ 1 1ᵀ C⁻¹ / (1ᵀ C⁻¹ 1),
+
+    with the variance 1 / hᵀ P h. The likeliest t is taken.
+    """
+    known = frame, state, system, weights, motion, draws
+    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    counted = (weights > 0).all(axis=1)
+    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
+    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
+    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
+    if len(number) < 2:
+        return np.zeros((0, 3)), np.zeros(3)
+    own = np.full(place.max() + 1, -1)
+    own[number] = np.arange(len(number))
+    offset, covariance = _offsets(*known, own[place])
     middle = frame.first + WINDOW * (number + 0.5)
-    return np.stack([middle, step.border[of_windows], sigma], axis=1)
+    windows = np.stack([middle, offset, np.sqrt(np.diag(covariance))], axis=1)
+
+    times = system.times[system.lidar == 1]
+    first = float(times.min())
+    offset, covariance = _offsets(
+        *known, np.maximum((system.times - first) / SHORT, 0.0).astype(np.int64)
+    )
+    P = np.linalg.inv(covariance)
+    P -= np.outer(P.sum(axis=1), P.sum(axis=0)) / P.sum()
+    after = np.triu(np.ones(P.shape))[1:]
+    precision = np.einsum("ki,ij,kj->k", after, P, after)
+    score = after @ P @ offset
+    k = int(np.argmax(score**2 / precision))
+    step = score[k] / precision[k], precision[k] ** -0.5
+    return windows, np.array([first + SHORT * (k + 1), *step])

@@ -298,8 +298,10 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
 
     b = np.stack([b1, b2], axis=1)
+    common = np.sqrt(rows.sharing)
+    ranging = rows.range_noise * sideways / np.sqrt(rows.hits)
     stated = np.stack(
-        [rows.range_noise * sideways / np.sqrt(rows.hits), left.sigma * np.sqrt(rows.sharing)],
+        [np.hypot(ranging, left.depth_sigma * common), left.sigma * common],
         axis=1,
     )
     sigma = np.stack(

@@ -87,6 +87,8 @@ class Track:
     T_recording_beams
         (4, 4) from the frame of the points above, where beams start at the origin and turn about
         the z axis, to that of the recording.
+    threshold
+        Intensity from which a return counted as retro-reflective.
     """
 
     times: Array
@@ -100,6 +102,7 @@ class Track:
     sweeps: int
     crowded: float
     T_recording_beams: Array = field(default_factory=lambda: np.eye(4))
+    threshold: float | None = None
 
 
 class Beams(NamedTuple):
@@ -223,8 +226,10 @@ class Search:
             )
         per_sweep = np.bincount([each.sweep for each in moving])
         assert self._beams is not None
+        assert self._chosen is not None
         crowded = float(np.mean(per_sweep[per_sweep > 0] > 1))
-        return _track_of(chain, self.sweeps, crowded, self._beams.T_recording_beams)
+        track = _track_of(chain, self.sweeps, crowded, self._beams.T_recording_beams)
+        return replace(track, threshold=self._chosen.value)
 
 
 def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
