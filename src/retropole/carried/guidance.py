@@ -207,8 +207,8 @@ def _rows(
         reach = frame.radius + 0.5 * rows.divergence * ranges
         hits = np.maximum(np.round(2 * reach / (rows.step * np.hypot(hit[:, 0], hit[:, 1]))), 1.0)
     return Rows(
-        hit / ranges[:, None], ranges, stamp, hits,
-        (hits - 1) * (rows.step if np.isfinite(rows.step) else 0.0), rows.step,
+        hit / ranges[:, None], ranges, stamp, hits, rows.step,
+        np.full(len(ranges), float(rows.span.mean())), np.zeros(len(ranges)),
         bands[band] if rows.rings[0] >= 0 else -np.ones(len(band), dtype=np.int64),
         sweep, np.full(len(ranges), float(rows.sharing.mean())), rows.divergence,
         rows.range_noise,
