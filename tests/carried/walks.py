@@ -1,5 +1,7 @@
 """A carried pole as two LiDARs in empty space see it, without noise, and the truth about it."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,16 +41,16 @@ def axis_at(times: Array, lean: float = 0.25, rests: bool = False) -> tuple[Arra
     return middle, along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
-def _track(
-    T_world_lidar: Array, ahead: float, seconds: float, lean: float, phase: float, rests: bool
-) -> Track:
+Axis = Callable[[Array], tuple[Array, Array]]
+"""Where a pole is and where it points at times, as `axis_at`."""
+
+
+def _track(T_world_lidar: Array, ahead: float, seconds: float, axis: Axis, phase: float) -> Track:
     """What a LiDAR whose clock is ahead by some seconds sees, sweep by sweep."""
     parts = []
     for k in range(int(10 * seconds)):
         begun = 0.1 * k + phase
-        place = se3.apply(
-            se3.inverse(T_world_lidar), axis_at(np.array([begun + 0.05]), lean, rests)[0]
-        )
+        place = se3.apply(se3.inverse(T_world_lidar), axis(np.array([begun + 0.05]))[0])
         about = np.arctan2(place[0, 1], place[0, 0])
         # Azimuths go round once in a sweep.
         number = np.arange(-14, 15) + round(about / STEP)
@@ -60,14 +62,14 @@ def _track(
         )
         rays = np.concatenate([rays, np.sin(elevation)[:, None]], axis=1)
         time = begun + (azimuth / (2 * np.pi) % 1.0) * 0.1
-        middle, along = axis_at(time, lean, rests)
+        middle, along = axis(time)
         world = rays @ T_world_lidar[:3, :3].T
         found = meet(T_world_lidar[:3, 3] - middle, along, world, (RADIUS, 2.0), 0.0).ranges
         hit = np.isfinite(found)
         parts.append((found[hit, None] * rays[hit], time[hit] + ahead, ring[hit]))
     parts = [part for part in parts if len(part[0]) > 5]
     true = np.array([part[1].mean() - ahead for part in parts])
-    middle, along = axis_at(true, lean, rests)
+    middle, along = axis(true)
     T = se3.inverse(T_world_lidar)
     xyz, stamps, rings = (np.concatenate([part[k] for part in parts]) for k in range(3))
     return Track(
@@ -85,15 +87,20 @@ def _track(
 
 
 def seen_walk(
-    seconds: float = 12.0, lean: float = 0.25, offset: float = 0.731, rests: bool = False
+    seconds: float = 12.0,
+    lean: float = 0.25,
+    offset: float = 0.731,
+    rests: bool = False,
+    axis: Axis | None = None,
 ) -> SeenWalk:
     """Walk before two LiDARs, the source's clock ahead by an offset, s."""
+    axis = axis or partial(axis_at, lean=lean, rests=rests)
     turn = se3.exp_so3(np.array([0.05, -0.04, 2.3]))
     T = se3.from_rt(turn, np.array([8.0, 1.0, 0.3]))
     return SeenWalk(
         (
-            _track(np.eye(4), 0.0, seconds, lean, 0.0, rests),
-            _track(T, offset, seconds, lean, 0.037, rests),
+            _track(np.eye(4), 0.0, seconds, axis, 0.0),
+            _track(T, offset, seconds, axis, 0.037),
         ),
         T,
         offset,

@@ -125,6 +125,8 @@ class Adjusted:
         each systematic error adds.
     converged, cost
         Whether steps came to rest; the sum of the robust losses with the priors.
+    frame, state, border
+        The knots, the unknowns about the start of the beams, and the covariance of the border.
     """
 
     T_target_source: Array
@@ -148,6 +150,9 @@ class Adjusted:
     off_along: Array
     converged: bool
     cost: float
+    frame: Frame
+    state: State
+    border: Array
 
     @property
     def left_out(self) -> float:
@@ -240,6 +245,9 @@ def adjust(
         sigma * system.residuals[:, 0],
         converged,
         float(cost),
+        frame,
+        state,
+        step.covariance,
     )
 
 
@@ -254,11 +262,8 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
     """
     T = T_target @ found.T_target_source @ se3.inverse(T_source)
-    R = T_target[:3, :3]
-    # Errors are those of another origin of the source, on other axes.
     J = np.eye(7)
-    J[:3, :3] = J[3:6, 3:6] = R
-    J[3:6, :3] = -se3.hat(T[:3, 3] - (T_target @ found.T_target_source)[:3, 3]) @ R
+    J[:6, :6] = steps_in_recordings(found, T_target, T_source)
     wide = np.eye(12)
     wide[6:, 6:] = J[:6, :6]
     return replace(
@@ -269,6 +274,18 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
         T_walk_target=found.T_walk_target @ se3.inverse(T_target),
     )
+
+
+def steps_in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Array:
+    """Give (6, 6) that takes errors ``[φ, δ]`` of a pose to the frames of `in_recordings`.
+
+    They are those of another origin of the source, on other axes.
+    """
+    whose = T_target @ found.T_target_source
+    R, J = T_target[:3, :3], np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = R
+    J[3:, :3] = -se3.hat((whose @ se3.inverse(T_source))[:3, 3] - whose[:3, 3]) @ R
+    return J
 
 
 def _weights(residuals: Array) -> Array:
@@ -320,24 +337,15 @@ def _solve(
     """One step, the covariance of the border, and the noise of the motion that follows."""
     w = weights.reshape(-1)
     r = system.residuals.reshape(-1)
-    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
-    normal = (weighted.T @ system.by_coefs).tocoo()
-    band = curvature_band(frame.count, noise)
-    lower = normal.row >= normal.col
-    row, column = normal.row[lower], normal.col[lower]
-    np.add.at(band, (row - column, column), normal.data[lower])
-    side = np.asarray((weighted.T @ system.by_border).todense())
-    corner = np.asarray(
-        (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
-    ) + np.diag(frame.prior**-2)
+    weighted, factor, side, corner = _normal(frame, system, w, noise)
+    corner += np.diag(frame.prior**-2)
     held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
     second = curvature(state.coefs) * KNOT / noise
     pull = np.zeros_like(state.coefs)
-    for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
-        pull[k : len(pull) - 2 + k] += factor * second
+    for k, part in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
+        pull[k : len(pull) - 2 + k] += part * second
     g_coefs = weighted.T @ r + pull.ravel()
     g_border = system.by_border.T @ (w * r) + held
-    factor = cholesky_banded(band, lower=True)
     solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
     schur = corner - side.T @ solved[:, :-1]
     covariance = np.linalg.inv(schur)
@@ -356,6 +364,27 @@ def _solve(
     found = KNOT * total
     both = np.repeat([found[:2].mean(), found[2:].mean()], 2)
     return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
+
+
+def _normal(
+    frame: Frame, system: System, w: Array, noise: Array
+) -> tuple[csr_array, Array, Array, Array]:
+    """Weighted rows by the splines, the Cholesky factor of the splines' band, side and corner."""
+    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
+    normal = (weighted.T @ system.by_coefs).tocoo()
+    band = curvature_band(frame.count, noise)
+    lower = normal.row >= normal.col
+    row, column = normal.row[lower], normal.col[lower]
+    np.add.at(band, (row - column, column), normal.data[lower])
+    side = np.asarray((weighted.T @ system.by_border).todense())
+    corner = np.asarray((system.by_border.multiply(w[:, None]).T @ system.by_border).todense())
+    return weighted, cholesky_banded(band, lower=True), side, corner
+
+
+def information_of(frame: Frame, system: System, weights: Array, noise: Array) -> Array:
+    """What residuals with weights (2 N,) say of the border, its prior left out: (C, C)."""
+    _, factor, side, corner = _normal(frame, system, weights, noise)
+    return np.asarray(corner - side.T @ cho_solve_banded((factor, True), side))
 
 
 def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:

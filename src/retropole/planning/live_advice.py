@@ -315,15 +315,15 @@ def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
     return Outcome(document, asked, fit.probability, fit.bound_m)
 
 
-def advice_after(outcome: Outcome, placements: int) -> Advice:
-    """Say what to do next, after so many placements.
+def advice_after(outcome: Outcome, again: str) -> Advice:
+    """Say what to do next, after an answer.
 
     Parameters
     ----------
     outcome
-        Of all of them.
-    placements
-        How many were recorded.
+        Of all that was recorded.
+    again
+        What is to be recorded where that is not enough.
     """
     document = outcome.document
     if outcome.is_enough:
@@ -338,8 +338,8 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
             )
         return Advice(
             "need_not_met",
-            f"Placement {placements + 1}: stand the poles elsewhere, on another side. So far "
-            f"{_so_far(outcome)}; needed is {outcome.need.words}, {100 * ENOUGH:g} % sure.",
+            f"{again} So far {_so_far(outcome)}; needed is {outcome.need.words}, "
+            f"{100 * ENOUGH:g} % sure.",
         )
     reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")
     if reason.code == "radius_differs" and document.radius is not None:
@@ -353,6 +353,11 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
     title = explained.title if explained else reason.message
     verdict = "Refused" if document.status == "refused" else "A warning"
     return Advice(reason.code, f"{verdict}: {title.lower()}. {remedy_of(reason.code)}".strip())
+
+
+def another(placements: int) -> str:
+    """Say what to record after a number of placements of standing poles."""
+    return f"Placement {placements + 1}: stand the poles elsewhere, on another side."
 
 
 def _so_far(outcome: Outcome) -> str:
