@@ -21,11 +21,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import wait
+from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,7 +98,9 @@ def metered(
 def scene_of(sweeps: Sequence[PointCloud], sensor: Sensor) -> Scan:
     """What stands in some sweeps."""
     columns = ("xyz", *(name for name in PER_POINT if getattr(sweeps[0], name) is not None))
-    joined = {name: np.concatenate([getattr(c, name) for c in sweeps]) for name in columns}
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(each, name) for each in sweeps]) for name in columns
+    }
     cloud = replace(sweeps[0], **joined)
     return find_poles(cloud, sensor=sensor, threshold=None, radius=DEFAULT_RADIUS, search=False)
 
@@ -131,9 +133,8 @@ def watched(
     while not watch.is_over:
         said = watch.step()
         now[0] += 0.1
-        for work in (watch._solving, watch._work):
-            if work is not None:
-                wait([work])
+        at_work: list[Future[Any] | None] = [watch._solving, watch._work]
+        wait([work for work in at_work if work is not None])
         yield watch, said
     watch.finish()
 
@@ -231,7 +232,7 @@ def main() -> None:
     if args.watch is not None:
         watch_walks(args)
         return
-    rows: list[tuple[Missed, Missed, float, float]] = []
+    rows: list[tuple[tuple[Missed, Missed], float, float]] = []
     wrong = 0
     for seed in range(args.first, args.first + args.seeds):
         deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
@@ -252,7 +253,7 @@ def main() -> None:
             sensors = target.sensor, source.sensor
             found = calibrate_walk(*sweeps, sensors=sensors)
             scans = [scene_of(*each) for each in zip(kept, sensors, strict=True)]
-            answer = state_walk(found, Placement(*scans), {}, scene=True)
+            answer = state_walk(found, Placement(scans[0], scans[1]), {}, scene=True)
         except Refusal as refusal:
             print(f"{seed} {kind} refused, {refusal.reason.code}: {refusal}", flush=True)
             continue
@@ -266,7 +267,7 @@ def main() -> None:
         is_wrong = whole.error > max(SIGMAS * whole.stated, WRONG)
         is_wrong |= abs(clock) > max(SIGMAS * found.offset_sigma, WRONG_CLOCK)
         wrong += is_wrong
-        rows.append((alone, whole, abs(clock), seconds))
+        rows.append(((alone, whole), abs(clock), seconds))
         print(
             f"{seed} {kind} at {AT:g} m {alone.words}; with the scene {whole.words}, "
             f"{answer.status}; clock {1e3 * clock:+.2f} ms ({1e3 * found.offset_sigma:.2f}); "
@@ -277,14 +278,14 @@ def main() -> None:
     if not rows:
         return
     for k, name in enumerate(("pole alone", "with the scene")):
-        errors = np.array([row[k].error for row in rows])
-        inside = np.mean([row[k].squares <= CHI2 for row in rows])
+        errors = np.array([row[0][k].error for row in rows])
+        inside = np.mean([row[0][k].squares <= CHI2 for row in rows])
         print(
             f"{name}: median {1e3 * np.median(errors):.1f} mm at {AT:g} m, largest "
             f"{1e3 * errors.max():.1f}; within 95 %: {inside:.0%}"
         )
-    clock, seconds = np.median([row[2] for row in rows]), np.mean([row[3] for row in rows])
-    print(f"clock, median {1e3 * clock:.2f} ms; {seconds:.1f} s of CPU")
+    clocks, spent_on = [row[1] for row in rows], [row[2] for row in rows]
+    print(f"clock, median {1e3 * np.median(clocks):.2f} ms; {np.mean(spent_on):.1f} s of CPU")
 
 
 if __name__ == "__main__":

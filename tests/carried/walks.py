@@ -113,7 +113,7 @@ def seen_by_all(seconds: float = 6.0) -> tuple[list[Track], Array]:
     places = np.array([[0.0, 0.0, 0.0], [8.0, 1.0, 0.3], [4.0, 6.0, -0.2]])
     poses = se3.from_rt(np.array([se3.exp_so3(turn) for turn in turns]), places)
     tracks = [
-        _track(T, ahead, seconds, 0.25, phase, False)
+        _track(T, ahead, seconds, partial(axis_at, lean=0.25, rests=False), phase)
         for T, ahead, phase in zip(poses, (0.0, 0.731, -0.42), (0.0, 0.037, 0.071), strict=True)
     ]
     return tracks, poses
