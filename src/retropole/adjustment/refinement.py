@@ -234,6 +234,8 @@ class Refinement:
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
+    held
+        (6, 6) the pose's covariance if every place is where it was: no `decisive` one moved.
     decisive
         Places that alone decide a direction of the pose, the most decisive first; empty mostly.
     """
@@ -250,6 +252,7 @@ class Refinement:
     corrected: tuple[Patches, Patches]
     end: End
     parts: tuple[Part, ...]
+    held: Array
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
 
@@ -420,6 +423,7 @@ def refine_pair(
         without_errors(term.sets, errors),
         best,
         parts,
+        own,
         _scale_wanted(best, problem),
         tuple(decisive),
     )
