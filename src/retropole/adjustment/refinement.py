@@ -40,6 +40,7 @@ from ..base.uncertainty import Uncertainty
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
+from ..surfaces.consistency import without_movable
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
     POSE_SIGMAS,
@@ -261,8 +262,10 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
+    is_map = targets[0].cloud.is_map
+    seen = merge_clouds([averaged(scan.cloud) for scan in targets])
     return refine(
-        merge_clouds([averaged(scan.cloud) for scan in targets]),
+        without_movable(seen) if is_map else seen,
         merge_clouds([averaged(scan.cloud) for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
@@ -271,7 +274,7 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
             aligned.radius.given_sigma,
             left_in([each.placement for each in paired]),
         ),
-        distortion=MAP_DISTORTION if targets[0].cloud.is_map else None,
+        distortion=MAP_DISTORTION if is_map else None,
     )
 
 

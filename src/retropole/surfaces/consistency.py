@@ -168,6 +168,23 @@ def grounds_in(
     return (usual,) if _is_one_plane(usual.up, largest.up) else (usual, largest)
 
 
+def without_movable(cloud: PointCloud) -> PointCloud:
+    """Leave out of a map what may have driven off: off the ground, with nothing higher above it.
+
+    A car that stands near where one stood when the map was made would draw the pose along with it.
+    """
+    # The same map gives the same.
+    standing = standing_in(cloud, np.random.default_rng(0))
+    away = cloud.xyz - standing.ground
+    height = np.abs(away @ standing.up)
+    across = np.linalg.svd(standing.up[None])[2][1:]
+    column = labels_of(np.floor(away @ across.T / VOXEL_SIDE))
+    tallest = np.zeros(int(column.max()) + 1)
+    np.maximum.at(tallest, column, height)
+    near_ground = CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(cloud.xyz - cloud.origin)
+    return cloud.select((tallest[column] >= MOVABLE) | (height < near_ground))
+
+
 def is_ground_on_ground(target: Standing, source: Standing, T: Array) -> bool:
     """Whether a pose (4, 4) lays the ground of one LiDAR along that of the other."""
     return _is_one_plane(target.up, T[:3, :3] @ source.up)
