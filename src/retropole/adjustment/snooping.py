@@ -19,9 +19,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, erfcinv
 
-from ..alignment.certainty import excess
+from ..alignment.certainty import excess, normalised
 from ..alignment.maximum import MIN_INLIER_SHARE, Sight
 from ..alignment.network import Network, Observation
 from ..alignment.posterior import JointState, Posterior, State, evaluate_lidar
@@ -30,6 +29,7 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray, Kind, Test
 from ..base.description import Site
 from ..base.uncertainty.purpose import DEFAULT_AT
+from .agreement import MAX_AXES_CHI2
 from .axes import maximise_from_lines
 from .shared import SharedPole
 from .solved import Solved
@@ -239,6 +239,11 @@ def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""
 
+POOR, PER_FREEDOM = 5.0, MAX_AXES_CHI2
+"""Normalised residual (w) above which an observation fits poorly, if its χ² is above this for each
+degree of freedom: with many of them, small errors that are not modelled add up. `blunders.BLUNDER`
+cites what set the first; the second is the limit of a pair's poles."""
+
 LEAST_CHECKED = 1e-9
 """Part of an error's own information below which the others do not determine it at all."""
 
@@ -251,12 +256,6 @@ class Outcome:
     redundancy: float
     minimal_detectable: float | None
     external: float | None
-
-
-def normalised(chi2: float, freedom: int, among: int = 1) -> float:
-    """Give a χ², the largest of some, as a standard normal number of the same probability."""
-    p = min(among * float(chdtrc(freedom, chi2)), 1.0)
-    return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
 def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outcome]:
@@ -360,6 +359,7 @@ def all_tests(
             one.redundancy,
             one.minimal_detectable,
             one.external,
+            max(POOR, normalised(PER_FREEDOM * freedom, freedom, each.among)),
         )
 
 

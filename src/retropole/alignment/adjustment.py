@@ -25,6 +25,7 @@ from ..base.quantities import counted
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
+    MAX_NORMAL,
     POLES,
     WORKING_SHARE,
     considered,
@@ -183,9 +184,6 @@ PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the place gives where the poles leave some of it open, rad and m, as far as
 the poles are asked: wide beside what surfaces say afterwards. Of 66 that were settled about one
 pole (benchmarks/hard_scenes.py, seeds 0 to 39) the furthest was 0.24° and 2 cm off."""
-
-RADIUS_CONFLICT = 3.0
-"""So many σ between the given radius and the returns, and it is the returns that are believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +384,7 @@ def align_all(
     found, network = maximum(state, noise_of_start(state, sights), given_sigma)
     by_returns = radius_of_returns(network, model, radius)
     contradicted = by_returns.sigmas_below(radius, given_sigma)
-    if contradicted <= RADIUS_CONFLICT:
+    if contradicted <= MAX_NORMAL:
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))

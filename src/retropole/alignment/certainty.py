@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtri, fdtri
+from scipy.special import chdtrc, chdtri, erfcinv, fdtri, ndtri
 
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
@@ -131,9 +131,22 @@ CONFIDENCE, SIGNIFICANT = 0.95, 0.99
 """Share of the errors that stated regions hold; share of chance up to which it may be chance."""
 
 
+SIGNIFICANCE = 0.001
+"""Level of the tests that warn: how often one does where nothing is wrong (Baarda 1968)."""
+
+MAX_NORMAL = float(-ndtri(SIGNIFICANCE / 2.0))
+"""Standard normal number, 3.29, that is exceeded so often."""
+
+
 def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
     """χ² with some degrees of freedom that a share of chance is below."""
     return float(chdtri(freedom, 1.0 - share))
+
+
+def normalised(chi2: float, freedom: int, among: int = 1) -> float:
+    """Give a χ², the largest of some, as a standard normal number of the same probability."""
+    p = min(among * float(chdtrc(freedom, chi2)), 1.0)
+    return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
 @dataclass(frozen=True, eq=False)
