@@ -198,6 +198,9 @@ SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
 MAX_SCALE_SIGMA = 0.1
 """1 σ of that scale from which the surfaces say nothing of it."""
 
+DISTORTION = "distortion of the map"
+"""What a map errs by, in the error budget."""
+
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is asked nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
@@ -398,7 +401,10 @@ def refine_pair(
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
     if distortion is not None:
-        others.append(("distortion of the map", distortion))
+        others.append((DISTORTION, distortion))
+        # What a LiDAR may err by, its map may bend by: it has neither an axis nor an encoder.
+        bent = {"name": DISTORTION, "lidar": None, "sigma": None, "unit": "m", "estimated": None}
+        parts = tuple(replace(part, **bent) if part.lidar == 0 else part for part in parts)
     if disagree:
         # Which of both is not known: what is stated is never less than what the poles alone do.
         others.append(("poles and scene disagree", excess(poles.covariance, own)))
