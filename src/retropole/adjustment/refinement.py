@@ -403,8 +403,10 @@ def refine_pair(
     if distortion is not None:
         others.append((DISTORTION, distortion))
         # What a LiDAR may err by, its map may bend by: it has neither an axis nor an encoder.
-        bent = {"name": DISTORTION, "lidar": None, "sigma": None, "unit": "m", "estimated": None}
-        parts = tuple(replace(part, **bent) if part.lidar == 0 else part for part in parts)
+        parts = tuple(
+            part_of(DISTORTION, part.root, is_random=part.is_random) if part.lidar == 0 else part
+            for part in parts
+        )
     if disagree:
         # Which of both is not known: what is stated is never less than what the poles alone do.
         others.append(("poles and scene disagree", excess(poles.covariance, own)))
