@@ -209,7 +209,7 @@ def test_of_a_map_only_ground_and_what_is_high_counts() -> None:
     wall = np.c_[np.full(4_000, 12.5), rng.uniform([-9, -2], [9, 3], (4_000, 2))]
     cloud = PointCloud(np.concatenate([ground, car, wall]), is_map=True)
     kept = without_movable(cloud).xyz
-    high = kept[kept[:, 2] > -1.6]
+    high = kept[kept[:, 2] > -1.3]
     assert len(high) > 3_000
     np.testing.assert_array_equal(high[:, 0], 12.5)
     assert np.isclose(kept, -2.0, atol=0.05)[:, 2].sum() > 19_900
