@@ -178,7 +178,7 @@ def agreement_tests(aligned: BeamAlignment, refined: Refinement | None) -> Itera
         assert refined.pose.covariance is not None
         left = np.linalg.solve(aligned.pose.covariance, refined.pose.covariance)
         checked = float(np.clip(1.0 - np.trace(left) / POSE, 0.0, 1.0))
-        name = "pose by poles and surfaces against that by poles"
+        name = "surfaces against the poles"
         yield test("surfaces", name, refined.mahalanobis_sq, POSE, checked)
         if refined.scale is not None:
             factor, sigma = refined.scale

@@ -254,7 +254,7 @@ def tests(site: SiteDoc) -> Listing:
         for test in sorted(site.tests, key=lambda each: -abs(each.w or 0.0))
     ]
     names = (
-        "observation; kind; |w|; expected up to; χ²; freedom; redundancy; smallest error found; "
+        "observation; kind; |w|; limit; χ²; freedom; redundancy; smallest error found; "
         "effect at 30 m"
     )
     return Listing("Tests, the largest |w| first", columns(names), rows, (1,))
