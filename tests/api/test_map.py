@@ -1,15 +1,18 @@
 """A LiDAR in a map: found in the map's own coordinates, wherever its origin is."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import retropole as rp
+from retropole.api.checking import check_recordings, read_stored
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import UsageError
 from retropole.base.sensors import find_sensor
+from retropole.io import write_pcd
 from retropole.simulation import scan
 from retropole.simulation.scenes import SURROUNDINGS
 
@@ -59,7 +62,18 @@ def test_a_lidar_is_found_in_a_map_in_its_coordinates(tmp_path: Path) -> None:
         assert_near(result.T_target_source, T, degrees=0.05, metres=0.02)
         found.append(se3.from_rt(np.eye(3), -origin) @ result.T_target_source)
     assert_near(found[0], found[1], degrees=1e-3, metres=1e-3)
+    assert result.uncertainty is not None
+    named = {(entry.name, entry.sensor) for entry in result.uncertainty.budget}
+    assert ("distortion of the map", None) in named
+    assert "target" not in {sensor for _, sensor in named}
     result.save(tmp_path / "out")
+    stored = read_stored(tmp_path / "out")
+    write_pcd(tmp_path / "map.pcd", given)
+    push = se3.from_rt(np.eye(3), np.array([0.4, 0.0, 0.0]))
+    for T_new, status in ((np.eye(4), "same"), (push, "moved")):
+        write_pcd(tmp_path / "new.pcd", replace(lidar, xyz=se3.apply(T_new, lidar.xyz)))
+        answer = check_recordings(stored, tmp_path / "map.pcd", tmp_path / "new.pcd")
+        assert answer.status == status, answer.reasons
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
 
 

@@ -153,6 +153,10 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
         loose = PoseEstimate(T, np.diag(variance), 0.01)
         with pytest.raises(Refusal, match="hold the pose to"):
             check_held(paired, loose)
+    doubted = np.diag((2 * HELD * PLACE_SIGMA) ** 2)
+    check_held(paired, PoseEstimate(T, doubted, 0.01), refined.held)
+    with pytest.raises(Refusal, match="hold the pose to"):
+        check_held(paired, PoseEstimate(T, 400 * doubted, 0.01), refined.held)
     two = replace(hypothesis, match=replace(hypothesis.match, by_place=False))
     check_held([PairedPlacement(placement, two)], None)
 

@@ -21,6 +21,7 @@ from retropole.surfaces.consistency import (
     consistency,
     contradicting_points,
     standing_in,
+    without_movable,
 )
 from retropole.surfaces.visibility import OVERLAP_DISTANCE
 
@@ -198,3 +199,20 @@ def test_a_cell_and_its_neighbours_are_those_of_scipy() -> None:
     for shape in ((1, 1), (1, 9), (7, 2), (30, 40)):
         grid = (rng.random(shape) < 0.1).astype(np.float32)
         np.testing.assert_array_equal(_with_neighbours(grid.copy()), maximum_filter(grid, 3))
+
+
+def test_of_a_map_only_ground_and_what_is_high_counts() -> None:
+    """A car is left out; a wall is kept down to its foot."""
+    rng = np.random.default_rng(3)
+    ground = np.c_[rng.uniform(-20, 20, (20_000, 2)), rng.normal(-2, 0.01, 20_000)]
+    car = rng.uniform([4, 3, -1.6], [8, 5, -0.4], (2_000, 3))
+    wall = np.c_[np.full(4_000, 12.5), rng.uniform([-9, -2], [9, 3], (4_000, 2))]
+    cloud = PointCloud(np.concatenate([ground, car, wall]), is_map=True)
+    kept = without_movable(cloud).xyz
+    high = kept[kept[:, 2] > -1.3]
+    assert len(high) > 3_000
+    np.testing.assert_array_equal(high[:, 0], 12.5)
+    assert np.isclose(kept, -2.0, atol=0.05)[:, 2].sum() > 19_900
+    points = standing_in(cloud, rng).points
+    assert len(points) > 300
+    np.testing.assert_allclose(points[:, 0], 12.5, atol=0.01)

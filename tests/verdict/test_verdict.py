@@ -106,6 +106,7 @@ def a_refinement(
         corrected=(NO_PATCHES, NO_PATCHES),
         end=NOWHERE,
         parts=(),
+        held=1e-6 * np.eye(6),
     )
 
 

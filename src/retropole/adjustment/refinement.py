@@ -40,6 +40,7 @@ from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
+from ..surfaces.consistency import without_movable
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
     every_nth_patch,
@@ -196,6 +197,9 @@ SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
 MAX_SCALE_SIGMA = 0.1
 """1 σ of that scale from which the surfaces say nothing of it."""
 
+DISTORTION = "distortion of the map"
+"""What a map errs by, in the error budget."""
+
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is asked nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
@@ -233,6 +237,8 @@ class Refinement:
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
+    held
+        (6, 6) the pose's covariance if every place is where it was: no `decisive` one moved.
     decisive
         Places that alone decide a direction of the pose, the most decisive first; empty mostly.
     """
@@ -249,6 +255,7 @@ class Refinement:
     corrected: tuple[Patches, Patches]
     end: End
     parts: tuple[Part, ...]
+    held: Array
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
 
@@ -257,8 +264,10 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
+    is_map = targets[0].cloud.is_map
+    seen = merge_clouds([averaged(scan.cloud) for scan in targets])
     return refine(
-        merge_clouds([averaged(scan.cloud) for scan in targets]),
+        without_movable(seen) if is_map else seen,
         merge_clouds([averaged(scan.cloud) for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
@@ -267,7 +276,7 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
             aligned.radius.given_sigma,
             left_in([each.placement for each in paired]),
         ),
-        distortion=MAP_DISTORTION if targets[0].cloud.is_map else None,
+        distortion=MAP_DISTORTION if is_map else None,
     )
 
 
@@ -391,7 +400,12 @@ def refine_pair(
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
     if distortion is not None:
-        others.append(("distortion of the map", distortion))
+        others.append((DISTORTION, distortion))
+        # What a LiDAR may err by, its map may bend by: it has neither an axis nor an encoder.
+        parts = tuple(
+            part_of(DISTORTION, part.root, is_random=part.is_random) if part.lidar == 0 else part
+            for part in parts
+        )
     if disagree:
         # Which of both is not known: what is stated is never less than what the poles alone do.
         others.append(("poles and scene disagree", excess(poles.covariance, own)))
@@ -419,6 +433,7 @@ def refine_pair(
         without_errors(term.sets, errors),
         best,
         parts,
+        own,
         _scale_wanted(best, problem),
         tuple(decisive),
     )

@@ -414,6 +414,19 @@ def _check_counts(target: Beams, source: Beams, needed: int) -> None:
         )
 
 
+def widest(covariance: Array) -> tuple[float, float]:
+    """Largest 1 σ of rotation and translation, rad and m, of a covariance (6, 6) of a pose."""
+    parts = (covariance[part, part] for part in (slice(3), slice(3, 6)))
+    rotation, translation = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in parts)
+    return rotation, translation
+
+
+def leaves_little(covariance: Array) -> bool:
+    """Whether a covariance (6, 6) of a pose is within what poles may leave of it."""
+    rotation, translation = widest(covariance)
+    return rotation < MAX_ROTATION_SIGMA and translation < MAX_TRANSLATION_SIGMA
+
+
 def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     """Estimate the pose of a pair and all errors together, and state how sure the pose is.
 
@@ -448,11 +461,8 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         ]
     )
     covariance = uncertainty.covariance
-    rotation, translation = (
-        float(np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]))
-        for part in (slice(3), slice(3, 6))
-    )
-    if not (rotation < MAX_ROTATION_SIGMA and translation < MAX_TRANSLATION_SIGMA):
+    if not leaves_little(covariance):
+        rotation, translation = widest(covariance)
         raise Refusal(
             "degenerate_poles",
             f"the poles leave the pose free by {np.degrees(rotation):.1f}° and {translation:.2f} m "

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace as replace_options
 
 from ..base.datatypes import PoseEstimate
-from ..base.errors import ReadError, Reason, Refusal, UsageError
+from ..base.errors import ReadError, Reason, Refusal
 from ..base.files import read_document
 from ..base.quantities import step_of
 from ..base.reasons import prefixed
@@ -21,7 +21,7 @@ from ..checking.drift import check, swap
 from ..checking.movement import FALSE_ALARM as FALSE_ALARM
 from ..checking.movement import CheckResult as CheckResult
 from ..checking.movement import Movement as Movement
-from ..checking.movement import Status
+from ..checking.movement import Status, compare_poses
 from ..checking.tolerance import Asked
 from ..export import inverted, read_transform
 from ..export.documents import result_in
@@ -30,7 +30,7 @@ from ..io.fields import USUAL, Unit, Wanted
 from ..result import DEFAULT_CONFIG, SITE_RESULT_FILE, ResultDoc, RunConfig, refusal_of, result_file
 from ..result.decoding import decode_site
 from ..result.site import SiteDoc
-from .calibration import known_of
+from .calibration import calibrate_with, known_of
 from .inputs import SILENT, InputPair, Listener, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
 from .site_inputs import read_of, site_file_in
@@ -191,11 +191,6 @@ def check_recordings(
         As `checking.drift.check`.
     """
     known = stored.config
-    if known.map:
-        raise UsageError(
-            "a check compares recordings of two LiDARs, and the target was a map: calibrate the "
-            "new recording to the map, and compare both transforms"
-        )
     config = replace_options(
         known,
         target_topic=topic_for(target, target_topic, known.target_topic),
@@ -211,6 +206,10 @@ def check_recordings(
     if are_swapped(stored.hashes, target, source):
         swapped = swap("RESULT was made of these very files", {"told_by": "hashes"})
         return CheckResult("cannot_tell", (swapped, *stored.warnings))
+    if known.map:
+        x, y, z = map(float, stored.pose.T_target_source[:3, 3])
+        config = replace_options(config, prior_xyz=(x, y, z))
+        return check_in_map(stored, target, source, config, Asked(rotation, translation), listener)
     pair = InputPair(
         read_input(target, config.of_target._replace(wanted=of_target), listener),
         read_input(source, config.of_source._replace(wanted=of_source), listener),
@@ -220,6 +219,43 @@ def check_recordings(
     if topics is not None:
         return CheckResult("cannot_tell", (topics, *stored.warnings))
     return check_pair(stored, pair, config, Asked(rotation, translation))
+
+
+def check_in_map(
+    stored: Stored,
+    target: Path,
+    source: Path,
+    config: RunConfig,
+    tolerance: Asked,
+    listener: Listener = SILENT,
+) -> CheckResult:
+    """Calibrate a new recording to the map of a stored result, and compare both poses.
+
+    Parameters
+    ----------
+    stored, tolerance
+        As of `check_pair`.
+    target, source
+        The map, which may be another than before, and the recording.
+    config
+        Of the run, with the place in the map about which it is looked for.
+    listener
+        As of `check_recordings`.
+
+    Raises
+    ------
+    UsageError, ReadError, MissingExtraError
+        As `calibrate`.
+    """
+    found = calibrate_with(target, source, config, listener)
+    own = {*hashes_of(found.document)} & {*stored.hashes}
+    said = (*((_RECORDINGS_OF_RESULT,) if own else ()), *stored.warnings)
+    if found.T_target_source is None or found.covariance is None:
+        refusal = refusal_of(found.document.reasons).reason
+        return CheckResult("cannot_tell", (refusal, *said))
+    new = PoseEstimate(found.T_target_source, found.covariance, 0.0)
+    parts = stored.uncertainty, found.uncertainty
+    return compare_poses(stored.pose, new, "scene", tolerance, said, parts)
 
 
 def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: Asked) -> CheckResult:

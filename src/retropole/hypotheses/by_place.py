@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..alignment.adjustment import PLACE_SIGMA, BeamAlignment
+from ..alignment.adjustment import PLACE_SIGMA, BeamAlignment, leaves_little, widest
 from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
@@ -324,10 +324,21 @@ def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     return LEAVES, next(filter(None, few), LEAN_ANOTHER)
 
 
-def check_held(paired: Sequence[PairedPlacement], refined: PoseEstimate | None) -> None:
+def check_held(
+    paired: Sequence[PairedPlacement], refined: PoseEstimate | None, held: Array | None = None
+) -> None:
     """Refuse a pose that the poles leave open, and the scene as well.
 
-    The refined pose is None where the surfaces gave none.
+    Parameters
+    ----------
+    paired
+        Every placement.
+    refined
+        Pose and all of its covariance; None where the surfaces gave none.
+    held
+        (6, 6) of it, rad and m, if every place is where it was; None takes all of the covariance.
+        That a single place decides is no reason to refuse: it is reported, and what the others
+        leave is stated, up to what poles may leave.
 
     Raises
     ------
@@ -344,6 +355,9 @@ def check_held(paired: Sequence[PairedPlacement], refined: PoseEstimate | None) 
             {"poles": max(len(each.target_poles) for each in paired)},
         )
     assert refined.covariance is not None
+    held = refined.covariance if held is None else held
+    if is_held(held) and leaves_little(refined.covariance):
+        return
     check_held_by_scene(refined.covariance, left=left, advice=advice)
 
 
@@ -378,10 +392,7 @@ def check_held_by_scene(
     """
     if is_held(covariance):
         return
-    rotation, translation = (
-        float(np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]))
-        for part in (slice(3), slice(3, 6))
-    )
+    rotation, translation = widest(covariance)
     raise Refusal(
         "degenerate_poles",
         f"{left}, and the surfaces that {lidars} see hold the pose to "

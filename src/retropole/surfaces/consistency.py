@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -106,8 +105,6 @@ class Standing:
         Of all returns.
     ground, up
         (3,) a point of the ground, metres, and its normal.
-    is_map
-        Whether it is not what a LiDAR records now, but a map.
     """
 
     points: Array
@@ -116,14 +113,6 @@ class Standing:
     image: RangeImage
     ground: Array
     up: Array
-    is_map: bool = False
-
-    @cached_property
-    def movable(self) -> BoolArray:
-        """Which cubes, by number, hold nothing higher above the ground than `MOVABLE`."""
-        height = np.zeros(int(self.voxel.max(initial=-1)) + 1)
-        np.maximum.at(height, self.voxel, np.abs((self.points - self.ground) @ self.up))
-        return np.asarray(height < MOVABLE)
 
     @property
     def voxels(self) -> int:
@@ -147,7 +136,7 @@ def standing_in(
     *,
     max_tilt: float = MAX_TILT,
 ) -> Standing:
-    """Prepare a cloud, without what is its poles'.
+    """Prepare a cloud, without what is its poles', and a map without what may have driven off.
 
     The random numbers choose the planes that are tried for the ground. Those tilted by less than
     `max_tilt` against the LiDAR, rad, go before the others.
@@ -156,12 +145,37 @@ def standing_in(
     points = voxel_downsample(cloud.xyz, VOXEL)
     ranges = se3.lengths(points - cloud.origin)
     on_ground, ground, up = _ground(points, ranges, cloud.axis, rng, max_tilt)
+    if cloud.is_map:
+        kept = on_ground | ~_is_movable(points, ground, up)
+        points, ranges, on_ground = points[kept], ranges[kept], on_ground[kept]
     standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     voxel = labels_of(np.floor(standing / VOXEL_SIDE)) if len(standing) else np.zeros(0, np.int64)
     image = range_image(cloud)
-    return Standing(standing, voxel, tree_of(points), image, ground, up, cloud.is_map)
+    return Standing(standing, voxel, tree_of(points), image, ground, up)
+
+
+def _is_movable(points: Array, ground: Array, up: Array) -> BoolArray:
+    """Which points (N, 3) have nothing higher than `MOVABLE` in their column of `VOXEL_SIDE`."""
+    away = points - ground
+    height = np.abs(away @ up)
+    column = labels_of(np.floor(away @ np.linalg.svd(up[None])[2][1:].T / VOXEL_SIDE))
+    tallest = np.zeros(int(column.max(initial=-1)) + 1)
+    np.maximum.at(tallest, column, height)
+    return np.asarray(tallest[column] < MOVABLE)
+
+
+def without_movable(cloud: PointCloud) -> PointCloud:
+    """Leave out of a map what may have driven off: off the ground, and nothing high is above it.
+
+    A car that stands near where one stood when the map was made would draw a pose along with it.
+    """
+    # The same map gives the same.
+    standing = standing_in(cloud, np.random.default_rng(0))
+    height = np.abs((cloud.xyz - standing.ground) @ standing.up)
+    on_ground = height < CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(cloud.xyz - cloud.origin)
+    return cloud.select(on_ground | ~_is_movable(cloud.xyz, standing.ground, standing.up))
 
 
 def grounds_in(
@@ -318,8 +332,6 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
 def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
     """How many voxels of the other cloud agree with what the seer saw, and how many do not."""
     _, yes, no = _judged(seer, other, T)
-    if other.is_map:
-        no[other.movable] = 0
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
 
 
