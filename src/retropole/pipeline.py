@@ -231,7 +231,8 @@ def calibrate_placements(
                 placements = leave_one_out(paired, aligned, **known)
             with step("refine"):
                 refined = refine_by_scene(paired, aligned) if scene else None
-                check_held(paired, *((None,) if refined is None else (refined.pose, refined.held)))
+                by_surfaces = (None, None) if refined is None else (refined.pose, refined.held)
+                check_held(paired, *by_surfaces)
                 check_contradiction(refined)
                 check_near_poles(aligned, refined)
             with step("confirm"):
