@@ -69,9 +69,9 @@ class Options:
     radius, radius_sigma
         Radius of the poles and its 1 σ, metres; a radius that is not known exactly is estimated.
     sensors
-        What the target and the source LiDAR are; None where not known.
+        What the target and the source LiDAR are; None if not known.
     thresholds
-        Intensity from which a return counts as retro-reflective, in each cloud; None asks the
+        Intensity from which a return is treated as retro-reflective, in each cloud; None asks the
         sensor, or else the cloud itself.
     poles
         Exact number of poles that both LiDARs see; None takes any number from one up. Without any,
@@ -332,8 +332,8 @@ def calibrate_site(
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns lie apart, and returns
-                # that lie beside a pole under them pull no more; what of a survey they did not meet
-                # may be met now.
+                # that lie next to a pole under them pull no more; what of a survey they did not
+                # meet may be met now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
@@ -371,7 +371,7 @@ def calibrate_two(
     Returns
     -------
     SiteCalibration or None
-        None where no placement shows both, and where one of them does not show one place in all.
+        None if no placement shows both, and where one of them does not show one place in all.
     """
     if site.reference == 1:
         other = replace(site, lidars=site.lidars[::-1], reference=0)

@@ -73,8 +73,8 @@ def calibrate(
     sensor
         Names of sensors, or ``auto``.
     threshold
-        Intensity from which a return counts as retro-reflective; None takes that of the sensor, or
-        else of the cloud.
+        Intensity from which a return is treated as retro-reflective; None takes that of the
+        sensor, or else of the cloud.
     topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit

@@ -40,7 +40,7 @@ from .stored import are_swapped, hashes_of, loaded, with_sensors_from
 class Stored(NamedTuple):
     """What a stored result holds: the pose, the options of its run, and what it warned of.
 
-    `uncertainty` is of a result that tells random and systematic errors apart, `hashes` are
+    `uncertainty` is of a result that distinguishes random and systematic errors, `hashes` are
     those of target and source of each placement.
     """
 
@@ -296,14 +296,14 @@ class SiteCheck:
         ``same`` where pairs that are the same join all LiDARs, ``moved`` where a pair moved,
         ``cannot_tell`` otherwise.
     reasons
-        Why nothing was checked; empty where pairs were.
+        Why nothing was checked; empty if pairs were.
     pairs
         Each pair that shared poles when the site was calibrated.
     moved
         LiDARs that stand elsewhere to those of the largest group of which all are the same; empty
         where no group is the largest: then nobody can tell which of them moved.
     untold
-        LiDARs of which no pair tells whether they moved.
+        LiDARs of which no pair shows whether they moved.
     """
 
     status: Status

@@ -55,7 +55,7 @@ def evaluate(
     T_target_source
         (4, 4) maps source points into the target's frame; or a result; or a file of any format
         that ``retropole export`` writes, or the folder of a result. The poles of a result are
-        left out of what stands in the scene, as they were when it was calibrated.
+        left out of the objects in the scene, as they were when it was calibrated.
     sigma
         Kernel width of the entropy, metres.
     seed
@@ -141,7 +141,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def _result_of(given: Array | CalibrationResult | str | Path) -> ResultDoc | None:
-    """Give the result document that a transform is from; None where it is from elsewhere."""
+    """Give the result document that a transform is from; None if it is from elsewhere."""
     if isinstance(given, CalibrationResult):
         return given.document
     found = read_result(Path(given)) if isinstance(given, str | Path) else None

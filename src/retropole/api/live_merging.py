@@ -1,6 +1,6 @@
 """`merge --live`: sweeps of LiDARs that record now, in one frame, as they come.
 
-Each LiDAR is read by a thread of its own, which keeps its newest sweep alone. A cloud is made of
+Each LiDAR is read by a separate thread, which keeps its newest sweep alone. A cloud is made of
 the newest sweeps once all LiDARs have one, and without those that are late.
 """
 
@@ -52,8 +52,8 @@ STOPPED = 1.0
 """Seconds without a sweep after which a LiDAR is no longer waited for: ten turns."""
 
 SAME_CLOCK = 1.0
-"""The clock of a LiDAR that is nearer to that of this computer counts as the same, s: a sweep takes
-0.1 s, and its way some."""
+"""The clock of a LiDAR that is nearer to that of this computer is treated as the same, s: a sweep
+takes 0.1 s, and its way some."""
 
 CLOCK_SWEEPS = 20
 """Sweeps of which the median says how far the clock of a LiDAR is ahead."""
@@ -205,7 +205,7 @@ class _Reader(Thread):
 
     @property
     def words(self) -> str:
-        """Say why nothing comes, or what is odd about its clock; empty where nothing is."""
+        """Say why nothing comes, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
             return f"left out, since no sweep comes{': ' + why if why else ''}"
@@ -514,6 +514,6 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     said = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
-        "cannot_tell": f"checked: whether a LiDAR has moved cannot be told{why}",
+        "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
     }
     return Checked(moved, said[status])

@@ -147,7 +147,7 @@ def placed(
         Of a pair or of a site, with poses, and where it is.
     frame
         Name of a LiDAR, ``site``, ``map``: the coordinates that the survey is in, exactly; or
-        ``ground``, by the `LEVEL_FILE` beside the result.
+        ``ground``, by the `LEVEL_FILE` next to the result.
     epsg
         Of ``map``, another projected system than that of the survey.
 

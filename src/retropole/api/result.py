@@ -209,9 +209,9 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def confirmation(self) -> Confirmation | None:
-        """What stands in the scene says of the pose: how many voxels agree or conflict with it.
+        """The objects in the scene say of the pose: how many voxels agree or conflict with it.
 
-        None where the run was refused before the scene was asked, and of a result of a version
+        None if the run was refused before the scene was asked, and of a result of a version
         that did not state it.
         """
         return self.document.confirmation
@@ -225,7 +225,7 @@ class CalibrationResult(Result[ResultDoc]):
     def fitness(self) -> Fitness | None:
         """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
 
-        None where nothing was asked for, and when refused.
+        None if nothing was asked for, and when refused.
         """
         return self.document.fitness
 
@@ -290,7 +290,7 @@ class CalibrationResult(Result[ResultDoc]):
             The file to write.
         clouds
             Of a loaded result, where its inputs are now: target and source of each placement.
-            Without, they are looked for where they were, and beside the result.
+            Without, they are looked for where they were, and next to the result.
         site, serials
             For the certificate, the page's first sheet on paper: where it was calibrated, and the
             serial numbers of the target and the source LiDAR.
@@ -447,8 +447,8 @@ class SiteResult(Result[SiteDoc]):
         path
             The file to write.
         clouds
-            Of a loaded result, where its recordings are now, in any order: each is told by its
-            hash. The others are looked for where they were, and beside the result.
+            Of a loaded result, where its recordings are now, in any order: each is identified by
+            its hash. The others are looked for where they were, and next to the result.
         site, serials
             For the certificate, the page's first sheet on paper: where it was calibrated, and
             serial numbers by the names of LiDARs. Without, what the site file said.

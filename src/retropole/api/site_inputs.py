@@ -346,7 +346,7 @@ def offset_of(file: SiteFile) -> Array:
     Returns
     -------
     numpy.ndarray
-        (3,) metres; zero where nothing is surveyed.
+        (3,) metres; zero if nothing is surveyed.
 
     Raises
     ------
@@ -398,7 +398,7 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
 
 
 def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | None:
-    """Refuse a recording that stands for two LiDARs or placements; None where none does."""
+    """Refuse a recording that stands for two LiDARs or placements; None if none does."""
     inputs, site = list(read.inputs.values()), read.site
     names = [f"{site.lidars[k].name} in placement {site.placements[n]}" for k, n in read.inputs]
     return refuse_repeated(

@@ -62,7 +62,7 @@ def _way(apart: float) -> str:
 
 
 def _zones(apart: float) -> int:
-    """By how many quarters of an hour time zones differ as clocks do; 0 where no zones do."""
+    """By how many quarters of an hour time zones differ as clocks do; 0 if no zones do."""
     quarters = round(abs(apart) / ZONE)
     return quarters if abs(abs(apart) - quarters * ZONE) < NOTICED else 0
 

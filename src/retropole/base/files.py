@@ -101,7 +101,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 def write_together(files: Mapping[Path, bytes]) -> None:
     """Write files of one folder, which belong together, all of them or none.
 
-    The data go to temporary files beside the targets, which are then renamed. The others than the
+    The data go to temporary files next to the targets, which are then renamed. The others than the
     first are removed before: whatever ends the process, those that are there are of one run.
     Where a file of a run before was set aside it is replaced, with its links and permissions.
 
@@ -173,7 +173,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
 
 
 def _temporary(place: Path) -> str:
-    """Name a temporary file beside another, which is removed with the run."""
+    """Name a temporary file next to another, which is removed with the run."""
     name = f".{place.name[:100]}.{secrets.token_hex(4)}{UNFINISHED}"
     temporary = str(place.parent / name)
     # Before it is there: a signal may come at any moment.
@@ -233,7 +233,7 @@ def _set_aside_until_written(paths: Iterable[Path]) -> None:
 
 
 def _put_back(path: Path) -> bool:
-    """Give a file that was set aside its own name again; tell whether there was one."""
+    """Give a file that was set aside its own name again; determine whether there was one."""
     aside = older.pop(_key(path), None)
     if aside is None or not aside.is_file():
         return False
@@ -293,7 +293,7 @@ def run_alone(folder: Path, command: str = "") -> Iterator[None]:
             os.write(descriptor, this_run(command).encode())
         yield
     finally:
-        # Before another run has it; only where what is open cannot be removed, after that.
+        # Before another run has it; only if what is open cannot be removed, after that.
         with suppress(OSError):
             if os.name != "nt":
                 note.unlink()
@@ -371,9 +371,9 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _locked(descriptor: int) -> bool:
-    """Lock an open file or folder; tell whether no other process has it.
+    """Lock an open file or folder; determine whether no other process has it.
 
-    True also where the file system has no locks.
+    True also if the file system has no locks.
     """
     try:
         if sys.platform == "win32":
@@ -395,7 +395,7 @@ def _locked(descriptor: int) -> bool:
 
 
 def _replace(files: Mapping[Path, bytes]) -> None:
-    """Write temporary files beside the targets, and switch."""
+    """Write temporary files next to the targets, and switch."""
     for place in files:
         _sweep(place)
     written: dict[Path, str] = {}

@@ -152,7 +152,7 @@ class Explanation(msgspec.Struct, frozen=True):
     help
         What it means, with the limit in numbers.
     advice
-        What to do, one action each; empty where there is nothing to do.
+        What to do, one action each; empty if there is nothing to do.
     """
 
     title: str
@@ -217,7 +217,7 @@ def is_note(code: str) -> bool:
 
 
 def explain(code: str) -> Explanation | None:
-    """Look a code up, with or without a prefix; None where it is not known."""
+    """Look a code up, with or without a prefix; None if it is not known."""
     if code in reasons():
         return reasons()[code]
     prefixes = tables().prefixes.items()
@@ -225,7 +225,7 @@ def explain(code: str) -> Explanation | None:
 
 
 def page(code: str) -> str | None:
-    """Name the page of the documentation that explains a code; None where it is not known."""
+    """Name the page of the documentation that explains a code; None if it is not known."""
     known = explain(code)
     if known is None:
         return None

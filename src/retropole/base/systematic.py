@@ -40,7 +40,7 @@ IntArray = NDArray[np.int64]
 
 BAND = np.radians(1.0)
 """Returns within a band of elevation of this width, rad, share the errors of one ring. Sensors of
-64 rings and more have several in a band, which then count as one."""
+64 rings and more have several in a band, which then are treated as one."""
 
 RANGE_TO_OFFSET = 3.0
 """A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
@@ -69,7 +69,7 @@ MIN_ERROR_SIGMA = 1e-9
 """Least 1 σ of an error, in its unit: one that is not there."""
 
 MAX_TANGENT = 5.0
-"""Tangent of the incidence up to which the pulse counts as stretched, about 79°."""
+"""Tangent of the incidence up to which the pulse is treated as stretched, about 79°."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Sizes:
         bent, rad. Manuals name 0.01 to 0.1° as angular accuracy: what is assumed of a LiDAR that is
         not known is the middle of that, on a logarithmic scale.
     tape
-        Range offset of retro-reflective returns beside all others, metres.
+        Range offset of retro-reflective returns next to all others, metres.
     ring_range, ring_elevation, ring_azimuth
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
         or a delay of its own.
@@ -334,7 +334,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         Root mean square of the angle from rest that was seen; of a sway that was stated and not
         seen, what was stated.
     frequency
-        Of the oscillation, Hz; None where it was stated.
+        Of the oscillation, Hz; None if it was stated.
     seconds
         How long the recording took.
     covariance
@@ -361,7 +361,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
     @property
     def seconds_more(self) -> float:
-        """How much longer to record for `ENOUGH` periods, s; 0 where they are there."""
+        """How much longer to record for `ENOUGH` periods, s; 0 if they are there."""
         if self.frequency is None or self.is_shared:
             return 0.0
         return max(ENOUGH / self.frequency - self.seconds, 0.0)

@@ -61,9 +61,9 @@ class OnWgs84(NamedTuple):
     geodetic
         (N, 3) latitude, longitude, rad, and the height as it was, metres.
     datum
-        The step from the site's datum to WGS 84, in words; empty where there is none.
+        The step from the site's datum to WGS 84, in words; empty if there is none.
     accuracy
-        Of that step, metres, as the register states it; None where it does not.
+        Of that step, metres, as the register states it; None if it does not.
     """
 
     geodetic: Array
@@ -266,7 +266,7 @@ def site_in_frame(frame: Frame) -> Array:
 def heading(frame: Frame, T_site_lidar: Array, *, of_grid: bool = False) -> float | None:
     """Azimuth of a LiDAR's x axis, rad, clockwise from true north, or from grid north.
 
-    None where the axis is within 1° of the vertical, and where the frame's north is not known.
+    None if the axis is within 1° of the vertical, and where the frame's north is not known.
     """
     if frame.epsg is None and frame.geodetic is None:
         return None

@@ -131,7 +131,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     Returns
     -------
     CarrierMotion or None
-        None where the times are not known or the same, where the recordings are not of one moment,
+        None if the times are not known or the same, where the recordings are not of one moment,
         and where the carrier drives, or turned by more than a LiDAR may that records.
     """
     when = time_of_recording(target), time_of_recording(source)

@@ -41,7 +41,7 @@ class Compared:
     errors
         Against the truth; None without either.
     seconds
-        Time that it took, with the clouds in memory; None where it did not run.
+        Time that it took, with the clouds in memory; None if it did not run.
     """
 
     method: str

@@ -205,7 +205,7 @@ class SpreadTest(msgspec.Struct, frozen=True):
 
 
 def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -> SpreadTest | None:
-    """Test whether two LiDARs repeat equally well; None where one repeats nothing."""
+    """Test whether two LiDARs repeat equally well; None if one repeats nothing."""
     if target is None or source is None:
         return None
     low, high = (
@@ -220,7 +220,7 @@ def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -
 def spread_of_sweeps(
     seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: OwnAxes, placements: Sequence[Targets]
 ) -> Spread | None:
-    """Measure the distances of every placement in each sweep alone; None where none has several.
+    """Measure the distances of every placement in each sweep alone; None if none has several.
 
     Parameters
     ----------

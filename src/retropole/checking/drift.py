@@ -51,7 +51,7 @@ NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 """Warnings of a new calibration by poles that leave the scene alone to answer."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
-"""1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
+"""1 σ about the stored pose from which the scene starts, rad and m: wide next to whatever the scene
 holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in what it
 does not hold. Surfaces correspond over three times as much, and more."""
 
@@ -68,7 +68,7 @@ right pose has up to 0.02 of them, at the edges of objects; wrong ones that clin
 class NewPose:
     """A pose found again, or None, and what there is to say of it.
 
-    `unsure` says that it must not be taken for a movement, nor for none.
+    `uncertain` says that it must not be taken for a movement, nor for none.
     """
 
     pose: PoseEstimate | None
@@ -170,7 +170,7 @@ def search_covariance() -> Array:
 
 
 def _misfit(clouds: Clouds, T: Array) -> Reason | None:
-    """Say how far the clouds are from fitting together under a pose; None where they fit."""
+    """Say how far the clouds are from fitting together under a pose; None if they fit."""
     views = clouds.views
     sizes = {"target": views[0].size, "source": views[1].size}
     if min(sizes.values()) < MIN_CLOUD_POINTS:
@@ -205,7 +205,7 @@ two LiDARs back to back at one height, either order gives the same answer."""
 def swapped_sensors(
     placement: Placement, sensors: tuple[Sensor | None, Sensor | None]
 ) -> Reason | None:
-    """Say that each cloud is of the other's sensor; None where it is not so."""
+    """Say that each cloud is of the other's sensor; None if it is not so."""
     if sensors[0] is None or sensors[1] is None:
         return None
     try:
@@ -231,7 +231,7 @@ def swapped_clouds(
     Parameters
     ----------
     T_stored, T_found
-        (4, 4) the stored pose and the one that poles gave, target from source; None where none did.
+        (4, 4) the stored pose and the one that poles gave, target from source; None if none did.
     scenes
         What stands in the target's and in the source's scene.
     found
@@ -478,7 +478,7 @@ class _Doubt(NamedTuple):
 
 
 def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
-    """Doubt a movement under which the surfaces fit no better; None where there is nothing to.
+    """Doubt a movement under which the surfaces fit no better; None if there is nothing to.
 
     They could have seen it where one of the same size the other way makes them fit worse.
     """

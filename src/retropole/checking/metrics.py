@@ -216,12 +216,12 @@ class Alignment:
         Share of the downsampled points with a neighbour in the other cloud within
         `surfaces.visibility.OVERLAP_DISTANCE`, mean of both directions.
     plane_residual
-        Median distance of overlapping source points from the target's surface, metres; None where
+        Median distance of overlapping source points from the target's surface, metres; None if
         nothing overlaps.
     entropy
         Of both downsampled clouds together.
     confirmation
-        What stands in the scene says of the transform.
+        The objects in the scene say of the transform.
     """
 
     overlap: float
@@ -253,7 +253,7 @@ def evaluate(
     sigma
         Width of the entropy's kernel, metres.
     poles
-        Of the target and of the source, where they are known: what stands in the scene is counted
+        Of the target and of the source, where they are known: the objects in the scene is counted
         without them, as a calibration does, since they agree with the pose that they gave.
 
     Raises
@@ -289,7 +289,7 @@ def _confirmation(
     T: Array,
     poles: tuple[Sequence[Line], Sequence[Line]],
 ) -> Confirmation:
-    """Hold a pose against what stands in the scene, as a calibration does."""
+    """Hold a pose against the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
     standing = [
         standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)

@@ -5,8 +5,9 @@ With ``d`` the step from the stored pose to the new one (`se3.local`) and ``S`` 
 such as a range offset of the tape or of single rings, cancels in ``d`` and mostly in ``S``
 (`step_covariance`).
 
-A test that could not have seen a movement says nothing by not seeing one. So *same* is answered
-only within a tolerance: by as much as it has not moved with a confidence of 95 % (`upper_limit`).
+A test that could not have seen a movement gives no information by not seeing one. So *same* is
+answered only within a tolerance: by as much as it has not moved with a confidence of 95 %
+(`upper_limit`).
 
 What scatter leaves in both poses is drawn anew and adds up. What the instruments err by is the same
 in both, and cancels in the step as far as both poses were found the same way: by poles at the same
@@ -90,7 +91,7 @@ tolerance, so many at least are not answered by *same*."""
 SURE = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
-"""Probability of finding a movement of the tolerance, below which the size of one is unsure."""
+"""Probability of finding a movement of the tolerance, below which the size of one is uncertain."""
 
 ONE_SIDED = float(ndtri(CONFIDENCE))
 """So many σ beyond a normal variable its mean lies with that confidence: 1.645."""
@@ -196,11 +197,11 @@ class Weakness:
         return self._reason(
             "wider_tolerance",
             f"the same within {self.told.in_words}, {SURE}; the default, {self.asked.in_words}, "
-            "cannot be told by these data: ",
+            "cannot be determined by these data: ",
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
-        """Say also where the step is least certain, which pose limits it, and what helps."""
+        """Say also if the step is least certain, which pose limits it, and what helps."""
         covariance, share = step_covariance(self.stored, self.new), self._stored_share()
         remedy = (
             "the stored calibration is the weaker part: calibrate again, with the scene or with "
@@ -279,7 +280,7 @@ class CheckResult:
     used
         What the new pose was found by: ``poles`` (and the scene), ``scene`` alone, or None.
     T_target_source
-        (4, 4) the new pose; None where there is none to believe.
+        (4, 4) the new pose; None if there is none to believe.
     step
         (6,) ``[φ, δ]`` from the stored pose to the new one, rad and m, target axes; δ is the
         translation of the source's origin.
@@ -295,10 +296,10 @@ class CheckResult:
         been found, in the worst direction.
     tolerance
         Where nothing moved: the least that these data confirm, no less than what was asked for. By
-        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None where
+        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
         another reason stands against any.
     confirmation
-        What stands in the new recordings says of the stored pose; None where there are none.
+        What stands in the new recordings says of the stored pose; None if there are none.
     """
 
     status: Status
@@ -355,7 +356,7 @@ def compare_poses(
     asked
         The movement that matters, or as small a one as these data can tell.
     reasons
-        What is to be said beside.
+        What is to be said in addition.
     uncertainties
         Both covariances in their two kinds, where the same devices were used: their systematic
         parts mostly cancel. None, as of a pose that something else found, cancels nothing.

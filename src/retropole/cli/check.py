@@ -101,7 +101,7 @@ def check(
     quiet: bool,
     **asked: Any,
 ) -> int:
-    """Tell whether the LiDARs have moved since RESULT was made.
+    """Determine whether the LiDARs have moved since RESULT was made.
 
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new

@@ -102,8 +102,8 @@ def evaluate(
       METHODS
 
     Those that are not retropole's own use the surroundings and no poles. Their ok is not checked:
-    only the errors against a truth tell whether they are right. --radius and the options of sensors
-    are for retropole's own.
+    only the errors against a truth determine whether they are right. --radius and the options of
+    sensors are for retropole's own.
 
     \b
     Examples:
@@ -196,7 +196,7 @@ def _exit_code(found: Sequence[Compared], *, as_json: bool) -> int:
 
 
 def scores(aligned: Alignment | None) -> dict[str, Any]:
-    """Name how clouds lie together under a transform; null where there is none."""
+    """Name how clouds lie together under a transform; null if there is none."""
     return {
         "overlap": aligned and aligned.overlap,
         "plane_residual_m": aligned and aligned.plane_residual,
@@ -206,7 +206,7 @@ def scores(aligned: Alignment | None) -> dict[str, Any]:
 
 
 def true_errors(errors: Errors | None) -> dict[str, Any]:
-    """Name how far a transform is from the truth; null where either is not there."""
+    """Name how far a transform is from the truth; null if either is not there."""
     return {
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,

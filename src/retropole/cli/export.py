@@ -87,7 +87,7 @@ def export(
 
     Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
     survey has coordinates of its own) over site over every LiDAR. Where level.json is
-    beside it, site has ground too, and that base_footprint, as 'level' found them. With --parent
+    next to it, site has ground too, and that base_footprint, as 'level' found them. With --parent
     and --child, which name two LiDARs, site or map, the transform between these is written, in any
     format above, with the covariance of both together.
 

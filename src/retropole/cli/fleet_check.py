@@ -43,7 +43,7 @@ def cluster_options(command: Command) -> Command:
 
 
 def protocol_option(command: Command) -> Command:
-    """Give a command --protocol: URLs that it follows beside those of every command."""
+    """Give a command --protocol: URLs that it follows next to those of every command."""
 
     def follow(context: click.Context, option: click.Parameter, names: tuple[str, ...]) -> None:
         from ..fleet.storage import also_following
@@ -103,7 +103,7 @@ def fleet_check(
     as 'retropole fleet calibrate' takes them: of each pair a new target and a new source, of each
     site of many LiDARs a site file with the new recordings, whose pairs are checked. What each is
     held against is in DATASET, or else in the column result of the list, or else in result.json
-    beside the target, or site-result.json beside the site file. The column time (ISO 8601) says
+    next to the target, or site-result.json next to the site file. The column time (ISO 8601) says
     when it was recorded; otherwise that is when the later of the two was written.
 
     Of each site all checks since it was calibrated count: a step is reported when a second check
@@ -224,7 +224,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
 
 
 def _untold(newest: CheckRow) -> str:
-    """Say why a check gave no answer; of what cannot be told the codes say it shortly."""
+    """Say why a check gave no answer; of what cannot be determined the codes say it shortly."""
     codes = ", ".join(newest.codes)
     if newest.status == "error":
         return f"error ({codes}: {newest.message})"

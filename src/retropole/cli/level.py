@@ -104,7 +104,7 @@ LEVEL = more_option(
 
 
 def level_beside(result: Path, quiet: bool) -> None:
-    """Level the LiDARs of a result that was just written, and write that beside it.
+    """Level the LiDARs of a result that was just written, and write that next to it.
 
     Where that is refused, the calibration stays what it is: the reason is printed.
     """
@@ -122,7 +122,7 @@ def level_beside(result: Path, quiet: bool) -> None:
 def _write(
     document: LevelDoc, result: Path, out: Path | None, *, quiet: bool, as_json: bool
 ) -> None:
-    """Write a document, beside its result where no file is named, and print what it says."""
+    """Write a document, next to its result where no file is named, and print what it says."""
     from ..base.files import write_atomically
     from ..result import LEVEL_FILE, any_result_file, encode
 

@@ -213,7 +213,7 @@ def read_mounting(path: Path, target: str | None) -> Transform:
     path
         The file; it names its frames.
     target
-        The frame of the target; None where the file has one transform alone, which names it.
+        The frame of the target; None if the file has one transform alone, which names it.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def read_tree(path: Path) -> Tree | None:
     Returns
     -------
     Tree or None
-        With the frames of its level, where that is beside it; None where the file is another one.
+        With the frames of its level, where that is next to it; None if the file is another one.
 
     Raises
     ------

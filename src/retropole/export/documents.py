@@ -143,7 +143,7 @@ def is_result(data: bytes, schema: str = RESULT_SCHEMA) -> bool:
 
 
 def result_in(data: bytes) -> ResultDoc | SiteDoc | None:
-    """Read the result document of two LiDARs or of a site; None where the schema is another.
+    """Read the result document of two LiDARs or of a site; None if the schema is another.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def _text(document: dict[str, Any], key: str) -> str | None:
 
 
 def _pose(document: dict[str, Any], key: str) -> Array:
-    """Take the matrix, and check that the quaternion and translation beside it say the same."""
+    """Take the matrix, and check that the quaternion and translation next to it say the same."""
     try:
         T = rigid(np.array(document[key], dtype=float))
         if "quaternion" in document and "translation_m" in document:
@@ -200,7 +200,7 @@ def _pose(document: dict[str, Any], key: str) -> Array:
             if apart > 1e-6:
                 raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise ReadError(f"{key} and what is beside it are no transform: {said(error)}") from None
+        raise ReadError(f"{key} and what is next to it are no transform: {said(error)}") from None
     return T
 
 
@@ -451,7 +451,7 @@ def _datum(found: OnWgs84) -> dict[str, Any]:
 
 
 def _on_map(frame: Frame, edge: Transform) -> dict[str, Any]:
-    """What a map shows of a LiDAR beside its place; headings in degrees, as maps have them."""
+    """What a map shows of a LiDAR next to its place; headings in degrees, as maps have them."""
     T, covariance = edge.T_parent_child, edge.covariance
     about: dict[str, Any] = {"heading_deg": _degrees(heading(frame, T))}
     if frame.epsg is not None:

@@ -113,7 +113,7 @@ def write_transforms(transforms: Sequence[Transform], verdict: str = "") -> byte
 
     The verdict of their calibration is written as metadata.
 
-    Played or opened beside a recording of the LiDARs, it places their frames.
+    Played or opened next to a recording of the LiDARs, it places their frames.
 
     Raises
     ------

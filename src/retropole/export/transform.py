@@ -42,7 +42,7 @@ _MEANING = re.compile(f"maps points of {_NAME} into {_NAME}; parent: {_NAME}, ch
 
 
 def is_name(name: str) -> bool:
-    """Tell whether a frame can have a name: see `Transform`."""
+    """Determine whether a frame can have a name: see `Transform`."""
     return len(name) <= LONGEST_NAME and bool(name.strip()) and name.isprintable()
 
 
@@ -58,14 +58,14 @@ class Transform:
         Names of the frames, up to `LONGEST_NAME` characters; they differ, and hold neither line
         breaks nor control characters.
     covariance
-        (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None where not known:
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None if not known:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
     roles
         What parent and child are in the calibration: ``("target", "source")``, or the other way
         round after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
     verdict
         Of the calibration that it is from, on one line (`result.verdict_line`);
-        empty where not known.
+        empty if not known.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def quoted(name: str) -> str:
 
 
 def names_in_words(text: str) -> tuple[str | None, str | None]:
-    """Read parent and child back from `Transform.meaning`; None, None where it is not there."""
+    """Read parent and child back from `Transform.meaning`; None, None if it is not there."""
     found = _MEANING.search(text)
     if found is None:
         return None, None
@@ -237,7 +237,7 @@ def names_in_words(text: str) -> tuple[str | None, str | None]:
 
 
 def number(value: float) -> str:
-    """Write a number so that it reads back the same, also where YAML 1.1 wants a point in it."""
+    """Write a number so that it reads back the same, also if YAML 1.1 wants a point in it."""
     text = repr(float(value) + 0.0)
     mantissa, e, exponent = text.partition("e")
     return text if not e or "." in mantissa else f"{mantissa}.0e{exponent}"
@@ -249,7 +249,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     parent, child
-        Names of its frames in the file; None where the file names none.
+        Names of its frames in the file; None if the file names none.
     pose
         Gives ``T_parent_child`` (4, 4). Called for the chosen one alone, so that nothing that is
         wrong elsewhere in a file is in the way.
@@ -293,7 +293,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
     Returns
     -------
     Way or None
-        None where no way leads from one to the other.
+        None if no way leads from one to the other.
     """
     above: dict[str, list[Found]] = {}
     for each in found:

@@ -129,7 +129,7 @@ def _own(joint: Array, k: int) -> Array | None:
 def found_in_site(document: SiteDoc) -> list[Found]:
     """Give the transform between any two frames of a site, with the covariance of both together.
 
-    What two LiDARs have in common cancels in it. ``map`` counts as exact.
+    What two LiDARs have in common cancels in it. ``map`` is treated as exact.
 
     Raises
     ------

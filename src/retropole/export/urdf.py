@@ -91,7 +91,7 @@ def _found(robot: Element) -> list[Found]:
 
 
 def _link(joint: Element, role: str) -> str:
-    """Link that a joint names as its parent or child; empty where it names none."""
+    """Link that a joint names as its parent or child; empty if it names none."""
     named = _named(joint, role)
     return named[0].get("link", "") if len(named) == 1 else ""
 

@@ -314,7 +314,7 @@ def _threads(client: Any) -> int:
 
 
 def _given(client: Any, task: Task) -> Any:
-    """Give a task out; None where the connection broke meanwhile."""
+    """Give a task out; None if the connection broke meanwhile."""
     try:
         return client.submit(run_task, msgspec.msgpack.encode(task), pure=False)
     except Exception:
@@ -324,7 +324,7 @@ def _given(client: Any, task: Task) -> Any:
 
 
 def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
-    """Take the outcome of a task; None where it is to be given out again."""
+    """Take the outcome of a task; None if it is to be given out again."""
     from distributed import CancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 

@@ -203,7 +203,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
 
 
 def _from(folder: str, to: str) -> str | None:
-    """Write how one folder is reached from another; None where a link cannot."""
+    """Write how one folder is reached from another; None if a link cannot."""
     if not is_url(folder) and not is_url(to):
         try:
             return Path(os.path.relpath(to, folder)).as_posix()
@@ -392,7 +392,8 @@ def _explained(code: str) -> tuple[str, Html]:
 
 
 def _shape(status: Status, r: float) -> str:
-    """Draw what marks a status beside its colour, from its middle: dot, triangle, square, cross."""
+    """Draw what marks a status next to its colour, from its middle: dot, triangle, square,
+    cross."""
     if status == "ok":
         return "h.01"
     if status == "warn":
@@ -476,7 +477,7 @@ def _marks(
     named: int,
     link: Callable[[Seen], str],
 ) -> Html:
-    """Draw sites of one status; those beyond the named ones only where there is none yet."""
+    """Draw sites of one status; those beyond the named ones only if there is none yet."""
     shape = _shape(status, size)
     drawn = []
     for site in sites[:named]:

@@ -45,7 +45,7 @@ _others: ContextVar[tuple[str, ...]] = ContextVar("_others", default=())
 
 
 def other_protocols() -> tuple[str, ...]:
-    """Name the protocols that are followed beside `PROTOCOLS`."""
+    """Name the protocols that are followed next to `PROTOCOLS`."""
     return _others.get()
 
 
@@ -345,7 +345,7 @@ def remove(place: str) -> None:
 def fetch(place: str, into: Path) -> Path:
     """Copy a file, or a folder with all in it, into a local folder.
 
-    The metadata of an Ouster's packets, a file of the same name beside them, comes along.
+    The metadata of an Ouster's packets, a file of the same name next to them, comes along.
 
     Returns
     -------

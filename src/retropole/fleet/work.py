@@ -55,7 +55,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     tried
         When the run began: the time of a site whose recordings tell none.
     document
-        The stored result itself; None where it is at the place that the site names.
+        The stored result itself; None if it is at the place that the site names.
     lidars
         Target and source by their names, of the stored result of a site; None of a pair.
     known
@@ -124,7 +124,7 @@ def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
 
 @cache
 def environment() -> str:
-    """Name what the numbers of an answer depend on, beside its inputs."""
+    """Name what the numbers of an answer depend on, next to its inputs."""
     libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "small_gicp"))
     python = f"Python {platform.python_version()}"
     return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
@@ -265,7 +265,7 @@ def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResul
 
 
 def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) -> None:
-    """Save a result and its report; to a URL by way of a folder of our own."""
+    """Save a result and its report; to a URL by way of a separate folder."""
     if not is_url(place):
         result.save(place)
         return
@@ -329,7 +329,7 @@ class LocalFiles:
         return path
 
     def inputs(self) -> list[InputEntry]:
-        """Hash the recordings; those beside a site file at a URL are copied first.
+        """Hash the recordings; those next to a site file at a URL are copied first.
 
         Raises
         ------
@@ -376,7 +376,7 @@ class LocalFiles:
         return path
 
     def metadata(self) -> list[str]:
-        """Hash what is beside recordings: metadata of packets, angles and a survey of a site file.
+        """Hash what is next to recordings: metadata of packets, angles and a survey of a site file.
 
         Raises
         ------
@@ -404,7 +404,7 @@ class LocalFiles:
         return text
 
     def keep(self, data: bytes, place: str) -> Path:
-        """Write what was read of the stored result at a place into a folder of our own."""
+        """Write what was read of the stored result at a place into a separate folder."""
         path = self.folder / "stored" / posixpath.basename(place.rstrip("/"))
         path.parent.mkdir()
         path.write_bytes(data)

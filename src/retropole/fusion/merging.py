@@ -23,7 +23,7 @@ POINT = np.dtype(
         *(("ring", np.uint16), ("lidar", np.uint16)),
     ]
 )
-"""A point of a fused cloud: place, metres; time, s, and intensity, NaN where not known; ring; index
+"""A point of a fused cloud: place, metres; time, s, and intensity, NaN if not known; ring; index
 of its LiDAR."""
 
 NO_RING = 2**16 - 1

@@ -78,7 +78,7 @@ class Surfels:
     radius, thickness
         (M,) of a disc with the extent of the points, and their RMS distance from it, metres.
     intensity
-        (M,) mean, NaN where not known.
+        (M,) mean, NaN if not known.
     count
         (M,) points.
     lidars
@@ -394,7 +394,7 @@ def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
 
 
 def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:
-    """Give the distance (M,) that was found nearest to each surfel, NaN where none is in reach."""
+    """Give the distance (M,) that was found nearest to each surfel, NaN if none is in reach."""
     found = np.full(len(surfels.centres), np.nan)
     if not apart or not len(found):
         return found

@@ -68,7 +68,7 @@ DIRECTIONS, TURNS = 18, (4.0, 1.5, 0.5)
 both sides then, degrees: over 10 m, 0.5° are 9 cm."""
 
 NOISES = (0.001, 0.003, 0.01)
-"""1 σ of the mean height of a cell, metres, beside the noise of ranges: of asphalt to grass."""
+"""1 σ of the mean height of a cell, metres, next to the noise of ranges: of asphalt to grass."""
 
 LEAST_FALL = 0.02
 """Beams fall by this part of their length at least, where they are counted by where they meet the
@@ -208,7 +208,7 @@ def level(
         The LiDARs that see the ground, in one frame, in which each has its pose.
     poses
         (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame;
-        None where they are exact, as that of a single LiDAR.
+        None if they are exact, as that of a single LiDAR.
     radius
         Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
 

@@ -3,7 +3,7 @@
 Neighbouring squares whose heights hardly differ make pieces; pieces on one smooth surface make a
 level. A road and the pavement behind its kerb are two levels; the roofs of cars are others. The
 ground is the level that lies on all sides of the foot of the LiDARs nearest to it. Where another is
-beside it, a step higher or lower, the squares of both are parted anew, by two parallel planes, and
+next to it, a step higher or lower, the squares of both are split anew, by two parallel planes, and
 it is seen along the step which of them the foot is on: a kerb is a line.
 """
 
@@ -55,8 +55,8 @@ RIDGE = 10.0
 """Weight with which a level is held parallel to the rough axes, cells times m²."""
 
 PARTED, PARTING_ROUNDS = 0.2, 20
-"""Two levels are told apart in one piece where both together are this thin, root mean square, as a
-part of the step between them; and rounds of parting it."""
+"""Two levels are distinguished in one piece where both together are this thin, root mean square,
+as a part of the step between them; and rounds of parting it."""
 
 LEAST_PARTED = 80
 """Pieces of more squares may be of two levels: 10 m² of each."""
@@ -69,7 +69,7 @@ MOST_LEVELS = 6
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
 """A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
-well, a road beside a pavement,"""
+well, a road next to a pavement,"""
 
 KERB_AREA = 10.0
 """… and seen on so much, m², where no step is seen between them,"""
@@ -88,7 +88,7 @@ STRIP, STRIP_TURNS = 0.5, 90
 
 STRAYS, ALIKE = 0.05, 0.01
 """Part of the squares that may be of the other level than the rest of their strip, and by which
-directions count as alike."""
+directions are treated as alike."""
 
 REACHES = np.linspace(0.1, 2.0, 20)
 """Distances within which a level may lie on all sides of the foot, as parts of the radius."""
@@ -96,7 +96,7 @@ REACHES = np.linspace(0.1, 2.0, 20)
 
 @dataclass(frozen=True)
 class Level:
-    """Another surface beside the ground.
+    """Another surface next to the ground.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ def _pieces(at: Array) -> IntArray:
 
 
 def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
-    """(P, P) which pieces of cells (N, 3), of heights (N,), are beside each other with a step."""
+    """(P, P) which pieces of cells (N, 3), of heights (N,), are next to each other with a step."""
     a, b = _pairs(at, APART).T
     differ = pieces[a] != pieces[b]
     one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
@@ -172,7 +172,7 @@ class _Grown(NamedTuple):
 
 
 def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level, ...]]:
-    """Find which cells are ground, and what is beside it.
+    """Find which cells are ground, and what is next to it.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
 
     Returns
     -------
-    on, beside
+    on, next to
         (N,) cells of the ground, and of the level that is a step higher or lower.
     others
         All levels but the ground, the largest first.
@@ -240,7 +240,7 @@ def _level(over: Array, on: BoolArray) -> Level:
 def _beside_a_kerb(
     at: Array, best: _Grown, level: _Grown, over: Array, other: Level
 ) -> tuple[BoolArray, BoolArray] | None:
-    """Which cells (N,) are ground, and which of the level a step from it; None where no kerb is.
+    """Which cells (N,) are ground, and which of the level a step from it; None if no kerb is.
 
     `best` and `level` are a first guess; heights (N,) are over a plane without lean.
     """
@@ -282,7 +282,7 @@ def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
 
 
 def _below(at: Array, lower: BoolArray, upper: BoolArray) -> bool | None:
-    """Whether the upper of two levels is below the middle of places (N, 2); None where not known.
+    """Whether the upper of two levels is below the middle of places (N, 2); None if not known.
 
     A kerb is a line: what is seen along it, in the strip that the middle lies in, goes on below.
     """

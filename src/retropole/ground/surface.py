@@ -22,7 +22,8 @@ from ..surfaces.registration import voxel_downsample
 from .steps import CELL, Level, at_steps, is_around, levels, plane_of_cells
 
 LOW, HIGH = 0.1, 0.9
-"""Quantiles of the heights in a cell that count as its bottom and its top: single returns err."""
+"""Quantiles of the heights in a cell that are treated as its bottom and its top: single returns
+err."""
 
 FLAT = 0.06
 """Bottom and top of a square of ground are no farther apart, metres: less than the least kerb,
@@ -86,10 +87,10 @@ class Ground:
         Of the squares of ground that are seen in the disc, m².
     spread
         Least root mean square distance of these from a line through their middle, metres.
-    beside
+    next to
         (n, 2) middles of the squares of the level that is a step higher or lower, rough axes.
     others
-        Levels beside it, the largest first.
+        Levels next to it, the largest first.
     ceiling
         Height of a plane above the LiDAR that was taken for no ground, metres; None without.
     """

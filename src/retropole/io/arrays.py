@@ -1,7 +1,7 @@
 """Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
 
 Nothing in a ``.bin`` says how long a point is, and a wrong length gives a cloud of nonsense. So a
-length counts only where its values are those of points, and one of two that could be is no guess.
+length counts only if its values are those of points, and one of two that could be is no guess.
 """
 
 from __future__ import annotations

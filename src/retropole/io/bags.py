@@ -212,7 +212,7 @@ def _text(column: str) -> str:
 def _check_tables(database: sqlite3.Connection) -> None:
     """Refuse topics or messages that are computed when they are read."""
     for name in TABLES:
-        # SQLite goes by this text and not by the type that stands beside it.
+        # SQLite goes by this text and not by the type that stands next to it.
         found = database.execute(
             "SELECT sql FROM sqlite_master WHERE lower(name) = ? LIMIT 1", [name]
         ).fetchone()
@@ -301,7 +301,7 @@ def open_mcap(path: Path) -> Iterator[Bag]:
 
 
 def _index(file: BinaryIO) -> Summary:
-    """Read the index at the end of a file; empty where it has none."""
+    """Read the index at the end of a file; empty if it has none."""
     from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
     from mcap.stream_reader import StreamReader
     from mcap.summary import Summary

@@ -29,7 +29,7 @@ sensor's frame."""
 
 
 def rings_fault(cloud: PointCloud) -> str:
-    """Say why the rings of a cloud are no rings; nothing where they are, or where it has none.
+    """Say why the rings of a cloud are no rings; nothing if they are, or where it has none.
 
     A cloud that another program has moved keeps its rings: their elevations are lost, but the
     points of one ring still follow each other.
@@ -171,7 +171,7 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
 
 @kept
 def _told_by_rings(cloud: PointCloud) -> Cones | None:
-    """The cones of the rings of a cloud, their axis to the side of its own; None where it has these
+    """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
     origin and axis already, and where there are none.
     """
     assert cloud.ring is not None
@@ -299,7 +299,7 @@ MIN_SEEN_SHARE = 0.5
 
 
 def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
-    """Name the sensors whose elevations a cloud has; empty where no sensor fits.
+    """Name the sensors whose elevations a cloud has; empty if no sensor fits.
 
     With rings, the elevation of each ring is compared with the table; without, the elevations of
     all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
@@ -331,7 +331,7 @@ def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
 def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[int, float]:
     """Find the median elevation of each ring's farther half, rad.
 
-    Empty where the points of a ring do not share one elevation.
+    Empty if the points of a ring do not share one elevation.
     """
     elevations: dict[int, float] = {}
     spreads: list[float] = []

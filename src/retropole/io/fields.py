@@ -55,7 +55,7 @@ MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
 
 LARGEST = 1e9
-"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
+"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also if a file means
 millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
 
 SMALLEST = 1e-9
@@ -68,7 +68,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 class MapPlace(NamedTuple):
-    """The place of a map that is read, roughly, metres in its coordinates; None where not known."""
+    """The place of a map that is read, roughly, metres in its coordinates; None if not known."""
 
     at: tuple[float, float, float] | None = None
 
@@ -174,7 +174,7 @@ def _bare(name: str) -> str:
 
 
 def _unit(name: str) -> str:
-    """Give the unit in brackets after a name; empty where there is none."""
+    """Give the unit in brackets after a name; empty if there is none."""
     found = IN_BRACKETS.search(name.lower())
     return found[1].strip() if found else ""
 
@@ -204,9 +204,9 @@ def cloud_from_columns(
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
     Of several values of a field (a dual return's intensities), the first is taken. An intensity
-    that is not finite counts as 0, or as the lowest where there are lower ones: a return without a
-    measured strength cannot be tape. Where none is finite, the file has no intensity. Colours (rgb)
-    are not an intensity.
+    that is not finite is treated as 0, or as the lowest where there are lower ones: a return
+    without a measured strength cannot be tape. Where none is finite, the file has no intensity.
+    Colours (rgb) are not an intensity.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     """Give a cloud that was made in memory what readers promise of theirs.
 
     Points that are not finite or at zero range are dropped and counted, and an intensity that is
-    not finite counts as 0.
+    not finite is treated as 0.
 
     Parameters
     ----------
@@ -399,7 +399,7 @@ def _intensity(values: NDArray[Any]) -> Array | None:
 
 
 def _ring(values: NDArray[Any]) -> IntArray | None:
-    """Take ring numbers, which a table stores as floats; None where they are not whole numbers."""
+    """Take ring numbers, which a table stores as floats; None if they are not whole numbers."""
     if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
     numbers = floats(values)

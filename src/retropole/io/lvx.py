@@ -171,7 +171,7 @@ def _columns(
 
 
 def _package(is_new: bool, data: bytes, at: int) -> tuple[int, float, int, tuple[int, int]] | None:
-    """LiDAR, time, type of points and their bytes, first and end; None where it is cut."""
+    """LiDAR, time, type of points and their bytes, first and end; None if it is cut."""
     try:
         if is_new:
             _, lidar, _, _, time, _, kind, size = struct.unpack_from("<BIBBQHBI", data, at)

@@ -71,12 +71,12 @@ class FrameHeader(NamedTuple):
     number
         Its place in the recording, from 0.
     stamp
-        Time of recording, seconds of the recorder's clock, or None where the file does not say.
+        Time of recording, seconds of the recorder's clock, or None if the file does not say.
     frame_id
-        Name of the coordinate frame; empty where the recording has none.
+        Name of the coordinate frame; empty if the recording has none.
     clock
         When the frame was made by the LiDAR's own clock, or by that of its driver, seconds; None
-        where the recording does not have it beside the recorder's.
+        where the recording does not have it next to the recorder's.
     """
 
     number: int
@@ -254,7 +254,7 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
 
 
 def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
-    """Combine frames into one cloud; its `frame` is their number, None where there is only one.
+    """Combine frames into one cloud; its `frame` is their number, None if there is only one.
 
     Raises
     ------
@@ -309,7 +309,7 @@ def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
 
 
 def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
-    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None where nothing says it.
+    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if nothing says it.
 
     By up to some tenths of a second it is not that of the clocks: frames are recorded when they
     have come.
@@ -328,11 +328,11 @@ def is_unix(seconds: float) -> bool:
 
 
 def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
-    """First and last time at which a cloud was recorded, Unix seconds; None where it is not known.
+    """First and last time at which a cloud was recorded, Unix seconds; None if it is not known.
 
     The points' own times go first, where they are Unix time, unless they are far from the
     recorder's: clocks that were never set count from a date of the maker's, which two LiDARs may
-    share. When a file was written says nothing.
+    share. When a file was written gives no information.
     """
     if cloud.time is not None and len(cloud.time):
         first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))

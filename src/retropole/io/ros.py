@@ -238,7 +238,7 @@ def columns_of(message: Any) -> Columns:
             f"{height * width:,} points of {step} bytes; of more than {MAX_SMALL_POINTS:,}, each "
             f"has {SMALLEST_POINT} or more: x, y and z as float32"
         )
-    # Drivers set row_step wrong; it matters only where there are several rows with padding.
+    # Drivers set row_step wrong; it matters only if there are several rows with padding.
     if height == 1 or len(data) == height * width * step:
         row = width * step
     if row < width * step or (height - 1) * row + width * step > len(data):

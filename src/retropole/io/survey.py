@@ -53,7 +53,7 @@ MOST_BEFORE, SHOWN = 50, 10
 
 
 class SurveyPoint(NamedTuple):
-    """A point (3,) east, north, height, and 1 σ of each, (3,), metres; None where not stated."""
+    """A point (3,) east, north, height, and 1 σ of each, (3,), metres; None if not stated."""
 
     at: Array
     sigma: Array | None

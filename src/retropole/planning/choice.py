@@ -84,7 +84,7 @@ class Rules:
     gap: Array
 
     def allow(self, k: int, others: Sequence[int]) -> bool:
-        """Whether one pole may stand beside others."""
+        """Whether one pole may stand next to others."""
         if 0 < len(others) <= 2 and not self.differ[k, list(others)].all():
             return False
         # Two LiDARs are linked by two poles that both see.
@@ -203,7 +203,7 @@ def choose(
     Returns
     -------
     list of list of int
-        For each placement the numbers of its poles; None where so many may not stand together.
+        For each placement the numbers of its poles; None if so many may not stand together.
     """
     chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
     for count in range(poles):
@@ -297,7 +297,7 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
-    """Find the best pole more for a placement, and the error with it; None where none may stand."""
+    """Find the best pole more for a placement, and the error with it; None if none may stand."""
     return next(_ranked(design, chosen, p), None)
 
 

@@ -34,7 +34,7 @@ class Deviation:
     name
         Of the planned pole.
     offset
-        (2,) of its foot from the planned one, metres, place frame; None where it was not found.
+        (2,) of its foot from the planned one, metres, place frame; None if it was not found.
     turned
         Angle between both axes, rad.
     words
@@ -105,7 +105,7 @@ def against_plan(
 
 
 def _badness(stood: Stood) -> float:
-    """Sum of how far poles are off; one that is missing counts as `FARTHEST`."""
+    """Sum of how far poles are off; one that is missing is treated as `FARTHEST`."""
     away = [
         FARTHEST if each.offset is None else float(np.linalg.norm(each.offset))
         for each in stood.deviations
@@ -128,7 +128,7 @@ def _match(
     away = np.linalg.norm(offsets, axis=2)
     planned = np.array([plan.direction for plan in wanted]).reshape(-1, 3)
     turn = np.arccos(np.clip(np.abs(planned @ axes.T), 0.0, 1.0))
-    # One that was put where the other should stand is told by how it leans.
+    # One that was put where the other should stand is identified by how it leans.
     cost = away + NEAR / ALIKE * turn
     pairs = dict(zip(*(each.tolist() for each in linear_sum_assignment(cost)), strict=True))
     found = []

@@ -65,7 +65,7 @@ class Station:
     cloud
         In its own frame, the beams starting at its origin (0, 0, 0).
     sensor
-        What recorded it; None where not known.
+        What recorded it; None if not known.
     beams
         In the same frame.
     T
@@ -159,7 +159,7 @@ def survey(
     if not (near < FARTHEST).any():
         raise Refusal(
             "no_ground",
-            f"no LiDAR recorded anything within {FARTHEST:g} m beside it, the nearest return is "
+            f"no LiDAR recorded anything within {FARTHEST:g} m next to it, the nearest return is "
             f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
@@ -202,7 +202,7 @@ def _disc(radius: float) -> BoolArray:
 
 
 LEANS = (np.radians(20.0), np.radians(35.0))
-"""Leans that are tried beside upright, rad (docs/poles.md)."""
+"""Leans that are tried next to upright, rad (docs/poles.md)."""
 
 DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""

@@ -120,9 +120,9 @@ class More:
     gain
         Part of the error that it takes away.
     status
-        The verdict of its rehearsal; None where that of the plan is ok, and none was made.
+        The verdict of its rehearsal; None if that of the plan is ok, and none was made.
     is_better
-        Whether that verdict is better than the plan's; None where it is as good.
+        Whether that verdict is better than the plan's; None if it is as good.
     """
 
     what: Literal["pole", "placement"]

@@ -163,7 +163,8 @@ def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray,
 def prior_of(unknowns: Unknowns, known: Array) -> Array:
     """(E,) precision of the errors, counted whole as in what is stated; `known` is 1 σ of groups.
 
-    What is considered and not estimated (`error_sizes.CONSIDERED`) counts as if it were estimated.
+    What is considered and not estimated (`error_sizes.CONSIDERED`) is treated as if it were
+    estimated.
     """
     return np.asarray(known[unknowns.groups().label] ** -2.0)
 

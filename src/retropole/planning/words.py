@@ -64,7 +64,7 @@ def plan_document(
     planned
         The plan.
     recordings
-        Path and SHA-256 of each LiDAR's recording; empty where the place was drawn.
+        Path and SHA-256 of each LiDAR's recording; empty if the place was drawn.
     need
         How accurate the answer must be.
     """

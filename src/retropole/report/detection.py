@@ -27,7 +27,7 @@ MAX_ZOOMED = 6
 """Poles, or failing those rejected clusters, that get a panel of their own."""
 
 SHADES = 5
-"""Intensities of the points on a pole are told apart by so many colours."""
+"""Intensities of the points on a pole are distinguished by so many colours."""
 
 
 def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title: str) -> None:

@@ -57,7 +57,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
 
 
 def _unnamed(document: FieldTestDoc) -> str:
-    """Say whose sensor is not named; empty where both are."""
+    """Say whose sensor is not named; empty if both are."""
     inputs = zip(LIDARS, document.inputs, strict=False)
     auto = [lidar for lidar, given in inputs if given.sensor == "auto"]
     if not auto:
@@ -69,7 +69,8 @@ def _unnamed(document: FieldTestDoc) -> str:
 
 
 def _tested(document: FieldTestDoc) -> str:
-    """Count the pairs that could be tested, and those that failed: the others say nothing."""
+    """Count the pairs that could be tested, and those that failed: the others give no
+    information."""
     tested = sum(pair.status != "refused" for pair in document.pairs)
     failed = sum(pair.status == "fail" for pair in document.pairs)
     said = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
@@ -77,7 +78,7 @@ def _tested(document: FieldTestDoc) -> str:
 
 
 def _untested(document: FieldTestDoc) -> str:
-    """Name the LiDARs that are in no pair that was tested; nothing where none was."""
+    """Name the LiDARs that are in no pair that was tested; nothing if none was."""
     if len(document.untested) == 0 or document.status == "refused":
         return ""
     rest = len(document.untested) - LISTED
@@ -90,7 +91,7 @@ def _pairs(document: FieldTestDoc) -> Listing:
     rows = [
         (
             f"{pair.target}, {pair.source}",
-            # Beside the name: on a phone the last columns are out of sight.
+            # Next to the name: on a phone the last columns are out of sight.
             pair.status if not pair.reasons else f"{pair.status}: {pair.reasons[0].code}",
             len(pair.distances),
             f"{_largest(pair):.2f}" if pair.distances else UNKNOWN,

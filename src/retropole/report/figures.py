@@ -37,7 +37,7 @@ AROUND = 12.0
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure, inches, that a notebook draws also where pyplot was not imported.
+    """Make an empty figure, inches, that a notebook draws also if pyplot was not imported.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def _draw(
         xyz = every_nth(near, MAX_FIGURE_POINTS)
         style: dict[str, Any] = {"s": cloud.size, "c": cloud.color, "marker": cloud.marker}
         style |= {"linewidths": 0, "rasterized": True}
-        # Of what is often not there, the legend says nothing then.
+        # Of what is often not there, the legend gives no information then.
         name = cloud.name if len(xyz) or cloud.size < 1 else None
         above.scatter(xyz[:, 0], xyz[:, 1], label=name, **style)
         beside.scatter(xyz[:, 0], xyz[:, 2], **style)

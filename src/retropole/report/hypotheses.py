@@ -149,7 +149,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
 
 
 def margin_words(result: ResultDoc) -> str:
-    """Say which hypothesis is chosen, and by how much it leads; empty where none leads another."""
+    """Say which hypothesis is chosen, and by how much it leads; empty if none leads another."""
     chosen = [hypothesis_name(k) for k, each in enumerate(result.hypotheses) if each.chosen]
     if not chosen or result.margin is None:
         return ""
@@ -168,7 +168,7 @@ TRIED = {
 
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
-    """Say what a refusal left out to bound the time; empty where it tried all."""
+    """Say what a refusal left out to bound the time; empty if it tried all."""
     said = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons

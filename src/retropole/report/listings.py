@@ -286,7 +286,7 @@ def _both(pair: ResultDoc, placement: int) -> str:
 
 
 def left_out_words(document: InputDoc) -> str:
-    """Say how many points and frames of too many were left out; nothing where none were."""
+    """Say how many points and frames of too many were left out; nothing if none were."""
     parts = [
         counted(count, what)
         for count, what in ((document.thinned, "point"), (document.frames_left_out, "frame"))
@@ -318,7 +318,7 @@ class ErrorParts(NamedTuple):
 def error_parts(
     stated: Sequence[ErrorAtRange] | None, parts: Uncertainty | None
 ) -> list[ErrorParts]:
-    """Part the predicted error at each range; empty where its parts are not stated."""
+    """Part the predicted error at each range; empty if its parts are not stated."""
     if not stated or parts is None:
         return []
     ranges = tuple(each.range_m for each in stated)
@@ -332,13 +332,13 @@ def error_parts(
 
 
 def far_error(stated: Stated) -> float | None:
-    """Predicted error of a point at `BUDGET_RANGE`, 1 σ, metres; None where none is stated."""
+    """Predicted error of a point at `BUDGET_RANGE`, 1 σ, metres; None if none is stated."""
     errors = stated.predicted_error or []
     return next((each.sigma_m for each in errors if each.range_m == BUDGET_RANGE), None)
 
 
 def worst_lidar(lidars: Sequence[LidarDoc]) -> LidarDoc | None:
-    """Find the LiDAR with the largest predicted error; None where none is stated."""
+    """Find the LiDAR with the largest predicted error; None if none is stated."""
     stated = [each for each in lidars if each.predicted_error]
     return max(stated, key=lambda each: far_error(each) or 0.0, default=None)
 
@@ -352,7 +352,7 @@ def largest_error(stated: Stated) -> str | None:
 
 
 def radius_words(result: ResultDoc) -> str | None:
-    """Say the radius as given and as estimated; None where it was not estimated."""
+    """Say the radius as given and as estimated; None if it was not estimated."""
     radius = result.radius
     if radius is None:
         return None
@@ -376,7 +376,7 @@ def carried_words(found: CarriedWalk) -> str:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many patches agree or contradict the pose; None where the scene was not asked."""
+    """Say how many patches agree or contradict the pose; None if the scene was not asked."""
     return None if result.confirmation is None else result.confirmation.words
 
 
@@ -512,7 +512,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
 
 
 def fitness_words(subject: Subject) -> str:
-    """Answer whether every pose is as accurate as was asked for; empty where nothing was."""
+    """Answer whether every pose is as accurate as was asked for; empty if nothing was."""
     asked = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
     if not asked:
         return ""

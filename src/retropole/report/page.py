@@ -180,7 +180,7 @@ def listed(listing: Listing) -> Html:
 
 
 def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:
-    """Fold markup away under a summary; nothing where there is none."""
+    """Fold markup away under a summary; nothing if there is none."""
     opened = Html(" open" if is_open else "")
     return fill("details", opened=opened, summary=summary, body=body) if body else body
 

@@ -110,7 +110,7 @@ def _verdict(document: PolePlanDoc) -> Html:
 
 
 def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
-    """Write the picture, and beside it where each pole stands."""
+    """Write the picture, and next to it where each pole stands."""
     rows = [
         fill("plan-row", name=pole.name, words=_where(pole.words), kind=p % 4)
         for p, placement in enumerate(document.placements)

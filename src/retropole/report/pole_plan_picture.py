@@ -54,7 +54,7 @@ class PlanPicture:
     lidars
         (L, 4, 4) where the beams of each LiDAR start, and its axes.
     points
-        Of each LiDAR (N, 3) what it recorded, metres; empty where the place was drawn.
+        Of each LiDAR (N, 3) what it recorded, metres; empty if the place was drawn.
     feet
         (C, 3) where poles could stand, metres: they follow the ground.
     """

@@ -35,8 +35,8 @@ SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
 
 SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it stands as far beside a found one as the other LiDAR's
-poles stand beside each other, within this, metres: two poles leaning by 15°, of which the LiDARs
+"""A cluster may be the missing pole where it stands as far next to a found one as the other LiDAR's
+poles stand next to each other, within this, metres: two poles leaning by 15°, of which the LiDARs
 see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
 
 TOO_LITTLE = ("too_few_points", "too_few_rows")
@@ -345,11 +345,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside"
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m next to"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
-    there = f"The other LiDAR sees poles {told} m beside each other"
+    there = f"The other LiDAR sees poles {told} m next to each other"
     if fitting:
         yield f"{there}: what is named here fits that."
     else:

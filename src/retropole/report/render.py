@@ -53,7 +53,7 @@ def render_report(
         The result document, of a pair or of a site.
     recorded
         What was recorded and found, each cloud in its own frame: of a pair in each placement of the
-        poles, of a site by each LiDAR, None where it is not shown. The first placement of a pair is
+        poles, of a site by each LiDAR, None if it is not shown. The first placement of a pair is
         the one whose poles the result lists; of several, the page lets its reader choose. A
         detection brings the rejected clusters and the points on the poles into the page; leave it
         out where its poles are not those of the result. Without any, the page of a site has no view
@@ -182,7 +182,7 @@ def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
 
 
 def _checked(piece: str, listing: Listing) -> Html:
-    """Show what was checked; nothing where nothing was."""
+    """Show what was checked; nothing if nothing was."""
     return fill(piece, table=listed(listing)) if listing.rows else EMPTY
 
 
@@ -207,7 +207,7 @@ def render_page(
     status, verdict
         Of what it is of.
     parts
-        Sections under a heading each, empty where there is nothing to say.
+        Sections under a heading each, empty if there is nothing to say.
     title
         Of the page in a browser; the heading where empty.
     view

@@ -49,7 +49,7 @@ THINNEST = 0.005
 def radius_in_metres(given: float) -> str:
     """Say of a radius above the limit which unit it was probably typed in, and what to give.
 
-    Empty where it is not above, or no radius of a pole in centimetres or millimetres.
+    Empty if it is not above, or no radius of a pole in centimetres or millimetres.
     """
     meant = {unit: given * METRES[unit] for unit in ("mm", "cm")}
     likely = {unit: r for unit, r in meant.items() if THINNEST <= r <= MAX_RADIUS}
@@ -102,7 +102,7 @@ class Reading(NamedTuple):
     sensor
         Name of the sensor, or ``auto``.
     threshold
-        Intensity from which a return counts as retro-reflective; None to find it.
+        Intensity from which a return is treated as retro-reflective; None to find it.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points

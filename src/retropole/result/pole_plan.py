@@ -42,7 +42,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A LiDAR where it stands.
 
     The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
-    empty where the place was drawn.
+    empty if the place was drawn.
     """
 
     name: Name
@@ -54,7 +54,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 
 class SightDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """What a LiDAR will have of a pole: returns, rings (None where not known), and its distance."""
+    """What a LiDAR will have of a pole: returns, rings (None if not known), and its distance."""
 
     lidar: Text
     returns: Count
@@ -135,7 +135,7 @@ class PredictedDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 class MoreDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What one ``pole`` or ``placement`` more would bring: largest 1 σ of all LiDARs at the range,
     the same by the poles alone, the part of the error that it takes away, whether that is worth it.
-    `status` is the verdict of its rehearsal; None where the plan's own is ok, and none is needed.
+    `status` is the verdict of its rehearsal; None if the plan's own is ok, and none is needed.
     """
 
     what: Literal["pole", "placement"]

@@ -141,7 +141,7 @@ def _draw(
     radius: float,
     symmetric: bool,
 ) -> Arrangement | None:
-    """Draw surroundings, poles and LiDARs; None where this draw has none."""
+    """Draw surroundings, poles and LiDARs; None if this draw has none."""
     place = SURROUNDINGS[scene](rng)
     if min(place.clear) <= 0:
         return None
@@ -182,7 +182,7 @@ def facing_poles(
 def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
     """Turn a LiDAR about the vertical until a point (3,) is in the middle of its field of view.
 
-    It stays beside it by `off` as a part of the field; a LiDAR that sees all around as it is.
+    It stays next to it by `off` as a part of the field; a LiDAR that sees all around as it is.
     """
     if sensor.sees_all_around:
         return pose
@@ -222,7 +222,7 @@ class SimulatedPair:
         The taped poles.
     labels
         For the target and the source, the index of the surface that each point lies on; −1 for a
-        point on something that moves, or beside tape that blooms.
+        point on something that moves, or next to tape that blooms.
     returns_on_poles
         Per pole, how many points the target and the source have on it.
     sensors

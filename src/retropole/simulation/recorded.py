@@ -222,7 +222,7 @@ def levels(sines: Array) -> IntArray:
     # Rings of the table of sensors are 8 bins apart or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
-        # A bin beside it holds what fell over its edge.
+        # A bin next to it holds what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
     if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
         rings[:] = -1
@@ -232,7 +232,7 @@ def levels(sines: Array) -> IntArray:
 def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
-    """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) beside."""
+    """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) next to."""
     across, beside = _level(axis)
     azimuth = np.arctan2(directions @ beside, directions @ across)
     sines = directions @ axis
@@ -320,7 +320,7 @@ def with_poles(
     arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
     labels[place] = hits.surface[met]
     if cloud.ring is not None and np.array_equal(cloud.ring, beams.rings[:count]):
-        # A beam that the sensor sends has no return beside it on a ring that met nothing.
+        # A beam that the sensor sends has no return next to it on a ring that met nothing.
         arrays["ring"][place] = beams.rings[met]
     return replace(cloud, **arrays), labels
 

@@ -1,7 +1,7 @@
 """What a beam returns: at edges, where pixels mix near and far, and with which intensity.
 
 Diffuse surfaces are on a sensor's own scale, tape above its threshold. The glow around tape is
-false bright returns in beams that pass close beside it.
+false bright returns in beams that pass close next to it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def turned(rays: Array, right: Array, up: Array) -> Array:
 
 
 def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
-    """Index of the beams beside which another surface begins, nearer or farther by `EDGE`."""
+    """Index of the beams next to which another surface begins, nearer or farther by `EDGE`."""
 
     def differ(a: tuple[Array, IntArray], b: tuple[Array, IntArray]) -> BoolArray:
         with np.errstate(invalid="ignore"):
@@ -241,7 +241,7 @@ def intensities(
 
 
 BLOOM_NOISE = 0.02
-"""1 σ of the range of a false return beside tape, metres (chosen)."""
+"""1 σ of the range of a false return next to tape, metres (chosen)."""
 
 
 class Echoes(NamedTuple):
@@ -256,7 +256,7 @@ class Echoes(NamedTuple):
 def bloom(
     rays: Array, on_tape: BoolArray, half_width: float, rng: np.random.Generator
 ) -> tuple[IntArray, IntArray]:
-    """Draw the beams that return falsely because they pass close beside tape.
+    """Draw the beams that return falsely because they pass close next to tape.
 
     The chance falls linearly from 1 at the beam on tape to 0 at the half width of the glow.
 
@@ -273,7 +273,7 @@ def bloom(
 
     Returns
     -------
-    false, beside : ndarray
+    false, next to : ndarray
         (M,) index of the beams with a false return, and of the beam on tape next to each.
     """
     bright, dark = np.flatnonzero(on_tape), np.flatnonzero(~on_tape)
@@ -308,7 +308,7 @@ def with_glow(
     nothing: int,
     rng: np.random.Generator,
 ) -> Echoes:
-    """Add false returns beside tape, at the tape's range, in place of what their beams met.
+    """Add false returns next to tape, at the tape's range, in place of what their beams met.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class LabelledScan:
         In the sensor's frame.
     labels
         (N,) index of the surface of each point in the scene; −1 for one that lies on none of them:
-        on something that moves, or beside tape that blooms.
+        on something that moves, or next to tape that blooms.
     """
 
     cloud: PointCloud
@@ -353,7 +353,7 @@ class Sway:
     frequency
         Hz.
     foot
-        (3,) where the axis is, in the world, metres; None where it goes through the LiDAR.
+        (3,) where the axis is, in the world, metres; None if it goes through the LiDAR.
     """
 
     axis: Array

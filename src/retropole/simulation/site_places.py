@@ -363,7 +363,7 @@ def _place_poles(
 def _stand(
     rng: np.random.Generator, count: int, middle: Array, place: SitePlace, radius: float
 ) -> tuple[Cylinder, ...] | None:
-    """Draw poles around a place (2,); None where this draw has none that stand free."""
+    """Draw poles around a place (2,); None if this draw has none that stand free."""
     drawn = draw_poles(rng, count, (3.0, 3.0), (MIN_POLE_ANGLE, MAX_POLE_ANGLE), radius)
     if drawn is None:
         return None
@@ -384,7 +384,7 @@ def _too_near(poles: Sequence[Cylinder], place: SitePlace) -> bool:
 def _place_ring(
     place: SitePlace, rng: np.random.Generator, sensors: tuple[Sensor, ...], radius: float
 ) -> Arrangement | None:
-    """Put two symmetric poles between each LiDAR and the next; None where the ring is ambiguous."""
+    """Put two symmetric poles between each LiDAR and the next; None if the ring is ambiguous."""
     count = len(sensors)
     recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
     at = np.array([pose[:2, 3] for pose in place.poses])

@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        Where poles move between two recordings; None where they stand as they were drawn.
+        Where poles move between two recordings; None if they stand as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):
@@ -293,7 +293,7 @@ def _record(
 ) -> tuple[list[list[LabelledScan | None]], Seen]:
     """Record all placements, each until its recordings link what they are to link.
 
-    Of each LiDAR, its recording of each placement, or None where it has none.
+    Of each LiDAR, its recording of each placement, or None if it has none.
     """
     at, sensors = drawn.at, drawn.sensors
     count, first = len(sensors), len(at.place.surroundings)

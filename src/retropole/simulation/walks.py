@@ -294,7 +294,7 @@ def simulate_walk(
 
 
 def _draw_pose(model: Sensor, rng: np.random.Generator) -> Array:
-    """Draw a pose (4, 4) of a LiDAR beside the ground that is walked on."""
+    """Draw a pose (4, 4) of a LiDAR next to the ground that is walked on."""
     bearing, away = rng.uniform(0, 2 * np.pi), rng.uniform(3.5, 5.0)
     spot = away * np.array([np.cos(bearing), np.sin(bearing)])
     pose = se3.from_rt(draw_rotation(rng), np.r_[spot, rng.uniform(1.0, 1.8)])

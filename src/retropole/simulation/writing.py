@@ -169,7 +169,7 @@ def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = 
 
 
 def _file(site: SimulatedSite, lidar: int, placement: int) -> str:
-    """Name of the file of a recording; empty where there is none."""
+    """Name of the file of a recording; empty if there is none."""
     cloud = site.clouds[lidar][placement]
     if cloud is None:
         return ""

@@ -63,7 +63,7 @@ class Fitness(msgspec.Struct, frozen=True):
         That it is so.
     bound_m
         What it is accurate to instead with a probability of `CONFIDENCE`, metres, at the same
-        distance; None where nothing can be said with that: the pose may be another one.
+        distance; None if nothing can be said with that: the pose may be another one.
     words
         The answer for a person: ``within 2 cm at 30 m: yes, 98 % sure``.
     """

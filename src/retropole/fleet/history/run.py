@@ -129,7 +129,7 @@ def check_fleet(
         What does the tasks: `engine.outcomes` with its client.
     answers
         Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
-        where each site names its own, or has it beside the target.
+        where each site names its own, or has it next to the target.
     tolerance
         Movement that matters, rad and m; None for as little as the data tell.
     time_limit

@@ -79,13 +79,13 @@ class CheckRow(msgspec.Struct, frozen=True):
         ``same``, ``moved`` or ``cannot_tell``, as of ``retropole check``; ``error`` where a file
         could not be read.
     used
-        What the pose was found by: ``poles``, ``scene``; None where there is none.
+        What the pose was found by: ``poles``, ``scene``; None if there is none.
     codes
         Reason codes.
     message
-        What went wrong, in words; None where nothing did.
+        What went wrong, in words; None if nothing did.
     step
-        (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None where there is none.
+        (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None if there is none.
     covariance
         6 × 6 of it, row by row.
     random
@@ -93,7 +93,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     chi2, power
         As of ``retropole check``.
     stored_sha256, target_sha256, source_sha256
-        Hashes of the stored result and of the recordings; empty where they could not be read.
+        Hashes of the stored result and of the recordings; empty if they could not be read.
     version
         Of this program.
     """

@@ -61,7 +61,7 @@ class NetworkAdjustment:
     T_world_node
         (N, 4, 4) poses: map points of each node into the frame of the network.
     covariance
-        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum holds.
+        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero if the datum holds.
     cross
         (E, 6, 6) covariance between the first and the second pose of each edge.
     used
@@ -81,7 +81,7 @@ class NetworkAdjustment:
     doubtful
         (N,) poses that are tied to their datum by rivals: they may be elsewhere.
     unit_variance
-        Sum of squares for each degree of freedom: 1 where the covariances given are right.
+        Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
         How often all was adjusted.
     settled

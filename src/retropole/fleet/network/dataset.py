@@ -223,7 +223,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
 
 
 def _why_not(row: Row, lidars: Mapping[str, str]) -> str:
-    """Say why a row makes no edge; empty where it does."""
+    """Say why a row makes no edge; empty if it does."""
     if not row.lidars:
         return f"{row.status}: {', '.join(row.codes)}" if row.codes else row.status
     if len(lidars) < 2:

@@ -153,8 +153,8 @@ class Component:
     points
         (C,) control points that tie it to the frame of the network.
     held
-        (H, 3) axes about which its first node is held, since control says nothing of these
-        rotations; without control all of its pose is held.
+        (H, 3) axes about which its first node is held, since control gives no information about
+        these rotations; without control all of its pose is held.
     """
 
     nodes: IntArray

@@ -200,7 +200,7 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
     texts
         What `source_of` takes.
     otherwise
-        Their names where that does not tell them apart.
+        Their names where that does not distinguish them.
     """
     paths = [Path(text.rpartition(":")[2]) for text in texts]
     # The folder where we are has no name.

@@ -77,7 +77,7 @@ _domains: list[Any] = []
 
 
 def _configured(domain: int, interface: str | None) -> str | None:
-    """Write what differs from the defaults of DDS; None where the environment says it all."""
+    """Write what differs from the defaults of DDS; None if the environment says it all."""
     if interface is None and os.environ.get("CYCLONEDDS_URI"):
         return None
     networks = discovery = ""

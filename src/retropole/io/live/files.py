@@ -42,7 +42,7 @@ SETTLED, GIVE_UP = 0.3, 2.0
 is missing; and after which one that cannot be read is not tried again."""
 
 READ_ON = 0.5
-"""Seconds for which a look reads what was recorded before, also where it is to wait for less."""
+"""Seconds for which a look reads what was recorded before, also if it is to wait for less."""
 
 
 MCAP_START = b"\x89MCAP0\r\n"
@@ -197,7 +197,7 @@ def _may_be(path: Path) -> bool:
 
 
 def _version_of(path: Path) -> _Version | None:
-    """Give the version of a file; None where it is none, or is gone."""
+    """Give the version of a file; None if it is none, or is gone."""
     try:
         about = path.stat()
     except OSError:
@@ -219,7 +219,7 @@ class Recorded:
     Parameters
     ----------
     topic
-        The one that is wanted; None where it is the only one with clouds.
+        The one that is wanted; None if it is the only one with clouds.
     """
 
     def __init__(self, topic: str | None) -> None:
@@ -229,7 +229,7 @@ class Recorded:
         self._newest: dict[str, Message] = {}
 
     def wants(self, topic: str, kind: str) -> bool:
-        """Keep the type of a topic in mind, and tell whether its messages are wanted."""
+        """Keep the type of a topic in mind, and determine whether its messages are wanted."""
         self._kinds[topic] = kind
         return holds_clouds(kind) and self._topic in (None, topic)
 
@@ -282,7 +282,8 @@ class Part(Protocol):
     has_ended: bool
 
     def read_on(self, into: Recorded, until: float) -> bool:
-        """Read what was added; tell whether that is all, or the time (monotonic) was up before.
+        """Read what was added; determine whether that is all, or the time (monotonic) was up
+        before.
 
         Raises
         ------

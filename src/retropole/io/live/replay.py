@@ -24,7 +24,7 @@ QUIET = 2.0
 sensors turn, ten sweeps."""
 
 Entry = tuple[float | None, Callable[[], Frame]]
-"""Time of a frame, s, or None where it is not known; function that gives the frame."""
+"""Time of a frame, s, or None if it is not known; function that gives the frame."""
 
 
 class _Next(NamedTuple):

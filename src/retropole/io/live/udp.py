@@ -59,7 +59,7 @@ class _Kind(NamedTuple):
     maker, expected
         Its name, and in words what its packets are.
     misfit
-        In words what a packet is that is none of it; empty where it is one.
+        In words what a packet is that is none of it; empty if it is one.
     decoder
         Starts with the first packet of a sweep, or in the middle of one.
     """
@@ -99,7 +99,7 @@ class _Mailbox:
             self._changed.notify_all()
 
     def take(self, wait: float) -> tuple[int, _Came] | None:
-        """Take the newest sweep and its number, counted from 0; None where none came in time."""
+        """Take the newest sweep and its number, counted from 0; None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
             held, self._held = self._held, None

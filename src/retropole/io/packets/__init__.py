@@ -131,7 +131,7 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray
 
 
 def _marks(payload: bytes) -> list[slice] | None:
-    """Name the parts of a payload by which its model is recognized; None where none is."""
+    """Name the parts of a payload by which its model is recognized; None if none is."""
     model = recognized(payload)
     return None if model is None else [where for where, _, _ in model.signature]
 
@@ -314,7 +314,7 @@ def _frame(
 
 
 def _clock_of(model: Model, frame: Frame) -> float | None:
-    """When a sweep began by the LiDAR's own clock; None where packets do not say which second."""
+    """When a sweep began by the LiDAR's own clock; None if packets do not say which second."""
     time, layout = frame.cloud.time, model.layout
     if time is None or not len(time) or getattr(layout, "clock", "") == "microseconds":
         return None

@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None where there is none; the byte where the next begins, and where it
+"""A record, many of them, or None if there is none; the byte where the next begins, and where it
 was looked for."""
 
 OF_ONE_SIZE = 8
@@ -273,7 +273,7 @@ def _interface(block: bytes, order: str) -> tuple[int, float]:
 
 
 def _block_length(file: BinaryIO, at: int, size: int, order: str) -> int | None:
-    """Give the length of the block at a byte; None where it does not end as it begins."""
+    """Give the length of the block at a byte; None if it does not end as it begins."""
     file.seek(at + 4)
     head = file.read(4)
     if len(head) < 4:
@@ -323,7 +323,7 @@ def _byte_order(head: bytes) -> Order:
 def _record(
     file: BinaryIO, at: int, size: int, order: Order, tries: list[int]
 ) -> tuple[Record | None, int]:
-    """Give the record at a byte, or None where there is none, and the first byte of the next."""
+    """Give the record at a byte, or None if there is none, and the first byte of the next."""
     head = _header(file, at, size, order.mark)
     if head is None:
         return None, _search(file, at + 1, size, order.mark, tries)
@@ -340,7 +340,7 @@ def _record(
 def _header(
     file: BinaryIO, at: int, size: int, order: str, *, strict: bool = False
 ) -> tuple[int, int, int] | None:
-    """Give length, second and part of the packet whose header is at a byte; None where none is."""
+    """Give length, second and part of the packet whose header is at a byte; None if none is."""
     file.seek(at)
     head = file.read(PACKET_HEADER)
     if len(head) < PACKET_HEADER:
@@ -424,7 +424,7 @@ def alike(
     path, capture
         The file, and what `walk` found in it.
     marks
-        From a payload to the parts of it in which payloads like it are the same; None where each is
+        From a payload to the parts of it in which payloads like it are the same; None if each is
         to be looked at by itself.
     """
     starts, sizes = capture.records.T

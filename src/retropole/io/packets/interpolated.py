@@ -2,7 +2,7 @@
 RoboSense's spinning LiDARs, and Leishen's C series.
 
 Of some LiDARs a block holds two firings of all channels, of others two blocks hold one. Here both
-become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens beside its axis.
+become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens next to its axis.
 """
 
 from __future__ import annotations
