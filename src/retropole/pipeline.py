@@ -81,7 +81,7 @@ class Options:
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
     by_hand
-        Name of the hypothesis to take in the list that the same run gives without it; None lets the
+        Name of the hypothesis to include the list that the same run gives without it; None lets the
         scene choose. Whatever it is, the scene may still conflict with it, and the verdict is no
         more than ``warn``.
     trust_poles
@@ -144,7 +144,7 @@ def calibrate(
     Raises
     ------
     UsageError
-        Where no hypothesis that fits the poles has the name `Options.by_hand`, and where neither
+        If no hypothesis that fits the poles has the name `Options.by_hand`, and where neither
         poles nor the scene may give the pose.
     """
     seconds: dict[str, float] = {}
@@ -344,7 +344,7 @@ def calibrate_site(
                     datum = find_datum(site, scans.origins, poses, again, hanging)
                     adjusted = adjust(recorded, datum)
             with step("test"):
-                # Whatever is refused from here on, a radius that the returns deny may be why.
+                # Whatever is refused from here on, a radius that the returns contradict may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 unchecked = list(check_poles_of_hanging(recorded, adjusted))
@@ -371,7 +371,7 @@ def calibrate_two(
     Returns
     -------
     SiteCalibration or None
-        None if no placement shows both, and where one of them does not show one place in all.
+        None if no placement shows both, and if one of them does not show one place in all.
     """
     if site.reference == 1:
         other = replace(site, lidars=site.lidars[::-1], reference=0)

@@ -106,7 +106,7 @@ def calibrate(
         For arrays of another shape, options that make no sense, and a letter that no hypothesis
         which fits the poles has.
     ReadError, MissingExtraError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     keywords: dict[str, object] = {
         "radius": radius,
@@ -231,9 +231,9 @@ def calibrate_site(
     Raises
     ------
     ReadError, MissingExtraError
-        Where the site file or a recording cannot be read; names the key.
+        If the site file or a recording cannot be read; names the key.
     UsageError
-        Where a site that was put together in Python makes no sense.
+        If a site that was put together in Python makes no sense.
     """
     progress("read")
     start = time.perf_counter()

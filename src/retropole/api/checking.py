@@ -74,9 +74,9 @@ def read_stored(
     Raises
     ------
     Refusal
-        Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
+        If it was refused, and ``no_covariance`` where the file does not say how certain it is.
     ReadError
-        Where it cannot be read, or holds no pose, or several, of these LiDARs.
+        If it cannot be read, or holds no pose, or several, of these LiDARs.
     """
     file = result_file(path)
     document = result_in(read_document(file))
@@ -178,7 +178,7 @@ def check_recordings(
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
     intensity, intensity_source, angles, angles_source
-        The same; those of the stored run are left out where a recording has no use for them: no
+        The same; those of the stored run are left out if a recording has no use for them: no
         such field, or no packets. A field of the intensity is that of both.
     listener
         Told of each step as it starts, and of each cloud once it is read.
@@ -186,7 +186,7 @@ def check_recordings(
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        Where one cannot be read.
+        If one cannot be read.
     Refusal
         As `checking.drift.check`.
     """
@@ -263,7 +263,7 @@ _RECORDINGS_OF_RESULT = Reason(
 
 
 def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
-    """Say that the topics of the stored run are read the other way round."""
+    """Say that the topics of the stored run are read swapped."""
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
@@ -301,7 +301,7 @@ class SiteCheck:
         Each pair that shared poles when the site was calibrated.
     moved
         LiDARs that stand elsewhere to those of the largest group of which all are the same; empty
-        where no group is the largest: then nobody can tell which of them moved.
+        where no group is the largest: then nobody can determine which of them moved.
     untold
         LiDARs of which no pair shows whether they moved.
     """
@@ -340,7 +340,7 @@ def check_site(
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        Where the result, the site file or a recording cannot be read, and where the site file has
+        If the result, the site file or a recording cannot be read, and where the site file has
         no two LiDARs that shared poles when the site was calibrated.
     """
     listener.progress("read")
@@ -443,7 +443,7 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
     """Take the options of a check of two LiDARs: of the poles from the result, else of the file.
 
-    Where the file says neither angles nor the field of an intensity, they are those of the result.
+    If the file says neither angles nor the field of an intensity, they are those of the result.
     """
     known = wanted_of(stored)
     of_target, of_source = (

@@ -60,7 +60,7 @@ def detect(
     UsageError
         For arrays of another shape, unknown sensors and a radius that no pole has.
     ReadError, MissingExtraError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     of_target = {"sensor_target": sensor, "threshold_target": threshold, "target_topic": topic}
     config = run_config({**locals(), **of_target})

@@ -120,7 +120,7 @@ class Input:
     def search(self, radius: float, *, for_poles: bool = True) -> Scan:
         """Find the poles of a radius, metres, in it; a refusal is in the scan.
 
-        Where it is not searched for poles, what moved is left out all the same.
+        If it is not searched for poles, what moved is left out all the same.
         """
         sensor, threshold = self.sensor, self.threshold
         return find_poles(
@@ -230,7 +230,7 @@ def read_placements(
     Raises
     ------
     UsageError
-        Where the numbers of targets and sources differ or are 0, and as `read_input`.
+        If the numbers of targets and sources differ or are 0, and as `read_input`.
     ReadError, MissingExtraError
         As `read_input`.
     """

@@ -125,7 +125,7 @@ class Result(Generic[AnyDoc]):
             Of a loaded result, where a recording of the run is not found, of a site where it cannot
             be read.
         OSError
-            Where the folder cannot be written to.
+            If the folder cannot be written to.
         """
         stored, document = self._recorded(), self.document
         if relative:
@@ -142,7 +142,7 @@ class Result(Generic[AnyDoc]):
         site: str,
         serials: Mapping[str, str] | None,
     ) -> Path:
-        """Write the page alone, of recordings that may lie elsewhere now."""
+        """Write the page alone, of recordings that may be at another place now."""
         stored = self._recorded([Path(cloud) for cloud in clouds])
         page = render_report(
             self.document, stored.scans, notes=stored.notes, site=site, serials=serials
@@ -209,7 +209,7 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def confirmation(self) -> Confirmation | None:
-        """The objects in the scene say of the pose: how many voxels agree or conflict with it.
+        """What the scene shows about the pose: how many voxels agree or conflict with it.
 
         None if the run was refused before the scene was asked, and of a result of a version
         that did not state it.
@@ -223,9 +223,9 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def fitness(self) -> Fitness | None:
-        """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
+        """Whether it is as accurate as was requested (`answer`, `probability`, `bound_m`).
 
-        None if nothing was asked for, and when refused.
+        None if nothing was requested, and when refused.
         """
         return self.document.fitness
 
@@ -302,7 +302,7 @@ class CalibrationResult(Result[ResultDoc]):
         UsageError
             Where not as many clouds are given as the result has.
         OSError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         return self._report(path, clouds, site, dict(zip(LIDARS, serials, strict=True)))
 
@@ -319,7 +319,7 @@ class CalibrationResult(Result[ResultDoc]):
         MissingExtraError
             Where matplotlib is not installed.
         Refusal
-            Where the calibration was refused: there is nothing to draw.
+            If the calibration was refused: there is nothing to draw.
         ReadError
             Of a loaded result, where its inputs are not found again.
         """
@@ -380,9 +380,9 @@ class SiteResult(Result[SiteDoc]):
         Raises
         ------
         UsageError
-            Where no LiDAR is called so.
+            If no LiDAR is called so.
         Refusal
-            Where the calibration was refused.
+            If the calibration was refused.
         """
         if name not in self.lidars:
             raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
@@ -458,9 +458,9 @@ class SiteResult(Result[SiteDoc]):
         ReadError, MissingExtraError
             Of a loaded result, where a recording of the run cannot be read.
         UsageError
-            Where a cloud that is given is not of the run, or no LiDAR is called so.
+            If a cloud that is given is not of the run, or no LiDAR is called so.
         OSError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         return self._report(path, clouds, site, serials)
 
@@ -479,7 +479,7 @@ class SiteResult(Result[SiteDoc]):
         MissingExtraError
             Where matplotlib is not installed.
         Refusal
-            Where the calibration was refused: there is nothing to draw.
+            If the calibration was refused: there is nothing to draw.
         ReadError
             Of a loaded result, where a recording of the run cannot be read.
         """
@@ -517,7 +517,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is no result document; names the file.
+        If there is no such file, or it is no result document; names the file.
     """
     file = result_file(Path(path))
     return CalibrationResult(loaded(file, partial(decode_pair, file)), file)
@@ -534,7 +534,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is no result document of a site; names the file.
+        If there is no such file, or it is no result document of a site; names the file.
     """
     file = Path(path)
     if file.is_dir():

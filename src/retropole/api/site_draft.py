@@ -37,7 +37,7 @@ TIMED = re.compile(
 """When a recording was made, in its name: a date and a time of day."""
 
 SHOWN = 6
-"""So many names are quoted of what was seen."""
+"""Number of names that are quoted of what was seen."""
 
 
 class Draft(NamedTuple):
@@ -73,14 +73,14 @@ def draft_site(folder: Path, path: Path) -> Draft:
         ``LIDAR.pcd``, also if all have one name and a number each (``lidar_1.pcd``); a recording
         may have any format that is read.
     path
-        Where the file is going to be: paths in it count from its folder.
+        If the file is going to be: paths in it count from its folder.
 
     Raises
     ------
     ReadError
-        Where the folder cannot be read.
+        If the folder cannot be read.
     UsageError
-        Where its names do not say which recording is whose; says what was seen.
+        If its names do not say which recording is whose; says what was seen.
     """
     recordings, others = _look_through(folder)
     lidars = _ordered({lidar for lidar, _ in recordings})

@@ -107,7 +107,7 @@ def scans_of(
     Raises
     ------
     ReadError, MissingExtraError
-        Where a recording of the run cannot be read, and as `find_recordings`.
+        If a recording of the run cannot be read, and as `find_recordings`.
     UsageError
         As `find_recordings`.
     """
@@ -227,7 +227,7 @@ def hashes_of(
 
 
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
-    """Determine whether two recordings are those of a run the other way round; none is read as one.
+    """Determine whether two recordings are those of a run swapped; none is read as one.
 
     One bag may hold both LiDARs: then nothing is told.
 
@@ -241,7 +241,7 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
     Raises
     ------
     ReadError
-        Where one cannot be read.
+        If one cannot be read.
     """
     if all(first == second for first, second in hashes):
         return False
@@ -265,7 +265,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is none; names the file.
+        If there is no such file, or it is none; names the file.
     """
     with readable(file):
         data = read_document(file)
@@ -284,7 +284,7 @@ def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
     Raises
     ------
     Refusal
-        Where it was refused.
+        If it was refused.
     ReadError
         As `loaded`.
     """
@@ -324,7 +324,7 @@ def recording_of(
     result
         A result document, the folder that holds it, or another file of a transform.
     given
-        Where the clouds are, target and source of each placement; without, they are looked for as
+        If the clouds are, target and source of each placement; without, they are looked for as
         `find_recordings` does.
     note
         Called with what is to be known of what is written.
@@ -339,7 +339,7 @@ def recording_of(
     Raises
     ------
     ReadError, UsageError, MissingExtraError
-        Where a cloud is not found or cannot be read, or too few or too many are given.
+        If a cloud is not found or cannot be read, or too few or too many are given.
     """
     file = any_result_file(result)
     document = result_in(read_document(file))
@@ -380,7 +380,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        Where it is going to be.
+        If it is going to be.
     next to
         Folder that its paths count from now; else they are those from here.
 

@@ -1,7 +1,7 @@
 """What numbers, texts and arrays of a document may be: one from elsewhere is not trusted.
 
 No coordinate, angle or count of a recording comes near these bounds. Beyond them squares and
-products stop being numbers. `result.decoding` holds a document against all of them.
+products stop being numbers. `result.decoding` compares a document with all of them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_TEXT)]
 
-# Arrays of numbers are alike to a type checker; a reader distinguishes them by what is noted.
+# Arrays of numbers are similar to a type checker; a reader distinguishes them by what is noted.
 _F = np.dtype[np.float64]
 Vector = np.ndarray[tuple[Annotated[int, "3"]], _F]
 Direction = np.ndarray[tuple[Annotated[int, "3, a unit vector"]], _F]

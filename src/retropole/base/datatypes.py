@@ -237,7 +237,7 @@ class Match:
         Root mean square distance of source points from target lines at that minimum, metres.
     exact, converged, icp_refined, by_place
         Whether the lines fit, one of the Klein group's four, or more; the solver came to rest; the
-        scenes lie on each other; and they give what one pole, or parallel ones, leave open.
+        scenes coincide; and they give what one pole, or parallel ones, do not determine.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -331,7 +331,7 @@ class Scan:
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
     detection, refusal, sway, motion
         What was found; why it cannot be searched for poles; how the LiDAR swayed, and (B, 6) turn
-        and shift that were taken out of the parts of the cloud (`surfaces.sway`); each or None.
+        and shift that were removed from the parts of the cloud (`surfaces.sway`); each or None.
     """
 
     cloud: PointCloud
@@ -431,7 +431,7 @@ class Calibration:
     poles, refined
         The pose from the poles alone, and with the scene; None if it did not come to that.
     hypotheses, chosen, margin
-        All ways of laying the poles on each other, the best first; the place of the chosen one, 0
+        All ways of matching the poles, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.
     vertical
         (3,) the ground's normal, target axes; None if not found, or one alone stands.
@@ -441,7 +441,7 @@ class Calibration:
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     confirmation, fitness
-        The objects in the scene say of the pose, and whether it is as accurate as asked; or None.
+        What the scene shows about the pose, and whether it is as accurate as asked; or None.
     walk
         Of a pole that was carried: the walk, and the clocks of both LiDARs; else None.
     tests

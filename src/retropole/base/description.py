@@ -78,7 +78,7 @@ class SurveyedPole(
     Attributes
     ----------
     name, placement
-        What it is called, and the index of the placement that it stands in.
+        What it is called, and the index of the placement that it is in.
     foot, top
         (3,) its lower and upper end, in the frame of the site; None if not surveyed.
     sigma
@@ -126,7 +126,7 @@ class ControlPoint(
 ):
     """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres.
 
-    Where its coordinates have a σ of their own, `sigmas` (3,) has them, `sigma` the largest.
+    If its coordinates have a separate σ, `sigmas` (3,) has them, `sigma` the largest.
     """
 
     name: Text

@@ -56,9 +56,9 @@ def check_is_file(path: Path) -> None:
     Raises
     ------
     ReadError
-        Where it is something else.
+        If it is something else.
     OSError
-        Where there is nothing, or it may not be looked at.
+        If there is nothing, or it may not be looked at.
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
@@ -72,9 +72,9 @@ def read_document(path: Path) -> bytes:
     Raises
     ------
     ReadError
-        Where it is longer.
+        If it is longer.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     with path.open("rb") as file:
         data = file.read(LARGEST_DOCUMENT + 1)
@@ -93,7 +93,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        Where it cannot be written, or another process is writing into its folder.
+        If it cannot be written, or another process is writing into its folder.
     """
     write_together({path: data})
 
@@ -103,7 +103,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 
     The data go to temporary files next to the targets, which are then renamed. The others than the
     first are removed before: whatever ends the process, those that are there are of one run.
-    Where a file of a run before was set aside it is replaced, with its links and permissions.
+    If a file of a run before was set aside it is replaced, with its links and permissions.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     UsageError
-        Where it is no file: neither a device nor a pipe goes back to its header.
+        If it is no file: neither a device nor a pipe goes back to its header.
     OSError
         As `write_atomically`.
     """
@@ -194,7 +194,7 @@ def set_aside(paths: Iterable[Path]) -> list[Path]:
     Raises
     ------
     OSError
-        Where one cannot be renamed, or another process is writing into its folder.
+        If one cannot be renamed, or another process is writing into its folder.
     """
     moved = []
     for path in paths:
@@ -281,7 +281,7 @@ def run_alone(folder: Path, command: str = "") -> Iterator[None]:
     Raises
     ------
     OSError
-        Where another run has it: the message says which. Where it cannot be written to.
+        If another run has it: the message says which. Where it cannot be written to.
     """
     is_new = not folder.exists()
     note = folder / RUNNING

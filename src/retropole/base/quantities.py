@@ -85,7 +85,7 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     noun
         What there is, in the singular.
     plural
-        Where it is not the singular with an s.
+        If it is not the singular with an s.
     """
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 

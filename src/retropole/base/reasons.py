@@ -1,6 +1,6 @@
 """Every reason code: what it means, and what to do about it.
 
-The texts stand in ``reasons.toml``, one table for each place where codes are met. The report, the
+The texts stand in ``reasons.toml``, one table for each place where codes are given. The report, the
 command line and the page *Every reason code* of the documentation take their words from there.
 `Code` is the type of all codes, so that mypy finds one that is in no table: a new code is added to
 both.
@@ -174,7 +174,7 @@ class Tables(msgspec.Struct, frozen=True):
     Attributes
     ----------
     groups, prefixes
-        Codes by the place where they are met, and what may stand in front of them.
+        Codes by the place where they are met, and what may be in front of them.
     remedies
         What makes each source of error smaller, by its name in the error budget: those that are no
         matter of a single LiDAR.
@@ -190,7 +190,7 @@ class Tables(msgspec.Struct, frozen=True):
 
 @cache
 def tables() -> Tables:
-    """Read the texts, when they are first asked for; line breaks in them are spaces."""
+    """Read the texts, when they are first requested; line breaks in them are spaces."""
     from importlib.resources import files
 
     text = files("retropole.base").joinpath("reasons.toml").read_bytes()

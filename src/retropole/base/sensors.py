@@ -62,7 +62,7 @@ class Sensor:
         Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` where that
         is not known, and 0 where intensities are raw signal, which falls with the range.
     threshold_source, source
-        Where the threshold and the other figures come from.
+        If the threshold and the other figures come from.
     range_accuracy, retro_accuracy
         What the manufacturer states for the range, ± metres, and for that of retro-reflectors; None
         where nothing is.
@@ -218,7 +218,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     retro_from: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no LiDAR has; `msgspec` says where it stands."""
+        """Refuse what no LiDAR has; `msgspec` says where it is."""
         near, far = self.range_m
         positive = (self.noise_m, self.divergence_mrad, near, far - near, self.full_scale)
         if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
@@ -308,7 +308,7 @@ def find_sensor(name: str) -> Sensor:
     Raises
     ------
     UsageError
-        Where no sensor has that name; lists those there are. As `read_sensor` does.
+        If no sensor has that name; lists those there are. As `read_sensor` does.
     """
     if is_sensor_file(name):
         return read_sensor(Path(name))
@@ -345,7 +345,7 @@ def read_sensor(path: Path) -> Sensor:
     Raises
     ------
     UsageError
-        Where there is no such file, or what it says is none of these.
+        If there is no such file, or what it says is none of these.
     """
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -403,7 +403,7 @@ BOTTOM = 0.01
 def auto_threshold(intensity: Array) -> Threshold:
     """Find the threshold from the cloud itself, on whatever scale it has.
 
-    Most returns are diffuse. Their median and 95th percentile tell where they end; tape lies well
+    Most returns are diffuse. Their median and 95th percentile show where they end; tape lies well
     above. Erring low is cheap, since a pole is identified by its shape, so where much of the scene
     saturates the threshold stays below the brightest returns.
 

@@ -16,7 +16,7 @@ A constant error of the azimuth is a rotation of the LiDAR's own frame, which no
 the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
 is as small as unmodelled errors.
 
-Where a mast sways while its LiDAR records, the mean pose may be off the one where it rests
+If a mast sways while its LiDAR records, the mean pose may be off the one where it rests
 (`Sway`): an error of that recording, and of all that use it.
 """
 
@@ -43,7 +43,7 @@ BAND = np.radians(1.0)
 64 rings and more have several in a band, which then are treated as one."""
 
 RANGE_TO_OFFSET = 3.0
-"""A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
+"""A manufacturer's ± figure for the range is taken for this many σ of the offset that all returns
 share: the bound that hardly any device exceeds."""
 
 USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
@@ -98,7 +98,7 @@ class Sizes:
         Range offset of retro-reflective returns next to all others, metres.
     ring_range, ring_elevation, ring_azimuth
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
-        or a delay of its own.
+        or a separate delay.
     width
         Of the beam, as a part of it: of its logarithm.
     """
@@ -118,7 +118,7 @@ class Sizes:
 
 MAP_DISTORTION = np.diag(np.r_[np.full(3, 0.005 / 30.0), np.full(3, 0.005)] ** 2)
 """(6, 6) how far a map may be off about a LiDAR, rad and m: clouds of several LiDARs, or of a walk,
-do not lie on each other exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31:
+do not coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31:
 without it 3 were outside of the 95 % region."""
 
 
@@ -317,11 +317,11 @@ class ErrorModel:
 
 
 ENOUGH = 2.0
-"""So many periods are asked for; after three, rest is known to less than a tenth of the sway
+"""Number of periods that are requested; after three, rest is known to less than a tenth of the sway
 (tests/surfaces/test_sway.py)."""
 
 LEVER = 6.0
-"""A mast that turns shifts its LiDAR by so many metres a radian: the height of a lamppost, whose
+"""A mast that turns shifts its LiDAR by this many metres a radian: the height of a lamppost, whose
 top bends by less. Where nothing measures the shift this is taken for it."""
 
 
@@ -409,7 +409,7 @@ def left_of(sways: Sequence[Sway | None]) -> Array:
 
 
 def left_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
-    """`left_of` each LiDAR's recordings; none where all stood."""
+    """`left_of` each LiDAR's recordings; none if none moved."""
     if not any(each for row in rows for each in row):
         return ()
     return tuple(left_of(row) for row in rows)

@@ -171,9 +171,9 @@ def geodetic(frame: Frame, xyz: Array) -> Array:
     Raises
     ------
     UsageError
-        Where nothing ties the frame to the earth.
+        If nothing ties the frame to the earth.
     MissingExtraError
-        Where a projected system needs pyproj.
+        If a projected system needs pyproj.
     """
     if frame.epsg is None and frame.geodetic is None:
         raise UsageError(
@@ -282,7 +282,7 @@ def heading(frame: Frame, T_site_lidar: Array, *, of_grid: bool = False) -> floa
 
 
 def _origin(frame: Frame) -> Array:
-    """Latitude, longitude and height of the origin, held against what they can be."""
+    """Latitude, longitude and height of the origin, compared with what they can be."""
     assert frame.geodetic is not None
     at = frame.geodetic.array
     if not (np.isfinite(at).all() and abs(at[0]) <= np.pi / 2 and abs(at[1]) <= 2 * np.pi):

@@ -7,7 +7,7 @@ the same way along the axis, to the middle of what they see of it. What is compa
 of two such points. Where on the axis they lie is only as certain as the poles lean against each
 other, but it hardly changes a distance across them.
 
-Each sweep of a recording measures all distances again. Their scatter is held against what the
+Each sweep of a recording measures all distances again. Their scatter is compared with what the
 returns of a sweep allow, since a LiDAR that stands nearer, or has more beams, repeats a distance
 better without being better than is stated of it.
 """

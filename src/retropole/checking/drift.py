@@ -1,10 +1,10 @@
 """Is an installed site still where it was? New recordings against a stored calibration.
 
 The pose is found again, with the poles where they are there, by the scene alone where they are not.
-Only the new clouds are laid on each other, so the place itself may have changed since. Whether the
+Only the new clouds are superimposed, so the place itself may have changed since. Whether the
 new pose is the stored one is tested by `movement`.
 
-Where target and source were given the other way round, the stored pose reversed fits
+Where target and source were given swapped, the stored pose reversed fits
 (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
 chance where the pose reversed is.
 """
@@ -79,7 +79,7 @@ class NewPose:
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The new recordings, without what moved, and both views where they are asked for.
+    """The new recordings, without what moved, and both views where they are requested.
 
     `left` is what is left of the sway of both LiDARs.
     """
@@ -136,7 +136,7 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         reason = Reason(
             "no_common_surfaces",
             "near the stored pose the clouds have no surfaces in common: a LiDAR was moved by more "
-            "than a few degrees or decimetres, these are other LiDARs (or the other way round), or "
+            "than a few degrees or decimetres, these are other LiDARs (or swapped), or "
             "the place has none; calibrate again",
             {},
         )
@@ -198,8 +198,8 @@ MORE = 3.0
 simulated scenes, swapped, it was 10 and more."""
 
 APART = 3.0
-"""The stored pose and its reverse must be so many times farther apart. Where they are not, as of
-two LiDARs back to back at one height, either order gives the same answer."""
+"""The stored pose and its reverse must be so many times farther from each other. Where they are
+not, as of two LiDARs back to back at one height, either order gives the same answer."""
 
 
 def swapped_sensors(
@@ -215,7 +215,7 @@ def swapped_sensors(
         return None
     return swap(
         f"TARGET's rings are not those of the {sensors[0].name} that the result's target is, or "
-        f"SOURCE's not those of the {sensors[1].name}, and the other way round they fit",
+        f"SOURCE's not those of the {sensors[1].name}, and swapped they fit",
         {"told_by": "sensors"},
     )
 
@@ -233,7 +233,7 @@ def swapped_clouds(
     T_stored, T_found
         (4, 4) the stored pose and the one that poles gave, target from source; None if none did.
     scenes
-        What stands in the target's and in the source's scene.
+        What is in the target's and in the source's scene.
     found
         What that says of the stored pose.
     """
@@ -269,9 +269,7 @@ def swapped_clouds(
 
 def swap(why: str, values: dict[str, float | int | str]) -> Reason:
     """Say that target and source are swapped, and what to do."""
-    return Reason(
-        "swapped", f"TARGET and SOURCE are swapped: {why}; give them the other way round", values
-    )
+    return Reason("swapped", f"TARGET and SOURCE are swapped: {why}; give them swapped", values)
 
 
 def _apart(T: Array, other: Array) -> tuple[float, float]:
@@ -317,7 +315,7 @@ def check(
         The calibration of the site, with its covariance.
     target, source
         New recordings of the same two LiDARs, each in its own frame. Poles are used where both
-        see them, and need not stand where they stood; without, or without intensities, the scene
+        see them, and need not stand where they was; without, or without intensities, the scene
         must do.
     options
         What is known of both, as for `pipeline.calibrate`.
@@ -330,22 +328,22 @@ def check(
     Raises
     ------
     UsageError
-        Where the stored pose has no covariance.
+        If the stored pose has no covariance.
     Refusal
         Of `NO_RECORDINGS`, such as ``same_recording``: no two recordings of these two LiDARs.
     """
     if stored.covariance is None:
-        raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
+        raise UsageError("the stored pose has no covariance: nothing shows how certain it is")
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
         target, source = carrier.taken_out(stored.T_target_source, target, source)
     question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
-    # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
+    # Surfaces about the stored pose show more than candidate poles, in a thirtieth of the time.
     confirmed = replace(options, candidates=False)
     answer = _answered(question, calibrate(target, source, options=confirmed), confirmed)
     if _is_off(answer):
         again = calibrate(target, source, options=options)
-        # What the surfaces say without an answer of the poles was just found.
+        # What the surfaces show without an answer of the poles was just found.
         if again.T_target_source is not None or is_ambiguous(again):
             answer = _answered(question, again, options)
     return _with_carrier(answer, carrier)
@@ -399,7 +397,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
 
 
 def _is_off(answer: CheckResult) -> bool:
-    """Whether nothing fits about the stored pose: a LiDAR stands elsewhere, if not swapped.
+    """Whether nothing fits about the stored pose: a LiDAR is at another position, if not swapped.
 
     Then poles alone may say where.
     """
@@ -460,7 +458,7 @@ def _compared(
     assert new.pose is not None
     pose, uncertainty, carrier = new.pose, new.uncertainty, question.carrier
     if carrier is not None and carrier.is_seen:
-        # What was taken out is known no better.
+        # What was removed is known no better.
         assert pose.covariance is not None
         pose = structs.replace(pose, covariance=pose.covariance + carrier.covariance)
         if uncertainty is not None:

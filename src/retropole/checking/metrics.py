@@ -74,8 +74,8 @@ def rqe(xyz: Array, sigma: float = KERNEL_WIDTH, *, tolerance: float = RQE_TOLER
     """Rényi's quadratic entropy of points, each the mean of a Gaussian.
 
     ``−log [ 1/N² Σ_i Σ_j G(x_i − x_j; 2σ² I) ]``. Points are sorted into the leaves of a k-d tree.
-    Pairs of leaves are summed as blocks. Those whose boxes are so far apart that all they can add
-    together stays below the tolerance are left out.
+    Pairs of leaves are summed as blocks. Those whose boxes are so far from each other that all
+    they can add together stays below the tolerance are left out.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ class Alignment:
     entropy
         Of both downsampled clouds together.
     confirmation
-        The objects in the scene say of the transform.
+        What the scene shows about the transform.
     """
 
     overlap: float
@@ -289,7 +289,7 @@ def _confirmation(
     T: Array,
     poles: tuple[Sequence[Line], Sequence[Line]],
 ) -> Confirmation:
-    """Hold a pose against the objects in the scene, as a calibration does."""
+    """Compare a pose with the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
     standing = [
         standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)

@@ -171,7 +171,7 @@ class Weakness:
     told
         By how much it has moved at most, with `CONFIDENCE`.
     asked
-        The tolerance asked for, or the default.
+        The tolerance requested, or the default.
     """
 
     stored: Uncertainty
@@ -269,7 +269,7 @@ class Movement:
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """Whether the source still stands where it stood, as seen by the target.
+    """Whether the source still stands where it was, as seen by the target.
 
     Attributes
     ----------
@@ -292,14 +292,14 @@ class CheckResult:
     chi2, p_value
         The test, and how often so much comes about where nothing moved.
     power
-        Probability that a movement of the tolerance asked for, or else of the default, would have
+        Probability that a movement of the tolerance requested, or else of the default, would have
         been found, in the worst direction.
     tolerance
-        Where nothing moved: the least that these data confirm, no less than what was asked for. By
+        If nothing moved: the least that these data confirm, no less than what was requested. By
         more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
         another reason stands against any.
     confirmation
-        What stands in the new recordings says of the stored pose; None if there are none.
+        What is in the new recordings says of the stored pose; None if there are none.
     """
 
     status: Status

@@ -34,7 +34,7 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 SITE_CHECK_SCHEMA = "retropole/site-check/1"
 
 SAID_OF_ANSWERS = ("recordings_of_result", "carrier_moved")
-"""Reasons that are said of a pair that is the same or moved, too: what the answer is worth."""
+"""Reasons that are reported of a pair that is the same or moved, too: what the answer is worth."""
 
 
 def tolerance_options(command: Command) -> Command:
@@ -258,7 +258,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Tell which LiDARs of a site have moved since RESULT was made.
+    """Say which LiDARs of a site have moved since RESULT was made.
 
     RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
     recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
@@ -327,7 +327,8 @@ def site_in_words(answer: SiteCheck) -> str:
 
 
 def _worth_saying(answer: SiteCheck) -> Iterator[Reason]:
-    """List what is to be known of pairs that have an answer, with the pairs that it is said of."""
+    """List what is to be known of pairs that have an answer, with the pairs that it is reported
+    of."""
     found: dict[str, tuple[Reason, list[str]]] = {}
     for target, source, each in answer.pairs:
         for reason in each.reasons:

@@ -1,4 +1,4 @@
-"""What the commands share: what is said of readings and refusals, progress."""
+"""What the commands share: what is reported of readings and refusals, progress."""
 
 from __future__ import annotations
 
@@ -81,12 +81,12 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 def show(words: str | bytes) -> None:
-    """Print what a command was asked for on stdout.
+    """Print what a command was requested on stdout.
 
     Raises
     ------
     OSError
-        Where it cannot be written; names the standard output.
+        If it cannot be written; names the standard output.
     """
     try:
         click.echo(words, nl=isinstance(words, str) and not words.endswith("\n"))
@@ -146,7 +146,7 @@ def listening(
     quiet
         Says nothing.
     frames
-        Which were asked for; None for none.
+        Which were requested; None for none.
     advice
         What to do about it.
     units
@@ -174,7 +174,7 @@ def listening(
 
 
 def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
-    """Say what of a recording is damaged, and what was left out without being asked for."""
+    """Say what of a recording is damaged, and what was left out without being requested."""
     read, cloud = given.read, given.cloud
     yield from cloud.notes
     if read is not None and read.left_out:

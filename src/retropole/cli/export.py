@@ -79,14 +79,14 @@ def export(
 
     \b
     --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    lie elsewhere now, or where RESULT is no result.json.
+    are at another place now, or where RESULT is no result.json.
 
     \b
     Formats:
       FORMATS
 
     Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
-    survey has coordinates of its own) over site over every LiDAR. Where level.json is
+    survey has separate coordinates) over site over every LiDAR. Where level.json is
     next to it, site has ground too, and that base_footprint, as 'level' found them. With --parent
     and --child, which name two LiDARs, site or map, the transform between these is written, in any
     format above, with the covariance of both together.

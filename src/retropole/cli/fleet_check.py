@@ -97,12 +97,12 @@ def fleet_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Check SITES against their stored results, append to a history, and tell what changed.
+    """Check SITES against their stored results, append to a history, and report what changed.
 
     SITES are lists (.csv, .parquet), folders and globs of these, as paths or URLs (s3://, gs://),
     as 'retropole fleet calibrate' takes them: of each pair a new target and a new source, of each
     site of many LiDARs a site file with the new recordings, whose pairs are checked. What each is
-    held against is in DATASET, or else in the column result of the list, or else in result.json
+    compared with is in DATASET, or else in the column result of the list, or else in result.json
     next to the target, or site-result.json next to the site file. The column time (ISO 8601) says
     when it was recorded; otherwise that is when the later of the two was written.
 

@@ -56,8 +56,8 @@ def level(
     """Find roll, pitch and height over the ground of the LiDARs of RESULT.
 
     RESULT is a result.json, a site-result.json, or the folder that holds it. Its recordings are
-    looked for as 'report' does; give them where they lie elsewhere now. The plane is the one that
-    fits the ground best within a disc below the LiDARs.
+    looked for as 'report' does; give them where they are at another place now. The plane is the
+    one that fits the ground best within a disc below the LiDARs.
 
     --base-link gives the poses in base_footprint too: the frame of the vehicle on the ground.
 
@@ -106,7 +106,7 @@ LEVEL = more_option(
 def level_beside(result: Path, quiet: bool) -> None:
     """Level the LiDARs of a result that was just written, and write that next to it.
 
-    Where that is refused, the calibration stays what it is: the reason is printed.
+    If that is refused, the calibration stays what it is: the reason is printed.
     """
     from ..api.leveling import level_result
     from ..base.errors import Refusal

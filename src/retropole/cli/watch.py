@@ -250,7 +250,7 @@ def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:
 def until_signal() -> Iterator[Stopped]:
     """Let the first Ctrl-C end in order, so that nothing is lost; a second ends at once.
 
-    Where a system has no alarms, as Windows, nothing is broken off after the first.
+    If a system has no alarms, as Windows, nothing is broken off after the first.
     """
     stopped = Stopped()
     has_alarm = hasattr(signal, "setitimer")

@@ -122,7 +122,7 @@ def cloud_writer(path: Path, about: About) -> Iterator[Callable[[Points, float],
     UsageError
         For another suffix, and where a coordinate does not fit the file.
     MissingExtraError
-        Where what writes the format is not installed.
+        If what writes the format is not installed.
     OSError
         As `base.files.stream_atomically`.
     """

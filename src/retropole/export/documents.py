@@ -1,7 +1,7 @@
 """JSON and YAML: our own transform file, the result document, the truth of a simulation, Autoware.
 
 Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
-z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
+z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a separate parser
 would have to know flow mappings, anchors and quotes to read what others wrote. The frames of a site
 are written as JSON too, and its LiDARs on the map as GeoJSON.
 """
@@ -94,7 +94,7 @@ def read_json(data: bytes) -> list[Found]:
     Raises
     ------
     Refusal
-        Where the document is a refused result: it holds no transform.
+        If the document is a refused result: it holds no transform.
     """
     try:
         document = msgspec.json.decode(data)
@@ -116,7 +116,7 @@ def read_json(data: bytes) -> list[Found]:
 
 
 def _found(document: dict[str, Any]) -> Found:
-    """Read one transform of our own files."""
+    """Read a separate transform files."""
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
@@ -148,7 +148,7 @@ def result_in(data: bytes) -> ResultDoc | SiteDoc | None:
     Raises
     ------
     ReadError
-        Where it is not sound.
+        If it is not sound.
     """
     if is_result(data):
         return decode(data)
@@ -161,7 +161,7 @@ def found_in_result(result: ResultDoc) -> Found:
     Raises
     ------
     Refusal
-        Where it was refused.
+        If it was refused.
     """
     T = result.T_target_source
     if T is None:
@@ -407,9 +407,9 @@ def write_geojson(tree: Tree) -> str:
     Raises
     ------
     UsageError
-        Where nothing ties the frame of the site to the earth.
+        If nothing ties the frame of the site to the earth.
     MissingExtraError
-        Where its frame is projected and pyproj is not installed.
+        If its frame is projected and pyproj is not installed.
     """
     found = on_wgs84(tree.frame, tree.places)
     features = []

@@ -175,7 +175,7 @@ def from_quaternion(
     Raises
     ------
     ReadError
-        Where a number is not finite, or the norm is further than the tolerance from 1.
+        If a number is not finite, or the norm is further than the tolerance from 1.
     """
     q, t = np.asarray(xyzw, dtype=float), np.asarray(translation, dtype=float)
     if not (np.isfinite(q).all() and np.isfinite(t).all()):
@@ -199,7 +199,7 @@ def from_rpy(translation: Array, rpy: Array) -> Array:
     Raises
     ------
     ReadError
-        Where a number is not finite, or an angle is larger than a full turn.
+        If a number is not finite, or an angle is larger than a full turn.
     """
     if not (np.isfinite(rpy).all() and np.isfinite(translation).all()):
         raise ReadError("no rigid transform: a number is not finite")
@@ -324,14 +324,14 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
     """Take the one transform that fits the names; name it where the file does not.
 
-    Where none has both names, that over a way of several: over ``base_link`` to both LiDARs.
+    If none has both names, that over a way of several: over ``base_link`` to both LiDARs.
 
     Raises
     ------
     ReadError
-        Where none fits, several do, or the one is no rigid transform.
+        If none fits, several do, or the one is no rigid transform.
     UsageError
-        Where a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
+        If a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
     """
     fits = [f for f in found if _fits(f.parent, parent) and _fits(f.child, child)]
     if not fits and parent and child:

@@ -84,11 +84,11 @@ def tree_of(document: SiteDoc, level: LevelDoc | None = None) -> Tree:
     Raises
     ------
     Refusal
-        Where the site was refused: it holds no poses.
+        If the site was refused: it holds no poses.
     UsageError
-        Where a LiDAR is named as another frame is, or no frame can be named so.
+        If a LiDAR is named as another frame is, or no frame can be named so.
     MissingExtraError
-        Where its frame is projected and pyproj is not installed.
+        If its frame is projected and pyproj is not installed.
     """
     if document.status == "refused":
         raise refusal_of(document.reasons, "the site was refused, there are no poses: ")

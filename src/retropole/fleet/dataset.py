@@ -141,7 +141,7 @@ def known_in(out: str) -> dict[str, Known]:
     Raises
     ------
     ReadError
-        Where a partition is damaged or of another schema.
+        If a partition is damaged or of another schema.
     """
     known: dict[str, Known] = {}
     for name in partitions_in(out):
@@ -208,7 +208,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     Raises
     ------
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     for folder, of, each in (
         (RUNS, Run, sorted(runs, key=lambda run: run.id)),
@@ -295,7 +295,7 @@ def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
     Raises
     ------
     ReadError
-        Where it is none.
+        If it is none.
     """
     return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
 

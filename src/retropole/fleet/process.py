@@ -107,7 +107,7 @@ class Reader:
     memory
         Bytes that it may hold; None for any number.
     folder
-        Where its copies of files go; None for the system's.
+        If its copies of files go; None for the system's.
     """
 
     def __init__(self, memory: int | None = None, folder: str | None = None) -> None:
@@ -122,7 +122,7 @@ class Reader:
         Raises
         ------
         RetropoleError
-            Where no such process can be started.
+            If no such process can be started.
         """
         started, attempts = time.monotonic(), 0
         outcome, why = None, list[tuple[str, str]]()

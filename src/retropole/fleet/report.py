@@ -33,13 +33,13 @@ from .overview import STATUSES, Overview, Seen
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
 
 WORST = 20
-"""So many of the largest errors are listed."""
+"""Number of of the largest errors that are listed."""
 
 EXAMPLES = 3
-"""So many sites are named for each reason."""
+"""Number of sites that are named for each reason."""
 
 SHOWN = 20
-"""So many sites of a list are shown at once; the page unfolds the others."""
+"""Number of sites of a list that are shown at once; the page unfolds the others."""
 
 MOST_FAILED = 500
 """So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
@@ -60,7 +60,7 @@ MOVED = (
     "calibrate it again: `retropole fleet calibrate`."
 )
 DISAGREEING = (
-    "See whether something new stands in view, or a LiDAR sways. Then record and check it again: "
+    "See whether something new is in view, or a LiDAR sways. Then record and check it again: "
     "`retropole fleet check`."
 )
 OUTDATED = (
@@ -116,7 +116,7 @@ MARGIN = 44
 """Around what is drawn."""
 
 LEAST_SPAN = 200.0
-"""A map shows at least so much, m."""
+"""A map shows at least this much, m."""
 
 FLAT_BELOW = 500e3
 """So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
@@ -135,7 +135,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     overview
         As `overview.overview_of` gives it.
     link
-        Where a site's own report is, as the page links to it; empty for nowhere.
+        If a site's own report is, as the page links to it; empty for nowhere.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
     Raises
     ------
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     place = absolute(place)
     folder = None if reports is None else absolute(reports)
@@ -344,7 +344,7 @@ def _listed(overview: Overview, status: Status, link: Callable[[Seen], str]) -> 
 def _table(
     caption: str, said: tuple[str, str], rows: Sequence[Sequence[object]], links: Sequence[str]
 ) -> Html:
-    """Lay out a list of sites, of a long one the first at once, the rest folded away."""
+    """Arrange a list of sites, of a long one the first at once, the rest folded away."""
     header = ("site", *said, "what to do next")
     first = table(caption, header, rows[:SHOWN], (1, 2, 3), links=links[:SHOWN])
     if not (rest := rows[SHOWN:]):

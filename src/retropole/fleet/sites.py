@@ -59,9 +59,9 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     config
         Options of a pair; a site file has its own.
     latitude, longitude
-        Where it is, rad; None if that is not said.
+        If it is, rad; None if that is not said.
     result
-        Place of the stored result that a check holds it against; a calibration takes none.
+        Place of the stored result that a check compares it with; a calibration takes none.
     time
         When a list says that it was recorded, ISO 8601, UTC; empty if none does.
     fault
@@ -112,7 +112,7 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
     ReadError
         Where something is not found or cannot be read, or two sites have the same id.
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     """
     sites: dict[str, FleetSite] = {}
     for place in (each for one in given for each in _expanded(one)):

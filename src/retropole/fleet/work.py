@@ -46,7 +46,7 @@ Doc = TypeVar("Doc", ResultDoc, SiteDoc)
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """What a site is held against.
+    """What a site is compared with.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 class Task(msgspec.Struct, frozen=True, kw_only=True):
     """What a worker is told: the site, and the key of the row that there is of it.
 
-    With a `check` the site is held against its stored result, and not calibrated. Of `protocols`
+    With a `check` the site is compared with its stored result, and not calibrated. Of `protocols`
     URLs are followed as by whoever gives it.
     """
 
@@ -97,7 +97,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Hashed(msgspec.Struct, frozen=True, tag=True):
-    """Inputs have been read as bytes: whatever comes, the row tells which they were."""
+    """Inputs have been read as bytes: whatever comes, the row shows which they were."""
 
     key: str
     inputs: list[InputEntry]
@@ -237,7 +237,7 @@ def _hashed(site: FleetSite, local: LocalFiles) -> Hashed:
 
 
 def _calibrated(task: Task, local: LocalFiles, hashed: Hashed) -> tuple[Row, Mapping[str, float]]:
-    """Calibrate, and report where that is asked for; gives the time of each step too."""
+    """Calibrate, and report where that is requested; gives the time of each step too."""
     site, result = task.site, _result(task.site, local)
     if not _is_of(result.document, hashed):
         raise ReadError(f"{site.id}: a recording changed while it was read")
@@ -274,7 +274,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
 
 
 def _is_reported(task: Task, hashed: Hashed) -> bool:
-    """Whether the result of these inputs is in its folder, or none is asked for."""
+    """Whether the result of these inputs is in its folder, or none is requested."""
     if task.reports is None:
         return True
     name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
@@ -308,7 +308,7 @@ class LocalFiles:
     Raises
     ------
     ReadError
-        Where a file is not there.
+        If a file is not there.
     """
 
     def __init__(self, site: FleetSite, folder: Path) -> None:
@@ -334,7 +334,7 @@ class LocalFiles:
         Raises
         ------
         ReadError
-            Where one cannot be read, or the site file is none.
+            If one cannot be read, or the site file is none.
         """
         return [
             InputEntry(
@@ -381,7 +381,7 @@ class LocalFiles:
         Raises
         ------
         ReadError
-            Where one that is named cannot be read.
+            If one that is named cannot be read.
         """
         beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
         found = [path for path in beside if path.is_file()]
@@ -425,7 +425,7 @@ def local_files(site: FleetSite) -> Iterator[LocalFiles]:
     Raises
     ------
     ReadError
-        Where a file is not there.
+        If a file is not there.
     """
     with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
         local = LocalFiles(site, Path(folder))

@@ -146,7 +146,7 @@ def moments_of(sweeps: Iterable[Points], size: float = DEFAULT_CELL) -> Moments:
     Raises
     ------
     UsageError
-        As `merging.cell_keys`, and where there are more LiDARs.
+        As `merging.cell_keys`, and if there are more LiDARs.
     """
     grid, anchor = Grid(summed), np.zeros(3, np.int64)
     is_first = True
@@ -410,7 +410,8 @@ def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array
 
 
 def distances(apart: Iterable[Apart]) -> list[Distance]:
-    """Sum up how far surfaces lie apart, by pair of LiDARs and kind of surface; none is left out.
+    """Sum up how far from each other surfaces lie, by pair of LiDARs and kind of surface; none is
+    left out.
 
     Medians: single objects that moved, or that both see otherwise, move them little.
     """

@@ -92,7 +92,7 @@ MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
 """What is not known better, rad and m, is no answer."""
 
 ROUNDS, SETTLED = 3, 0.001
-"""The rough axes are those of the plane after so many rounds at most; they are where they are not
+"""The rough axes are those of the plane after at most this many rounds; they are where they are not
 tilted against it by more than this, rad: a LiDAR 6 m high has its foot 6 mm aside."""
 
 JACOBIAN_STEP = 1e-6
@@ -336,7 +336,7 @@ class _OwnCells(NamedTuple):
 
 def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
     xyz = viewer.cloud.xyz[index]
-    # By where the beams meet the plane: by the points, noise would choose the cell.
+    # By where the beams hit the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
     start, beams = (
         se3.apply(T, viewer.cloud.origin[None])[0],

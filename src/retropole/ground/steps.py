@@ -30,7 +30,8 @@ STEP, SLOPE = 0.03, 0.04
 of their distance, to 0.07 m a metre away: less than a kerb, more than a road's camber."""
 
 REACH = 2
-"""Squares so far apart along both axes are neighbours: between two rings some are empty."""
+"""Squares so far from each other along both axes are neighbours: between two rings some are
+empty."""
 
 MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
@@ -45,7 +46,7 @@ CLOSED = 1
 Two kerbs 3 m apart stay two."""
 
 APART, DIFFERENT = 4, 0.06
-"""Pieces that are within so many squares of each other are different levels where their heights
+"""Pieces that are within this many squares of each other are different levels where their heights
 there differ by more, metres, in the middle."""
 
 SAME_LEVEL = 0.06
@@ -65,7 +66,7 @@ LEAST_SHARE = 0.05
 """Least share of the smaller of them."""
 
 MOST_LEVELS = 6
-"""So many of the largest pieces are tried for a beginning of the ground."""
+"""Number of of the largest pieces that are tried for a beginning of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
 """A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
@@ -79,9 +80,9 @@ NEAREST, NEARER = 0.05, 0.6
 which so much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
-"""At a step, levels are by so much of their distance apart in the middle of so many nearest pairs
-of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes fit
-(seeds 0 to 199, 3065 and 3181 of the benchmark)."""
+"""At a step, levels are by this amount of their distance apart in the middle of this many nearest
+pairs of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes
+fit (seeds 0 to 199, 3065 and 3181 of the benchmark)."""
 
 STRIP, STRIP_TURNS = 0.5, 90
 """Width of strips along a kerb, metres, and directions of them that are tried over half a turn."""
@@ -270,7 +271,8 @@ def _beside_a_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels are as far apart where they are nearest as elsewhere, as at no slope."""
+    """Whether two levels are as far from each other where they are nearest as elsewhere, as at no
+    slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]
@@ -337,8 +339,9 @@ def _parted(
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N, 3) are of the lower and the upper of two parallel levels; None of one.
 
-    Where rings are far apart, one that climbs along the face of a kerb links road and pavement.
-    What lies between the levels is of none. From the guesses (N,) of the upper the best is found.
+    Where rings are far from each other, one that climbs along the face of a kerb links road and
+    pavement. What lies between the levels is of none. From the guesses (N,) of the upper the best
+    is found.
     """
     own = at[both]
     table, found = np.c_[np.ones(len(own)), own[:, :2]], []

@@ -26,8 +26,8 @@ LOW, HIGH = 0.1, 0.9
 err."""
 
 FLAT = 0.06
-"""Bottom and top of a square of ground are no farther apart, metres: less than the least kerb,
-0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
+"""Bottom and top of a square of ground are no farther from each other, metres: less than the least
+kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3
 """Fewer returns show no square of ground: one may lie on the face of a kerb."""
@@ -124,7 +124,7 @@ def find_ground(
     ------
     Refusal
         ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two
-        levels are, and nothing tells which of them is below.
+        levels are, and nothing shows which of them is below.
     """
     origins = np.stack([viewer.origin for viewer in viewers])
     rough, ceiling = _rough_axes(viewers) if axes is None else axes

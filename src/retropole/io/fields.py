@@ -84,7 +84,7 @@ class Wanted(NamedTuple):
     angles
         Of packets, the file of the unit's own angles; None takes those of the table.
     if_any
-        Those of both, by name, that are left out where a file has no use for them: they are known
+        Those of both, by name, that are left out if a file has no use for them: they are known
         from an older recording, and were not given for this one.
     place
         Of a map, the place that is read; None for a recording of one LiDAR.
@@ -101,7 +101,7 @@ class Wanted(NamedTuple):
         Raises
         ------
         ReadError
-            Where a field is wanted that is not there; lists those there are.
+            If a field is wanted that is not there; lists those there are.
         """
         if not self.intensity:
             return INTENSITY
@@ -341,7 +341,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     Raises
     ------
     UsageError
-        Where no point is a return.
+        If no point is a return.
     """
     kept = _is_return(cloud.xyz, cloud.origin)
     if not kept.any():

@@ -111,7 +111,7 @@ def _columns(
 def _check_header(file: BinaryIO, size: int) -> None:
     """Check that the file is long enough for the records and chunks that the header promises.
 
-    The decoder allocates memory for as many chunks as the file says, and where there is not enough,
+    The decoder allocates memory for as many chunks as the file says, and if there is not enough,
     it ends the process: no exception could be caught. A chunk starts with one uncompressed point.
     """
     if size == 0:

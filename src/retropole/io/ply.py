@@ -54,7 +54,7 @@ def read_ply(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     ReadError
-        Where the header or the data are not what they should be.
+        If the header or the data are not what they should be.
     """
     data = read_whole(path, "a PLY header")
     encoding, elements, start, lines = _parse_header(data)

@@ -60,7 +60,7 @@ PACKET_MESSAGES = frozenset(
 """Types of the messages in which drivers publish packets."""
 
 PACKETS_OF = "packets of "
-"""So begins what stands in the place of a type where a capture has several LiDARs."""
+"""So begins what is in the place of a type where a capture has several LiDARs."""
 
 
 class FrameHeader(NamedTuple):
@@ -195,7 +195,7 @@ class ReadRecording:
     recording
         What was read.
     asked, numbers
-        Which frames were asked for, and which of them were read.
+        Which frames were requested, and which of them were read.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
@@ -211,7 +211,7 @@ class ReadRecording:
 
     @property
     def left_out(self) -> int:
-        """How many frames were asked for, and not read since all have too many points."""
+        """How many frames were requested, and not read since all have too many points."""
         return len(self.asked) - len(self.numbers)
 
     @property
@@ -228,9 +228,9 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
     Raises
     ------
     ReadError
-        Where the recording has none of the given frames.
+        If the recording has none of the given frames.
     UsageError
-        Where the step of the slice is not positive.
+        If the step of the slice is not positive.
     """
     if frames is not None:
         if frames.step is not None and frames.step < 1:
@@ -259,7 +259,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
     Raises
     ------
     ReadError
-        Where no frame has a return, where origins differ, and where only some have an intensity.
+        If no frame has a return, where origins differ, and where only some have an intensity.
     """
     dropped = sum(frame.cloud.dropped for frame in frames)
     full = [frame for frame in frames if len(frame.cloud)]
@@ -343,16 +343,16 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
 
 
 MAX_POINTS = 1_500_000
-"""Points of one cloud that are worked on unless more are asked for. Of four streets recorded with
+"""Points of one cloud that are worked on unless more are requested. Of four streets recorded with
 30 sweeps of 100,000 points, thinned to so many, the refined pose came out as well as of all
 (0.001° to 0.009° off instead of 0.002° to 0.005°), in less than half the time."""
 
 LEAST_POINTS = 1000
-"""No fewer are asked for: they show no pole."""
+"""No fewer are requested: they show no pole."""
 
 FEWEST_FRAMES = 20
 """Of more frames, every second is left out before any is downsampled: whole frames keep the pattern
-of the beams, and so many tell what moved."""
+of the beams, and so many show what moved."""
 
 BRIGHT_SHARE = 0.01
 """Part of the points that are left which the brightest may be: 15,000 of them. Returns on

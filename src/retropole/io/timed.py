@@ -150,7 +150,7 @@ def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
     if abs(turned_in_all) <= ONE_WAY * np.abs(step).sum():
         return None
     way = np.sign(turned_in_all)
-    # Rings begin together, but for those whose first beams met nothing: before the others none.
+    # Rings begin together, but for those whose first beams hit nothing: before the others none.
     begun = azimuth[is_first]
     middle = np.angle(np.exp(1j * begun).mean())
     off = way * ((begun - middle + np.pi) % (2 * np.pi) - np.pi)

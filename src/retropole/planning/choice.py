@@ -37,7 +37,7 @@ MOST_TRIED = 10
 """Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
 
 DEARER = 1.25
-"""So many times the error may be where a LiDAR hangs on one pole less."""
+"""Number of times the error that may be where a LiDAR depends on one pole less."""
 
 HANGS = 1.0
 """A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
@@ -48,8 +48,8 @@ two or three stand. A half turn about the vertical lays two of equal leans on ea
 ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
 TOLD_APART = float(np.radians(6.0)), 0.3
-"""Angles between poles, rad, or distances, metres, that differ by so much tell which is which. Two
-poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
+"""Angles between poles, rad, or distances, metres, that differ by this amount show which is which.
+Two poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
 
 NOT_BEHIND = float(np.radians(2.0))
 """No LiDAR sees two poles of one placement nearer to each other than this, rad: one might hide the
@@ -121,7 +121,7 @@ class Design:
     rules
         Which of them may stand together.
     feet
-        (C, 2) where each stands, metres.
+        (C, 2) where each is, metres.
     found
         What was found so far with each pole more: an exchange often asks again.
     """
@@ -160,8 +160,8 @@ class Design:
     def change(self, inverse: Array, k: int, sign: float) -> Array:
         """(L - 1,) by how much one pole more (1), or less (-1), changes the squared errors.
 
-        Of what the pole says, ``u uᵀ``, the covariance ``C`` changes by ``C u (1 ± uᵀ C u)⁻¹ uᵀ C``
-        (Woodbury).
+        Of what the pole shows, ``u uᵀ``, the covariance ``C`` changes by ``C u (1 ± uᵀ C u)⁻¹ uᵀ
+        C`` (Woodbury).
         """
         place, root = self.roots[k]
         own = inverse[: self.unknowns.poses, place] @ root
@@ -255,9 +255,9 @@ def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
 
 
 def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
-    """Exchange poles where LiDARs hang on one, as far as that helps.
+    """Exchange poles where LiDARs depend on one, as far as that helps.
 
-    A blunder of a pole that nothing checks does not show. Two poles always hang on each other.
+    A blunder of a pole that nothing checks does not show. Two poles always depend on each other.
     """
     now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
     most = DEARER * error_of(design, chosen)
@@ -302,7 +302,7 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
 
 
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
-    """Yield the poles that may stand in a placement, too, and the error with each, best first."""
+    """Yield the poles that may be in a placement, too, and the error with each, best first."""
     taken = [k for each in chosen for k in each]
     error = design.beside(taken) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():

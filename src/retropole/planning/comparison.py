@@ -122,7 +122,7 @@ def _match(
     offsets = np.zeros((len(wanted), len(poles), 2))
     for k, plan in enumerate(wanted):
         for j, (point, axis) in enumerate(zip(points, axes, strict=True)):
-            # Where its axis meets the ground; of a level one the middle.
+            # Where its axis hits the ground; of a level one the middle.
             along = (plan.foot_m - point)[2] / axis[2] if abs(axis[2]) > LEVEL else 0.0
             offsets[k, j] = (point + along * axis - plan.foot_m)[:2]
     away = np.linalg.norm(offsets, axis=2)
@@ -152,7 +152,7 @@ def _missing(plan: PlannedPoleDoc) -> str:
 
 
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
-    """Say how a pole stands, and where to move it as somebody sees it from the first LiDAR."""
+    """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
     far = float(np.linalg.norm(offset))
     stands = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
     if far <= NEAR and turned <= ALIKE:

@@ -28,21 +28,22 @@ CELL = 0.25
 """Side of a cell of the ground, metres."""
 
 FOOT, FOOT_POINTS = 0.5, 3
-"""The ground at a foot is what lies within so many metres of it, of at least so many returns."""
+"""The ground at a foot is what lies within this many metres of it, of at least this many
+returns."""
 
 SPREAD = 0.25
 """Ground is bare and flat where its cells within `FOOT` reach no higher above each other, metres:
-a pole's foot stands on it, and on a slope of 14°."""
+a pole's foot is on it, and on a slope of 14°."""
 
 STEP, AROUND = 0.4, 3.0
-"""Ground lies no higher than this above the lowest within so many metres: else it is the top of
+"""Ground lies no higher than this above the lowest within this many metres: else it is the top of
 something, such as a car."""
 
 FARTHEST = 15.0
-"""Ground farther from every LiDAR is not looked at, metres: hardly a beam meets a pole there."""
+"""Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
 
 ABOVE = 0.3
-"""Returns so high above the ground are of something that stands there, metres."""
+"""Returns so high above the ground are of something that is there, metres."""
 
 CLEARANCE = 0.6
 """So far a pole keeps from it, metres (docs/poles.md)."""
@@ -56,7 +57,7 @@ MIN_FEET = 4
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A LiDAR where it stands, and what it recorded there without poles.
+    """A LiDAR where it is, and what it recorded there without poles.
 
     Attributes
     ----------
@@ -113,7 +114,7 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What is known of the ground, and what stands on it.
+    """What is known of the ground, and what is on it.
 
     Attributes
     ----------
@@ -189,7 +190,7 @@ def survey(
             "stand",
             {"places": int(np.count_nonzero(flat)), "allowed": int(np.count_nonzero(kept))},
         )
-    # Where nothing low is near, what was recorded stands on something.
+    # Where nothing low is near, what was recorded is on something.
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
     return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
@@ -208,13 +209,13 @@ DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""
 
 MOST_FEET = 40
-"""Places that are looked at first: they are as far apart as that takes."""
+"""Places that are looked at first: they are as far from each other as that takes."""
 
 FEET_OF_TWO = 8
 """Of several LiDARs, those that every two see together: with less, far ones had none."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""How far apart that may be, metres."""
+"""How far from each other that may be, metres."""
 
 MIN_RETURNS, MIN_RINGS = 14, 4
 """Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as
@@ -270,7 +271,7 @@ class Candidates:
 
 
 class Met(NamedTuple):
-    """The beams of one LiDAR that meet a pole, and their ranges (M,); how many pointed at it."""
+    """The beams of one LiDAR that hit a pole, and their ranges (M,); how many pointed at it."""
 
     beam: IntArray
     ranges: Array
@@ -278,7 +279,7 @@ class Met(NamedTuple):
 
 
 def beams_met(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Met:
-    """Find the beams that meet a pole before anything else."""
+    """Find the beams that hit a pole before anything else."""
     toward = pole.centre - beams.origin
     away = float(np.linalg.norm(toward))
     if away <= pole.bounding_radius:
@@ -301,7 +302,7 @@ def is_seen(met: Met, beams: RecordedBeams) -> bool:
 
 
 def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
-    """Whether enough of the beams that met a pole do so with their middle, not only an edge."""
+    """Whether enough of the beams that hit a pole do so with their middle, not only an edge."""
     ranges = pole.intersect(beams.origin, beams.directions[met], 0.0).ranges
     rings = beams.rings[met[ranges < beams.ranges[met]]]
     return len(rings) >= MIN_CORE and (rings.min() < 0 or len(np.unique(rings)) >= MIN_RINGS)
@@ -310,7 +311,7 @@ def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
 def who_sees(
     candidates: Candidates, stations: Sequence[Station], divergences: Sequence[float]
 ) -> BoolArray:
-    """Tell which LiDAR sees which pole, (C, L), each pole by itself."""
+    """Say which LiDAR sees which pole, (C, L), each pole by itself."""
     seen = np.zeros((len(candidates), len(stations)), dtype=bool)
     for i, (station, divergence) in enumerate(zip(stations, divergences, strict=True)):
         beams = station.seen_from_place()
@@ -385,7 +386,7 @@ def seen_together(feet: Array, seen: BoolArray) -> Array:
 def leaning(
     feet: Array, leans: Sequence[float], directions: int, length: float, radius: float
 ) -> Candidates:
-    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in so many directions."""
+    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
     axes = [np.array([0.0, 0.0, 1.0])]
     for lean in leans:
         for toward in 2 * np.pi * np.arange(directions) / directions:

@@ -53,7 +53,7 @@ def recordings_with(
     *,
     again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles that stand in the place into the recording of each LiDAR.
+    """Put poles that are in the place into the recording of each LiDAR.
 
     The place was recorded once. Recorded `again`, for another placement, its ranges have other
     noise: number for number the same, it would be refused as one recording given twice.
@@ -351,7 +351,7 @@ def _check_linked(
 
 
 def _check_poses(rehearsal: Rehearsal) -> None:
-    """Refuse poses that what stands in the place denies: no pole moved here."""
+    """Refuse poses that what is in the place contradicts: no pole moved here."""
     for reason in rehearsal.reasons:
         if rehearsal.status == "refused" and reason.code == "scene_contradicts":
             said = reason.message.partition(": did a pole move")[0]

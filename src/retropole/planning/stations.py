@@ -1,4 +1,4 @@
-"""Where the LiDARs stand in the place: rough poses, settled on what all recorded."""
+"""Where the LiDARs are in the place: rough poses, settled on what all recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
-"""A rough pose is good to 10° and 1 m; what settles farther away than this is another."""
+"""A rough pose is good to 10° and 1 m; what converges farther away than this is another."""
 
 MOVERS = 30
 """So many voxels of the scene conflict with a pose that is right, since people walk and plants
@@ -85,7 +85,7 @@ def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -
                 found = settled._replace(T=poses[j] @ settled.T)
             if settled.is_clear:
                 break
-        # Where another settles it, one that sees little of the same is no witness.
+        # Where another converges it, one that sees little of the same is no witness.
         if conflicts and not found.by_place:
             raise conflicts[0]
         is_settled.append(found.by_place)
@@ -110,7 +110,7 @@ def stand_drawn(
     names, sensors, poses
         Of the LiDARs; (4, 4) poses in the frame that is drawn in.
     boxes
-        What stands there, in the same frame.
+        What is there, in the same frame.
 
     Raises
     ------
@@ -166,8 +166,8 @@ def place_frame(cloud: PointCloud) -> Array:
 
 
 class Settled(NamedTuple):
-    """A pose (4, 4), and how many parts of the scene agree and conflict with it where what stands
-    in the place gave it; none of either where only the ground did."""
+    """A pose (4, 4), and how many parts of the scene agree and conflict with it where what is
+    in the surroundings gave it; none of either where only the ground did."""
 
     T: Array
     agreeing: int = 0
@@ -175,7 +175,7 @@ class Settled(NamedTuple):
 
     @property
     def by_place(self) -> bool:
-        """Whether what stands in the place gave it."""
+        """Whether what is in the surroundings gave it."""
         return self.agreeing > 0
 
     @property
@@ -192,12 +192,12 @@ class Settled(NamedTuple):
 def settle(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Settled:
     """Settle a rough pose (4, 4), target from source, on what both recorded.
 
-    Where they share too little, the ground is laid on the ground.
+    If they share too little, the ground is aligned with the ground.
 
     Raises
     ------
     Refusal
-        ``pose_contradicted`` where the ground, or what stands on it, conflicts with the pose.
+        ``pose_contradicted`` where the ground, or what is on it, conflicts with the pose.
     """
     grounds = grounds_of(Placement(target, source), np.random.default_rng(0))
     check_grounds(first, second, grounds[0][0], grounds[1][0], rough)

@@ -1,4 +1,4 @@
-"""The plan as a person reads it: where each pole stands, and what to expect."""
+"""The plan as a person reads it: where each pole is, and what to expect."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ LEAST_LINE = 0.5
 """LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
 
 BY_EYE = 4.0
-"""Poles that lean as it comes are best from 1 m to this far apart, metres (docs/poles.md)."""
+"""Poles that lean as it comes are best from 1 m to this far from each other, metres
+(docs/poles.md)."""
 
 UPRIGHT = np.radians(2.0)
 """A pole that leans by less stands upright, rad."""

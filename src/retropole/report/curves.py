@@ -86,7 +86,7 @@ def curve_sentence(curve: ErrorCurve | None) -> str:
 
 
 def curve_figure(curve: ErrorCurve | None) -> Html:
-    """Draw the error over the distance, with what was asked for; nothing if none is stated."""
+    """Draw the error over the distance, with what was requested; nothing if none is stated."""
     if curve is None:
         return EMPTY
     most = max([*curve.sigmas, *(curve.bounds or ())])
@@ -122,7 +122,7 @@ def _curves(chart: Chart, curve: ErrorCurve) -> Iterator[Html]:
 
 
 def _need(chart: Chart, need: Need) -> Html:
-    """Draw what was asked for, as far as it was asked for."""
+    """Draw what was requested, as far as it was requested."""
     x, y = chart.at(np.array([[min(need.at, RANGES[-1]), need.within]]))[0]
     left, top, _, _ = chart.box
     beside = y + 20 if y < top + 20 else y - 8

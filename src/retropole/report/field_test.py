@@ -17,7 +17,8 @@ from .text import table as text_table
 from .verdict import reason_item, verdict_box
 
 LISTED = 16
-"""So many distances are printed, those nearest to their limits, and so many pairs of a site."""
+"""Number of distances that are printed, those nearest to their limits, and so many pairs of a
+site."""
 
 VERDICTS: dict[Verdict, tuple[str, str, str]] = {
     "pass": ("ok", "✓", "Pass: the LiDARs measure as stated"),
@@ -159,7 +160,7 @@ def _variances(test: SpreadTest) -> str:
     verdict = "may be equal" if test.passed else "differ"
     return (
         f"one sweep repeats a distance within {1e3 * test.target.sigma:.1f} mm (target) and "
-        f"{1e3 * test.source.sigma:.1f} mm (source), 1 σ; held against what their returns allow, "
+        f"{1e3 * test.source.sigma:.1f} mm (source), 1 σ; compared with what their returns allow, "
         f"the variances {verdict}: F = {test.ratio:.2f}, passes from {test.low:.2f} to "
         f"{test.high:.2f}"
     )

@@ -231,5 +231,5 @@ def _draw(
     legend: Any = above.legend(loc="upper right", fontsize=9)
     for handle in legend.legend_handles[: len(clouds)]:
         if hasattr(handle, "set_sizes"):
-            # Large enough to tell the colours.
+            # Large enough to show the colours.
             handle.set_sizes([60.0])

@@ -1,4 +1,4 @@
-"""The ways of laying the poles of a pair on each other, and what decides between them."""
+"""The ways of matching the poles of a pair, and what decides between them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""
 
 SAME_AXIS = math.radians(10.0)
-"""Within this of the vertical, or of level, an axis is called so, rad: it stands between poses that
+"""Within this of the vertical, or of level, an axis is called so, rad: it is between poses that
 the poles alone give, and the normal of the ground that is taken for the vertical is off by some
 degrees, too."""
 
@@ -43,7 +43,7 @@ def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
-    """Say how the source stands under a hypothesis, as against the first of all."""
+    """Say how the source is under a hypothesis, as against the first of all."""
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
@@ -160,7 +160,7 @@ TRIED = {
     (
         "pairs",
         "pairs_laid",
-    ): "the {} most alike of {} pairs of possible poles were laid on each other",
+    ): "the {} most similar of {} pairs of possible poles were superimposed",
     ("ways", "ways_tried"): "the best {} of {} ways of pairing possible poles were tried",
     ("fitting", "fitting_registered"): "the best {} of {} that fit were registered",
 }

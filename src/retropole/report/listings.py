@@ -35,7 +35,7 @@ UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
 
 NAMED = 3
-"""So many observations that stand out are named; the page lists them all."""
+"""Number of observations that stand out and are named; the page lists them all."""
 
 
 class Listing(NamedTuple):
@@ -133,7 +133,7 @@ def _found(each: FoundDoc) -> str:
 
 
 def hypotheses(result: ResultDoc) -> Listing:
-    """List the ways of laying the poles of a pair on each other, the best first."""
+    """List the ways of matching the poles of a pair, the best first."""
     rows = [
         [
             name_of(k, each),
@@ -388,7 +388,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     subject
         The answer, or the refusal.
     verbose
-        Whether the kinds of error and the radius are told as well.
+        Whether the kinds of error and the radius are reported as well.
     """
     site, pair = subject.site, subject.pair
     if subject.answered and pair is None:
@@ -448,7 +448,7 @@ def clocks(subject: Subject) -> Iterator[str]:
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
-    """Say what only a pair states: its weakest direction, the radius, what the scene says."""
+    """Say what only a pair states: its weakest direction, the radius, what the scene shows."""
     if pair.weakest is not None:
         yield f"weakest direction, 1 sigma: {pair.weakest.words}"
     if pair.walk is not None:
@@ -512,7 +512,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
 
 
 def fitness_words(subject: Subject) -> str:
-    """Answer whether every pose is as accurate as was asked for; empty if nothing was."""
+    """Answer whether every pose is as accurate as was requested; empty if nothing was."""
     asked = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
     if not asked:
         return ""

@@ -24,7 +24,7 @@ HEIGHTS = 300.0, 620.0
 """Least and greatest height of the picture."""
 
 MARGIN = 46.0
-"""Around all that stands there: room for names."""
+"""Around all that is there: room for names."""
 
 SURROUNDED = 2.5
 """What is drawn around LiDARs and poles, metres: enough to know the place again."""
@@ -36,7 +36,7 @@ FINE = 2
 """Dots of what was recorded in a unit of the picture, across and down."""
 
 ABOVE = 0.3
-"""What was recorded so high above the ground stands there, metres."""
+"""What was recorded so high above the ground is there, metres."""
 
 ARROW = 30.0
 """Length of a LiDAR's x axis in the picture."""
@@ -180,7 +180,7 @@ def _poles(
     placements: Sequence[PlannedPlacementDoc],
     labels: Labels,
 ) -> list[Html]:
-    """Draw each pole where it stands; of the placements the first has a number."""
+    """Draw each pole where it is; of the placements the first has a number."""
     poles = []
     for p, placement in enumerate(placements, first):
         for pole in placement.poles:

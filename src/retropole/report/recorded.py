@@ -23,7 +23,7 @@ from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, ta
 from .subject import Subject, colour_class, pair_name, pole_name
 
 UNFOLDED_CLUSTERS = 4
-"""Up to so many rejected clusters of a pair are listed unfolded."""
+"""Up to this many rejected clusters of a pair are listed unfolded."""
 
 HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units; `pieces.html` has the same."""
@@ -43,7 +43,7 @@ TOO_LITTLE = ("too_few_points", "too_few_rows")
 """Codes of clusters of which too little was seen."""
 
 NAMED = 3
-"""So many candidates are named of each LiDAR; the page lists all clusters below."""
+"""Number of candidates that are named of each LiDAR; the page lists all clusters below."""
 
 NEAREST = 2.0
 """No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
@@ -179,7 +179,7 @@ def _options(subject: Subject) -> list[tuple[str, str]]:
             "frame": site.frame.name,
             "reference": site.lidars[site.reference].name,
             "radius": f"{1000 * site.radius_m:g} ± {1000 * site.radius_sigma_m:g} mm",
-            "asked for": f"{100 * need.within:g} cm at {need.at:g} m" if need else "",
+            "requested": f"{100 * need.within:g} cm at {need.at:g} m" if need else "",
             "surveyed poles": len(site.surveyed_poles),
             "control points": len(site.control_points),
         }
@@ -385,7 +385,7 @@ def _nearer(distance: float, share: float) -> str:
     """Say how much nearer a pole has so many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
-    LiDAR, too: by this much nearer there are enough, on average at least.
+    LiDAR, too: by this amount nearer there are enough, on average at least.
     """
     enough = share * distance
     if enough < NEAREST:

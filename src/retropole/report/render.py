@@ -64,7 +64,7 @@ def render_report(
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
-        Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
+        If it was calibrated, and serial numbers by the names of LiDARs, those of a pair
         ``target`` and ``source``, for the certificate; without, what the document says, or a line
         to fill in.
 
@@ -80,7 +80,7 @@ def render_report(
         Of a pair, without a placement; of a site, where there are not as many LiDARs and placements
         of scans as of the document.
     UsageError
-        Where a serial number is given of a LiDAR that is none of the site.
+        If a serial number is given of a LiDAR that is none of the site.
     """
     if isinstance(document, ResultDoc) and not recorded:
         raise ValueError("a report shows at least one placement of the poles")
@@ -198,7 +198,7 @@ def render_page(
     view: PageView | None = None,
     sheet: Html = EMPTY,
 ) -> str:
-    """Lay out a page: its head, the verdict, links to every part that there is, and the parts.
+    """Arrange a page: its head, the verdict, links to every part that there is, and the parts.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ def short(name: str) -> str:
 
 @dataclass
 class Labels:
-    """Labels of one picture of so many units across and down; none covers another if it can."""
+    """Labels of one picture of this many units across and down; none covers another if it can."""
 
     width: float
     height: float

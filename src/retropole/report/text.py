@@ -59,7 +59,7 @@ def legible(value: Any) -> Any:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows under a header, each column as wide as it needs, numbers to the right.
+    """Arrange rows under a header, each column as wide as it needs, numbers to the right.
 
     A name of the header may have several lines, one for each word where a screen is too narrow.
     """
@@ -252,7 +252,7 @@ def _more(subject: Subject) -> list[str]:
 
 
 def _lines(listing: Listing) -> list[str]:
-    """Lay out a table and its caption below a blank line; nothing if it has no rows."""
+    """Arrange a table and its caption below a blank line; nothing if it has no rows."""
     caption, header, rows, _ = listing
     if not rows:
         return []

@@ -39,7 +39,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
     notes
         What a reader has to know of the page itself before all else.
     sentence
-        How far off points are, where that is known and nobody asked for more.
+        How far off points are, where that is known and nobody requested more.
     """
     site = subject.site
     symbol, title, words = VERDICTS.get(site.status, ("?", site.status, ""))
@@ -79,7 +79,7 @@ def instead_words(subject: Subject) -> str:
     )
     return (
         f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
-        "Add another pole or another placement, or record where more stands around that both "
+        "Add another pole or another placement, or record where more objects are around that both "
         f"LiDARs see.{trusted}"
     )
 

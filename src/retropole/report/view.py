@@ -117,7 +117,7 @@ class PageView(msgspec.Struct, frozen=True):
     poses, ellipsoid, places
         Of a pair; the places alone decide a direction of the pose, target frame.
     centre, radius
-        Where the camera looks in a site, in the plan; metres.
+        If the camera looks in a site, in the plan; metres.
     """
 
     kind: str
@@ -336,7 +336,7 @@ def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
 
 
 def _look(points: Sequence[Array]) -> tuple[Array, float]:
-    """Choose where the camera looks: the middle of all that stands there, and how far around."""
+    """Choose where the camera looks: the middle of all that is there, and how far around."""
     if not points:
         return np.zeros(3), SHOWN_RADIUS[0]
     stacked = np.array(points)

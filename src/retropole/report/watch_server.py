@@ -64,12 +64,12 @@ class WatchServer(ThreadingMixIn, TCPServer):
     Attributes
     ----------
     url
-        Where the page is. Whoever knows it sees the watch.
+        If the page is. Whoever knows it sees the watch.
 
     Raises
     ------
     UsageError
-        Where the address cannot be listened on.
+        If the address cannot be listened on.
     """
 
     allow_reuse_address = True
@@ -183,7 +183,7 @@ class _Answering(BaseHTTPRequestHandler):
             "Content-Type": kind,
             "Content-Length": str(len(body)),
             "Connection": "close",
-            # A page loads what its policy allows alone, is kept nowhere, and does not tell its
+            # A page loads what its policy allows alone, is kept nowhere, and does not show its
             # address.
             "Content-Security-Policy": policy,
             "Cross-Origin-Resource-Policy": "same-origin",
@@ -204,12 +204,12 @@ class _Answering(BaseHTTPRequestHandler):
 
 
 def local_address() -> str:
-    """Tell the address of this machine in the local network; nothing is sent.
+    """Say the address of this machine in the local network; nothing is sent.
 
     Raises
     ------
     UsageError
-        Where it is in none.
+        If it is in none.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         try:

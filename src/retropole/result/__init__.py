@@ -304,7 +304,7 @@ def result_document(
         ResultDoc,
         made_now(seconds),
         calibration,
-        # The budget stands next to it.
+        # The budget is next to it.
         uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
         predicted_error=list(calibration.predicted_error) or None,
@@ -366,7 +366,7 @@ class Provenance(NamedTuple):
 
 
 def made_now(seconds: Mapping[str, float] | None = None) -> Provenance:
-    """Say that a document is made now, by this version, in so many seconds of each step."""
+    """Say that a document is made now, by this version, in this many seconds of each step."""
     rounded = {name: round(value, 4) for name, value in (seconds or {}).items()}
     return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), rounded)
 
@@ -437,7 +437,7 @@ def any_result_file(path: Path) -> Path:
     Raises
     ------
     UsageError
-        Where the folder holds both.
+        If the folder holds both.
     """
     if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
         return result_file(path)

@@ -137,9 +137,9 @@ def level_of(data: bytes, lidars: Sequence[LidarDoc]) -> LevelDoc:
     Raises
     ------
     ReadError
-        Where it is none.
+        If it is none.
     UsageError
-        Where it is of another result.
+        If it is of another result.
     """
     found = parsed(data, LevelDoc, "level document")
     poses = {lidar.name: lidar.T_site_lidar for lidar in lidars}

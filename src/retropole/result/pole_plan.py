@@ -39,7 +39,7 @@ SHORTEST, LONGEST = 0.5, 10.0
 
 
 class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """A LiDAR where it stands.
+    """A LiDAR where it is.
 
     The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
     empty if the place was drawn.

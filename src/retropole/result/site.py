@@ -124,7 +124,7 @@ class RecordingDoc(InputDoc, frozen=True, kw_only=True):
     angles: Text | None = None
 
     def reading(self, max_points: int) -> Reading:
-        """How it was read, with at most so many points of a cloud."""
+        """How it was read, with at most this many points of a cloud."""
         how = slice_of(self.frames), max_points, self.unit, Wanted(self.intensity, self.angles)
         return Reading(self.sensor, self.threshold, self.topic, *how)
 
@@ -284,7 +284,7 @@ def site_document(
     Raises
     ------
     ValueError
-        Where a pose or a covariance of an answer is not finite.
+        If a pose or a covariance of an answer is not finite.
     """
     site = calibration.site
     answered = calibration.status != "refused"
@@ -326,7 +326,7 @@ def lidar_document(lidar: SiteLidar, pose: LidarPose | None) -> LidarDoc:
     Raises
     ------
     ValueError
-        Where the pose is not finite: that is no answer.
+        If the pose is not finite: that is no answer.
     """
     if pose and not (np.isfinite(pose.T_site_lidar).all() and np.isfinite(pose.covariance).all()):
         raise ValueError(f"{lidar.name}: a number of the answer is not finite")

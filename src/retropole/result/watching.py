@@ -50,7 +50,7 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     source
-        Where its sweeps come from.
+        If its sweeps come from.
     sweeps_per_s, age_s
         How many come, and how old the newest is; None if none came.
     points
@@ -83,7 +83,7 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
     angle_rad
         Between the two poles that differ most in direction; None if no two are seen.
     captured, wanted
-        Sweeps of each LiDAR kept of this placement, and how many are asked for.
+        Sweeps of each LiDAR kept of this placement, and how many are requested.
     placements
         How many are kept whole.
     predicted_error, bound_m

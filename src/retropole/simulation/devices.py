@@ -133,7 +133,7 @@ FIELD = NoiseModel(
     movers=2,
     intensity_falloff=True,
 )
-"""All that a LiDAR meets on a site where its mast stands still. The sizes are assumptions: of the
+"""All that a LiDAR hits on a site where its mast stands still. The sizes are assumptions: of the
 order that LiDARs' manuals allow, but measured on no instrument."""
 
 NOISE_MODELS = {"field": FIELD, "typical": TYPICAL, "none": EXACT}

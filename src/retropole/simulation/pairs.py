@@ -195,7 +195,7 @@ def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
 
 
 MIN_RETURNS, MIN_RINGS = 6, 3
-"""A LiDAR sees a pole with at least so many returns on so many rings: fewer give no line."""
+"""A LiDAR sees a pole with at least this many returns on so many rings: fewer give no line."""
 
 MAX_RECORDINGS = 20
 """Recordings of an arrangement before a `SimulationError`: noise seldom leaves too few returns of a
@@ -326,7 +326,7 @@ def poles_in_view(
 ) -> tuple[bool, ...]:
     """Which poles a LiDAR at a pose (4, 4) sees along thin, exact beams.
 
-    Only beams that may meet a pole are cast.
+    Only beams that may hit a pole are cast.
     """
     everything, first = [*surroundings, *poles], len(surroundings)
     surface, rings = [], []

@@ -308,7 +308,7 @@ def with_glow(
     nothing: int,
     rng: np.random.Generator,
 ) -> Echoes:
-    """Add false returns next to tape, at the tape's range, in place of what their beams met.
+    """Add false returns next to tape, at the tape's range, in place of what their beams hit.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Places to calibrate in: their surfaces, and how poles and LiDARs stand there.
 
 The numbers inside the functions describe what is drawn, in metres and radians: sizes of things and
-where they stand. They are chosen by eye after real corridors, streets and quays, and no law
+where they are. They are chosen by eye after real corridors, streets and quays, and no law
 depends on them. Limits of how poles and LiDARs stand are those of what people do. The last part is
 the set-up of Xue et al. 2019, Sec. IV-A: two LiDARs and two poles in empty space.
 """
@@ -31,7 +31,7 @@ class Surroundings:
     Attributes
     ----------
     surfaces
-        Everything that stands there, the ground included.
+        Everything that is there, the ground included.
     clear
         (2,) half extents in x and y, metres, of the middle that is kept clear for poles and LiDARs.
     """

@@ -50,7 +50,7 @@ class SitePlace:
     Attributes
     ----------
     surroundings
-        Everything that stands there, the ground included, in the world frame.
+        Everything that is there, the ground included, in the world frame.
     poses
         (4, 4) pose of each LiDAR in the world frame.
     reach
@@ -250,7 +250,7 @@ MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""
 
 MAX_SPOTS = 15
-"""Draws of where the poles of one placement stand before the place is drawn anew."""
+"""Draws of where the poles of one placement are before the place is drawn anew."""
 
 MIN_GAP = 1.0
 """By how much a ring fails to close, metres, where pairs take the other hypothesis."""

@@ -80,7 +80,7 @@ class SimulatedSite:
         point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
         where it recorded none.
     surroundings
-        All that stands there but the poles, in the world frame.
+        All that is there but the poles, in the world frame.
     poles
         Of each placement.
     seen
@@ -157,7 +157,7 @@ def simulate_site(
     Parameters
     ----------
     kind
-        One of `SITES`. In a ``ring`` each LiDAR shares a placement of its own with the next: two
+        One of `SITES`. In a ``ring`` each LiDAR shares a separate placement with the next: two
         poles that a half turn about the vertical maps onto each other, on bare ground, so that only
         the ring as a whole decides. The others record nothing of it.
     rng

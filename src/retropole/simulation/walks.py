@@ -33,14 +33,14 @@ APART = 1.0
 """The LiDARs are at least so far from each other, metres."""
 
 PHASES = 4
-"""For so many starts of a sweep within its azimuth step what stands is cast."""
+"""For this many starts of a sweep within its azimuth step what stands is cast."""
 
 GAIT = np.array([0.02, 0.02, 0.015])
 """Amplitude of a walker's hand at each step, metres (chosen)."""
 
 GAIT_KNOT, TREMOR = 0.15, 0.003
-"""A hand is unsteady by so much, metres and as a slope, from knot to knot, s: with both, the noise
-of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
+"""A hand is unsteady by this amount, metres and as a slope, from knot to knot, s: with both, the
+noise of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
 
 REACH = 0.35
 """The middle of the body is so far from the pole, metres: an arm that is bent."""
@@ -62,7 +62,7 @@ class Walk:
     Attributes
     ----------
     hand
-        Where the hand holds the pole at a time, s: (3,) metres, world frame.
+        If the hand holds the pole at a time, s: (3,) metres, world frame.
     lean
         Slope of the pole in x and y at a time, s.
     behind

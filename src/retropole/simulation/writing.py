@@ -116,7 +116,7 @@ def _json(truth: Mapping[str, Any]) -> bytes:
 
 
 def truth_of_pole(pole: Cylinder) -> dict[str, Any]:
-    """Give where a pole stands, and its size, as ``truth.json`` has them."""
+    """Give where a pole is, and its size, as ``truth.json`` has them."""
     return {
         "point_world_m": pole.centre.tolist(),
         "direction_world": pole.axis.tolist(),

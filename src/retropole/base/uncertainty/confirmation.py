@@ -1,4 +1,4 @@
-"""The objects in the scene say of a pose, and how likely it makes it that the pose is wrong."""
+"""What the scene shows about a pose, and how likely it makes it that the pose is wrong."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from ..bounded import Count, Number, Share, ShareOfSome, Size, Vector
 from ..quantities import counted, percent
 
 MAX_Z_MARGIN = 4.0
-"""A larger margin says no more: its σ takes voxels for independent, which neighbours are not."""
+"""A larger margin adds nothing: its σ takes voxels for independent, which neighbours are not."""
 
 CLEAR_Z_MARGIN = 1.5
-"""Up to this many σ a margin may be chance, and tells less for each σ than beyond."""
+"""Up to this many σ a margin may be chance, and shows less for each σ than beyond."""
 
 PRIOR, PER_SHARE, PER_Z_MARGIN, PER_CLEAR_Z_MARGIN = -0.07, 0.42, -0.57, -2.1
 """Of the log odds that an answer is wrong: for the share of the voxels that conflict with it (its
@@ -52,7 +52,7 @@ class Confirmation(
         "deceiving": "deceiving_share",
     },
 ):
-    """The objects in the scene say of a pose (docs/results.md, The scene check).
+    """What the scene shows about a pose (docs/results.md, The scene check).
 
     Attributes
     ----------
@@ -63,12 +63,12 @@ class Confirmation(
         Share of the voxels that conflict with the pose; 0 if there is none. It follows from the
         others.
     missing
-        Voxels that should agree besides, by how much stands in both clouds.
+        Voxels that should agree besides, by how much is in both clouds.
     better_at
         How far away a pose lies under which the scene fits better, metres; None if none does.
     z_margin
         By how many σ the pose agrees better than the best of others next to it; None if it was
-        not held against any.
+        not compared with any.
     redundant
         Whether a third pole, or a placement of another shape, checks the poles.
     trusted

@@ -143,7 +143,7 @@ def check_site(
         A pair, and the place of its stored result: ``result.json`` next to the target where it
         names none.
     check
-        What to hold it against.
+        What to compare it with.
     tell
         Called with the hashes of its files before anything is read of what is in them.
 
@@ -193,7 +193,7 @@ def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
 
 
 def _tried(site: FleetSite, check: Check) -> CheckRow:
-    """Begin the row of a check that has not told anything yet."""
+    """Begin the row of a check that has not reported anything yet."""
     time = datetime.fromisoformat(site.time) if site.time else check.tried
     return CheckRow(site.id, time, "cannot_tell", version=__version__)
 

@@ -16,10 +16,10 @@ by itself; what later checks correlate there is left out. Under each of the laws
 varies slowly the site has a Kalman filter; the likeliest one tells.
 
 Changes show in several checks together: for onsets within the last year, a step and a trend from
-there on are held against no change by their likelihood (window-limited GLR, Willsky and Jones 1976;
-Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as if
-its own scatter were so much wider. So none alone makes a change, but two that agree do. Such a one
-waits until another tells what it was: an *outlier*, where the next fits again (a lorry stood in
+there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
+1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
+if its own scatter were so much wider. So none alone makes a change, but two that agree do. Such a
+one waits until another shows what it was: an *outlier*, where the next fits again (a lorry stood in
 view), or the first of a *step*. A change that was found becomes part of what is expected, and the
 watch goes on.
 """
@@ -49,12 +49,13 @@ LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
-"""What a site's random scatter is taken for next to what is stated, in σ, before it has told: and
-how many checks that is treated as. The site's own surprises then correct it."""
+"""What a site's random scatter is taken for next to what is stated, in σ, before it has reported:
+and how many checks that is treated as. The site's own surprises then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
 """Of what varies slowly the variance next to the random part, and the days in which it forgets;
-with the logarithm of how likely each is before a site has told: the site's own checks choose."""
+with the logarithm of how likely each is before a site has reported: the site's own checks
+choose."""
 
 SHARES, TIMES = np.array(list(SLOW)).T
 
@@ -399,7 +400,7 @@ def _stays_moved(newest: Sequence[Observed]) -> bool:
 
 
 def watch(checks: Sequence[Observed]) -> Watched:
-    """Replay the checks of a site and tell what changed.
+    """Replay the checks of a site and report what changed.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ PLAIN = 10.0
 of the χ² that chance allows: the tests of nearer ones tell better which of two is wrong."""
 
 KERNEL = 15.0
-"""From about so many σ on an edge counts less in the robust start (Cauchy). With 5, 5 more of
+"""From about this many σ on an edge has less weight in the robust start (Cauchy). With 5, 5 more of
 16,658 sound edges were lost (benchmarks/fleet_network.py, 1000 nodes, seeds 0 to 7)."""
 
 FAINT = 1e-6
@@ -140,7 +140,7 @@ def adjust_network(
     UsageError
         Of a covariance that is not positive.
     RetropoleError
-        Where GTSAM cannot solve it.
+        If GTSAM cannot solve it.
     """
     try:
         return _adjusted(graph, progress)

@@ -55,7 +55,7 @@ class NodeList:
     Attributes
     ----------
     place
-        Where it was read.
+        If it was read.
     of_site
         For each site the nodes of its LiDARs, by their names.
     surveyed
@@ -83,9 +83,9 @@ def read_nodes(place: str) -> NodeList:
     UsageError
         For a file of another kind.
     ReadError
-        Where it cannot be read, or contradicts itself.
+        If it cannot be read, or contradicts itself.
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     """
     if not place.endswith(LISTS):
         raise UsageError(f"{place}: expected a file {', '.join(LISTS)}")
@@ -173,7 +173,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     Raises
     ------
     ReadError
-        Where the dataset is damaged, or there is no such site or LiDAR in it, or no edge at all.
+        If the dataset is damaged, or there is no such site or LiDAR in it, or no edge at all.
     """
     out = absolute(dataset)
     edges: list[tuple[str, str, str, RelativePose]] = []

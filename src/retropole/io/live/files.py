@@ -124,7 +124,7 @@ class FolderSource(_Looking):
     Raises
     ------
     ReadError
-        Where there is no such folder.
+        If there is no such folder.
     """
 
     has_ended = False
@@ -234,7 +234,7 @@ class Recorded:
         return holds_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
-        """Take the last of so many messages that came."""
+        """Take the last of this many messages that came."""
         self._counts[topic] += count
         self._newest[topic] = message
 
@@ -258,7 +258,7 @@ class Recorded:
         Raises
         ------
         ReadError
-            Where the topic is of another type, or none was asked for and several have clouds.
+            If the topic is of another type, or none was requested and several have clouds.
         """
         clouds = self._clouds
         listed = ", ".join(clouds[:MAX_LISTED]) or "none"
@@ -288,7 +288,7 @@ class Part(Protocol):
         Raises
         ------
         ReadError
-            Where what was added is damaged; the next call goes on behind it if it can.
+            If what was added is damaged; the next call goes on behind it if it can.
         """
         ...
 
@@ -441,9 +441,9 @@ class BagSource(_Looking):
     MissingExtraError
         Where rosbags or mcap is not installed.
     ReadError
-        Where there is no such file or folder.
+        If there is no such file or folder.
     UsageError
-        Where the bag is of a kind that shows what it holds only when it is closed.
+        If the bag is of a kind that shows what it holds only when it is closed.
     """
 
     def __init__(self, path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> None:

@@ -131,7 +131,7 @@ class PacketSource:
     Raises
     ------
     UsageError
-        Where a sender is no IP address, or the port cannot be opened.
+        If a sender is no IP address, or the port cannot be opened.
     """
 
     has_ended = False
@@ -292,7 +292,7 @@ class VelodyneSource(PacketSource):
     MissingExtraError
         Where velodyne-decoder is not installed.
     UsageError
-        Where the port cannot be opened: another program has it.
+        If the port cannot be opened: another program has it.
     """
 
     def __init__(
@@ -378,7 +378,7 @@ class TableSource(PacketSource):
     port, host, senders
         As `VelodyneSource` takes them.
     told
-        Port to which it tells its angles; None for that of its maker, where it has one and no other
+        Port to which it sends its angles; None for that of its maker, where it has one and no other
         program listens there. They may also come to the first port.
     angles
         File of the unit's own angles.
@@ -403,7 +403,7 @@ class TableSource(PacketSource):
         usual = next((model.port_told for model in models if model.port_told), 0)
         self._tells = any(getattr(model.layout, "difop", None) for model in models)
         if told is not None and not self._tells:
-            raise UsageError(f"port {told}: a {title} tells its angles to no port")
+            raise UsageError(f"port {told}: a {title} sends its angles to no port")
         self._told: Told | None = None
         self._own_told: dict[str, bytes] = {}
         unheard = ""
@@ -479,7 +479,7 @@ class OusterSource(PacketSource):
     port
         UDP, for its LiDAR; 7502 unless the sensor was told otherwise.
     metadata
-        The sensor's metadata, a file .json: they say how its packets are laid out.
+        The sensor's metadata, a file .json: they say how its packets are arranged.
     host
         Address of this computer to listen on.
     senders
@@ -490,9 +490,9 @@ class OusterSource(PacketSource):
     MissingExtraError
         Where ouster-sdk is not installed.
     ReadError
-        Where the metadata cannot be read.
+        If the metadata cannot be read.
     UsageError
-        Where the port cannot be opened: another program has it.
+        If the port cannot be opened: another program has it.
     """
 
     def __init__(

@@ -82,12 +82,12 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     Raises
     ------
     MissingExtraError
-        Where the extra for the sensor is not installed.
+        If the extra for the sensor is not installed.
     ReadError
-        Where the file is not a capture of such packets, or an Ouster's metadata are missing; where
+        If the file is not a capture of such packets, or an Ouster's metadata are missing; where
         not exactly one sender fits.
     UsageError
-        Where a topic or angles are given, and the packets are of none that has these.
+        If a topic or angles are given, and the packets are of none that has these.
     """
     with naming(path), reported("capture"):
         capture = walk(path)
@@ -327,7 +327,7 @@ def _first(columns: Columns) -> float | None:
 
 
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
-    """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
+    """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
     words = sizes_in_words(capture)
     metadata = metadata_beside(path, words)
     note = capture.note(0)

@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        Where the file is no capture, holds no whole packet, or is damaged all over.
+        If the file is no capture, holds no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None if there is none; the byte where the next begins, and where it
+"""A record, many of them, or None if there is none; the byte where the next begins, and if it
 was looked for."""
 
 OF_ONE_SIZE = 8
@@ -224,7 +224,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
 def _blocks(file: BinaryIO, size: int, tries: list[int]) -> Iterator[Step]:
     """Walk through the blocks of a pcapng; those without a packet are records of no bytes.
 
-    Where a block does not end as it begins, the next one with a packet is looked for.
+    If a block does not end as it begins, the next one with a packet is looked for.
     """
     at, order = 0, "<"
     interfaces: list[tuple[int, float]] = []
@@ -415,7 +415,7 @@ class Alike(NamedTuple):
 def alike(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
 ) -> Iterator[Alike]:
-    """Read what UDP carries in the packets of a capture; those that are alike together.
+    """Read what UDP carries in the packets of a capture; those that are similar together.
 
     A packet that carries none, or is damaged, gives an empty payload.
 
@@ -526,7 +526,7 @@ def _ip(packet: bytes, link: int) -> int:
     if link in LINKS:
         return LINKS[link]
     at = 12
-    # Tags of virtual networks stand before the type.
+    # Tags of virtual networks are before the type.
     while packet[at : at + 2] in (b"\x81\x00", b"\x88\xa8"):
         at += 4
     return at + 2 if packet[at : at + 2] == b"\x08\x00" else -1

@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        Where the unit's own angles are in its DIFOP packet.
+        If the unit's own angles are in its DIFOP packet.
     """
 
     count: int
@@ -259,7 +259,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
 
 
 class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where a LiDAR tells its angles: elevations from byte `at`, and azimuths after them.
+    """Where a LiDAR sends its angles: elevations from byte `at`, and azimuths after them.
 
     Each is a sign and 16 bits, in units of `unit` degrees. Where the first `below` channels look
     down, there are no azimuths, and elevations have 24 bits. Where channels have an `order`, an
@@ -328,7 +328,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     ----------
     name, maker, port, port_told
         Of the model; the ports, UDP, are those that it sends returns, and what it tells of itself,
-        to unless it was told otherwise; 0 if it does not tell its angles.
+        to unless it was told otherwise; 0 if it does not send its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
@@ -341,7 +341,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     layout
         Of its family.
     source, tried
-        Where the figures come from; on which real packets it was tried, empty for none.
+        If the figures come from; on which real packets it was tried, empty for none.
     sensor
         Its name in ``sensors.toml``; empty if there is none.
     """
