@@ -219,7 +219,7 @@ def in_words(answer: CheckResult) -> str:
             f"  translated by {value_and_error(translation.length, translation.sigma)} (1 σ), "
             f"{_direction(answer.step[3:], translation, 'along', ('', '', ''))}",
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
-            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
+            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; if nothing moved, as large in "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
             f"  found by {how}",
         ]
@@ -310,11 +310,11 @@ def site_in_words(answer: SiteCheck) -> str:
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     said = []
     if answer.moved:
-        said.append(f"moved: {', '.join(answer.moved)}; the others stand as they stood")
+        said.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
     elif answer.status == "moved":
-        said.append("which of the LiDARs of a pair that moved it was, these pairs do not tell")
+        said.append("these pairs do not show which LiDAR of a moved pair it was")
     if answer.untold:
-        said.append(f"whether these moved is open: {', '.join(answer.untold)}")
+        said.append(f"undecided whether moved: {', '.join(answer.untold)}")
     lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")

@@ -233,7 +233,7 @@ def result_told(
     following
         Commands to type next, by the words that introduce each.
     as_json, verbose, quiet
-        Print the document instead of words, more of them, or nothing.
+        Print the document instead of text, more text, or nothing.
     strict
         Whether a warning is an error.
     """

@@ -62,7 +62,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@more_option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
+@more_option("--parent", help="If --transform is of a site: the name of the LiDAR of TARGET.")
 @more_option("--child", help="The same of SOURCE.")
 @more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
@@ -96,7 +96,7 @@ def evaluate(
     LiDAR looked through. Compare transforms of the same two clouds only; figures of other clouds
     are on another scale.
 
-    With --methods, each is run on both clouds, and its answer scored alike:
+    With --methods, each is run on both clouds, and its answer scored the same way:
 
     \b
       METHODS

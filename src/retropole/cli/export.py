@@ -54,8 +54,8 @@ TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
     "--into",
     type=FILE,
     help="URDF to put the pose into: the joint that leads to the source's link is written, from "
-    "the link where it starts. All else that the file says stays; --out writes the outcome "
-    "elsewhere. Needs the extra 'urdf'.",
+    "the link where it starts. All else in the file stays; --out writes the outcome "
+    "to another file. Needs the extra 'urdf'.",
 )
 def export(
     result: Path,
@@ -73,8 +73,8 @@ def export(
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words. --parent
-    and --child name the LiDARs' own frames, never a robot's base: for the pose in base_link give
+    the parent, and is the pose of the child in the parent. Every output states this. --parent
+    and --child name the frames of the LiDARs, never a robot's base: for the pose in base_link give
     --mounting or --into.
 
     \b
@@ -196,7 +196,7 @@ def _note(words: str) -> None:
 
 
 def _tell_origin(given: Input) -> None:
-    """Say on stderr where the beams of a cloud start elsewhere than at its origin."""
+    """Say on stderr where the beams of a cloud start if that is not its origin."""
     if given.cloud.origin.any():
         _note(
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "

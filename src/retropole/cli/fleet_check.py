@@ -62,7 +62,7 @@ def protocol_option(command: Command) -> Command:
 
 
 def check_cluster(scheduler: str | None, workers: int | None) -> None:
-    """Refuse a number of local processes for a cluster that is elsewhere."""
+    """Refuse a number of local processes for a remote cluster."""
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
 
@@ -155,7 +155,7 @@ def fleet_check(
 
 
 def json_line(found: FleetCheck, sites: int) -> str:
-    """Write what was found at so many sites as one line of JSON; what is not known is null."""
+    """Write what was found at this number of sites as one line of JSON; null if not known."""
     return json_text(
         {
             "schema": SCHEMA,
@@ -201,13 +201,13 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 
 
 def in_words(found: FleetCheck, sites: int) -> str:
-    """Write what was found at so many sites: a line for each pair that has something to say."""
+    """Write what was found at this number of sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
         said = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
-            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will tell")
+            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
         if not site.is_told:
             said.append(_untold(site.newest))
         if said:
