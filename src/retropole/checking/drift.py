@@ -255,7 +255,7 @@ def swapped_clouds(
     if not agrees:
         return None
     return swap(
-        f"under the stored pose reversed {there.agreeing} of {there.total} voxels off the ground "
+        f"under the stored pose reversed {there.agreeing} of {there.total} patches off the ground "
         f"agree, under the stored pose {found.agreeing} of {found.total}",
         {
             "told_by": "scene",
@@ -315,7 +315,7 @@ def check(
         The calibration of the site, with its covariance.
     target, source
         New recordings of the same two LiDARs, each in its own frame. Poles are used where both
-        see them, and need not stand where they was; without, or without intensities, the scene
+        see them, and need not be where they were; without, or without intensities, the scene
         must do.
     options
         What is known of both, as for `pipeline.calibrate`.

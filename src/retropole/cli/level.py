@@ -171,7 +171,7 @@ def describe(document: LevelDoc) -> str:
             x, y, z = lidar.T_base_footprint_lidar[:3, 3]
             lines.append(f"{lidar.name} in base_footprint: {x:.3f} {y:.3f} {z:.3f} m")
     lines.append(
-        "The tilt is against the ground. Against the plumb line it is uncertain by the slope of the "
+        "The tilt is against the ground. Against the plumb line it is uncertain by that of the "
         f"ground: the crossfall of a road, {100 * CROSSFALL:g} %, is "
         f"{math.degrees(math.atan(CROSSFALL)):.1f}°."
     )

@@ -223,7 +223,7 @@ def watch(
                     else:
                         made.withdraw()
                 if not made.is_over:
-                # A step takes no less if nothing comes.
+                    # A step takes no less if nothing comes.
                     stopped.wait(max(0.02 - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
             # So that the page shows the end.

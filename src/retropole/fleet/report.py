@@ -154,7 +154,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         ("run", "This dataset", _dataset(overview)),
     )
     parts = [{"part": part, "title": title, "body": body} for part, title, body in every if body]
-    name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
+    name = _named(overview)
     return fill_page(
         "fleet.html",
         ("style.css", "fleet.css"),
@@ -168,6 +168,11 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         },
         share_styles(),
     )
+
+
+def _named(overview: Overview) -> str:
+    """Name the dataset by its folder alone: a page is passed on, and where it was is nobody's."""
+    return printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
 
 
 def write_fleet_report(place: str, overview: Overview, reports: str | None = None) -> None:
@@ -313,7 +318,7 @@ def _reasons(overview: Overview) -> Html:
 
 def _dataset(overview: Overview) -> Html:
     """Say what the page is of."""
-    rows = [("dataset", printable(overview.place)), ("schema", FLEET_SCHEMA)]
+    rows = [("dataset", _named(overview)), ("schema", FLEET_SCHEMA)]
     for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):
         # The ten commonest.
         for name, n in sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]:

@@ -160,7 +160,7 @@ TRIED = {
     (
         "pairs",
         "pairs_laid",
-    ): "the {} most similar of {} pairs of possible poles were superimposed",
+    ): "the {} most similar of {} pairs of possible poles were matched",
     ("ways", "ways_tried"): "the best {} of {} ways of pairing possible poles were tried",
     ("fitting", "fitting_registered"): "the best {} of {} that fit were registered",
 }

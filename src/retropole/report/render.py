@@ -23,7 +23,7 @@ from .listings import (
     rejected_row,
 )
 from .map import pairs, site_map
-from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
+from .page import EMPTY, Html, fill, fill_page, folded, join, listed, share_styles
 from .plan import plan_of
 from .poses import certainty, certificate, poses, transform
 from .recorded import missing_poles, poles, run
@@ -182,8 +182,9 @@ def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
 
 
 def _checked(piece: str, listing: Listing) -> Html:
-    """Show what was checked; nothing if nothing was."""
-    return fill(piece, table=listed(listing)) if listing.rows else EMPTY
+    """Show what was checked, a table for surveyors, folded; nothing if nothing was."""
+    rows = folded(f"{listing.caption}: {len(listing.rows)}", listed(listing))
+    return fill(piece, table=rows) if listing.rows else EMPTY
 
 
 def render_page(

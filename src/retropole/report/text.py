@@ -399,7 +399,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
     ]
     if cloud.intensity is None:
-        return [*lines, "intensity  none: tape cannot be determined from the rest"]
+        return [*lines, "intensity  none: tape cannot be distinguished from the rest"]
     return lines + _intensity_lines(cloud.intensity)
 
 
@@ -435,7 +435,7 @@ def _intensity_lines(intensity: IntensityDoc) -> list[str]:
         instead = " or ".join(f"--intensity {name}" for name in intensity.others)
         lines.append(f"           of the field {intensity.field}; {instead} takes another")
     if intensity.threshold is None:
-        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be determined"]
+        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be distinguished"]
     lines += [
         f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
         f"{counted(intensity.retro_points, 'point')}",
