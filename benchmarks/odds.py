@@ -55,7 +55,7 @@ LIMITS = -2.0, -1.0, 0.0, 1.0, 2.0
 
 
 class Judged(NamedTuple):
-    """A line: the thing that it is on, whether that is a pole, and its measures (7,)."""
+    """A line: the thing that it is on, whether that is a pole, and its measures (8,)."""
 
     thing: str
     is_pole: bool
@@ -114,7 +114,7 @@ def labelled(case: Case, sure: Detection, around: Surroundings, measures: Array)
 
 
 def fitted(measures: Array, is_pole: BoolArray, shares: Array) -> Array:
-    """Weights (7,) of measures (N, 7) by logistic regression, each line with its share (N,)."""
+    """Weights (8,) of measures (N, 8) by logistic regression, each line with its share (N,)."""
     scale = np.maximum(measures.std(axis=0), 1e-9)
     scale[0] = 1.0  # the constant
     signed = np.where(is_pole, 1.0, -1.0)[:, None] * measures / scale

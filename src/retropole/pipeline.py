@@ -92,7 +92,7 @@ class Options:
     candidates
         Whether to try the candidate poles where the confirmed ones give no answer.
     need
-        How accurate the answer must be, which the verdict answers; None only asks for usable.
+        How accurate the answer must be, which the verdict answers; None only requires usable.
     mast_sway
         1 σ of the angle that the masts of both LiDARs are said to sway by, rad; None only takes
         what the sweeps of a recording show.
@@ -331,7 +331,7 @@ def calibrate_site(
                 patches = patches_of(scans)
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
-                # Rough poses may be off by more than poles of few returns lie apart, and returns
+                # Rough poses may be off by more than poles of few returns differ, and returns
                 # that lie next to a pole under them pull no more; what of a survey they did not
                 # meet may be met now.
                 misfit = worst_test(adjusted.tests) is not None

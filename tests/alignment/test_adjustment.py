@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2, kstest
 from threadpoolctl import threadpool_limits
 
-from retropole.alignment.adjustment import RADIUS_CONFLICT, AxesTest, BeamAlignment, align_beams
+from retropole.alignment.adjustment import AxesTest, BeamAlignment, align_beams
+from retropole.alignment.certainty import MAX_NORMAL
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, State, beam_geometry
 from retropole.alignment.solver import levenberg_marquardt
@@ -179,7 +180,7 @@ def test_a_radius_not_known_is_estimated() -> None:
     right = align(pair, radius=0.05)
     assert abs(right.radius.estimated - 0.05) < 3 * right.radius.sigma
     assert right.radius.sigma <= right.radius.given_sigma
-    assert right.radius_conflict < RADIUS_CONFLICT
+    assert right.radius_conflict < MAX_NORMAL
 
 
 @pytest.mark.full

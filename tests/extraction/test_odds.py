@@ -16,6 +16,11 @@ RADIUS = 0.02
 UP = np.linspace(-0.8, 0.8, 33)
 
 
+def wall(behind: float) -> Array:
+    """Points of a wall that passes the axis of the pole at a distance, metres, on both sides."""
+    return np.concatenate([offset(behind, side, UP) for side in (-0.2, -0.13, 0.13, 0.2)])
+
+
 def odds_of(*others: tuple[Array, float], pole: Array | None = None) -> float:
     cloud, line = scene(on_pole() if pole is None else pole, *others)
     assert cloud.intensity is not None
@@ -34,9 +39,10 @@ def test_a_pole_in_free_air_is_probable_and_a_short_one_less() -> None:
         ((offset(0.0, 0.12, UP), DIM), True),
         ((offset(0.0, 0.0, 0.9 + UP[UP >= 0.0]), DIM), True),
         ((offset(0.0, 0.5, UP), BRIGHT), False),
-        ((offset(0.3, 0.0, UP), DIM), False),
+        ((wall(0.0), DIM), True),
+        ((wall(0.15), DIM), False),
     ],
-    ids=["bright beside", "dim close", "goes on", "bright far", "wall behind"],
+    ids=["bright beside", "dim close", "goes on", "bright far", "on a wall", "wall behind"],
 )
 def test_what_is_about_a_line_speaks_against_it(
     other: tuple[Array, float], is_against: bool
@@ -50,9 +56,7 @@ def test_a_line_that_goes_on_at_both_ends_is_none() -> None:
 
 
 def test_no_motion_changes_the_measures() -> None:
-    cloud, line = scene(
-        on_pole(), (offset(0.0, 0.14, 0.9 * UP), BRIGHT), (offset(0.1, 0, 0.9 * UP), DIM)
-    )
+    cloud, line = scene(on_pole(), (offset(0.0, 0.14, 0.9 * UP), BRIGHT), (wall(0.1), DIM))
     assert cloud.intensity is not None
     T = se3.random(np.random.default_rng(0), 20.0)
     moved = PointCloud(se3.apply(T, cloud.xyz), cloud.intensity)

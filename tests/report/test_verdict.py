@@ -9,6 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.adjustment.blunders import is_poor
+from retropole.adjustment.snooping import PER_FREEDOM, POOR
+from retropole.alignment.certainty import normalised
 from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.confirmation import UNUSABLE, Confirmation
@@ -173,7 +175,10 @@ def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
     ):
         assert said in text
     warned = said_of(site("warn"))
-    assert "1 suspicious: pole 2 of morning as mast-b sees it (w 6.3); 5 is the most" in warned
+    assert (
+        "1 suspicious: pole 2 of morning as mast-b sees it (w 6.3, 5 is the most to expect)"
+        in warned
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,13 +190,13 @@ def test_what_is_suspicious_is_what_the_verdict_warns_of(
 ) -> None:
     """By the same limits; else the largest is named beside the most to expect."""
     document = document_of(made_up_site("ok"))
-    test = replace(document.tests[0], w=w, chi2=chi2, freedom=freedom)
+    allowed = max(POOR, normalised(PER_FREEDOM * freedom, freedom))
+    test = replace(document.tests[0], w=w, chi2=chi2, freedom=freedom, allowed=allowed)
     others = [replace(each, w=0.5, chi2=0.25) for each in document.tests[1:] if each.w is not None]
     words = " ".join(checks_of_site(replace(document, tests=[test, *others])))
-    assert f"{test.name} (w {abs(w):.1f})" in words
+    assert f"{test.name} (w {abs(w):.1f}, {allowed:.2g} is the most to expect)" in words
     assert ("1 suspicious: " in words) is is_said
     assert ("none suspicious; the largest: " in words) is not is_said
-    assert "5 is the most to expect" in words
     assert is_poor(abs(w), chi2, freedom) is is_said
 
 

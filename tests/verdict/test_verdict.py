@@ -6,17 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from msgspec import structs
+from scipy.special import chdtrc
 
 from retropole.adjustment.agreement import (
     MAX_AXES_CHI2,
     MAX_MAHALANOBIS_SQ,
     WARN_MAHALANOBIS_SQ,
+    agreement_tests,
     check_axes,
     check_contradiction,
 )
 from retropole.adjustment.descent import End
 from retropole.adjustment.refinement import Refinement
-from retropole.alignment.adjustment import RADIUS_CONFLICT, AxesTest, BeamAlignment
+from retropole.alignment.adjustment import AxesTest, BeamAlignment
+from retropole.alignment.certainty import MAX_NORMAL, SIGNIFICANCE
 from retropole.alignment.network import gaussian_factor
 from retropole.base.datatypes import (
     Array,
@@ -42,6 +45,7 @@ from retropole.hypotheses.evidence import (
     check_unconfirmed,
 )
 from retropole.hypotheses.placements import PairedPlacement
+from retropole.hypotheses.similarity import LEAST_CHANGE
 from retropole.surfaces.patches import surface_patches
 from retropole.verdict import check_returns, check_sensor, weaknesses
 from tests.conftest import PoleMaker
@@ -175,13 +179,13 @@ def test_several_minima_are_told_with_the_furthest(good: list[Pole]) -> None:
 def test_a_radius_that_the_returns_deny_is_told(good: list[Pole]) -> None:
     radius = RadiusEstimate(0.04, 0.0008, 0.0203, 0.0011)
     (reason,) = reasons_of(
-        good, good, replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT + 4)
+        good, good, replace(an_alignment(), radius=radius, radius_conflict=MAX_NORMAL + 4)
     )
     assert reason.code == "radius_differs"
     assert reason.values == {"given_m": 0.04, "estimated_m": 0.0203, "sigma_m": 0.0011}
     assert "40.0 mm" in reason.message
     assert "20.3 ± 1.1 mm" in reason.message
-    hardly = replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT - 0.1)
+    hardly = replace(an_alignment(), radius=radius, radius_conflict=MAX_NORMAL - 0.1)
     assert codes_of(good, good, hardly) == []
 
 
@@ -208,6 +212,26 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
     assert refusal.value.code == "poles_scene_contradict"
     assert "52 mm" in str(refusal.value)
     assert refusal.value.values["mahalanobis_sq"] == contradict.mahalanobis_sq
+
+
+@pytest.mark.parametrize("beyond", [0.9, 1.1])
+def test_what_the_table_of_tests_allows_is_what_is_not_warned_of(
+    good: list[Pole], beyond: float
+) -> None:
+    refined = replace(
+        a_refinement(beyond * WARN_MAHALANOBIS_SQ),
+        scale=(1.0 + beyond * LEAST_CHANGE, 0.5 * LEAST_CHANGE / MAX_NORMAL),
+    )
+    aligned = replace(an_alignment(), radius_conflict=beyond * MAX_NORMAL)
+    tests = {test.kind: test for test in agreement_tests(aligned, refined)}
+    assert set(tests) == {"surfaces", "radius", "scale"}
+    for test in tests.values():
+        assert (test.w > test.allowed) is (beyond > 1.0)
+        assert (float(chdtrc(test.freedom, test.chi2)) < SIGNIFICANCE) is (beyond > 1.0)
+    assert len(codes_of(good, good, aligned, refined=refined)) == (2 if beyond > 1.0 else 0)
+    # Of six unknowns of the poles' pose, with 10 mm, the surfaces, with 1 mm, check nearly all.
+    assert tests["surfaces"].redundancy == pytest.approx(0.99, abs=0.001)
+    assert [test.kind for test in agreement_tests(aligned, None)] == ["radius"]
 
 
 def places(

@@ -6,18 +6,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
+from ..alignment.adjustment import BeamAlignment
+from ..alignment.certainty import MAX_NORMAL, SIGNIFICANCE, chi2_limit, normalised
+from ..alignment.unknowns import POSE
+from ..base.datatypes import Kind, Test
 from ..base.errors import Reason, Refusal
 from ..base.quantities import error, value, value_and_error
 from ..base.uncertainty import RadiusEstimate
 from ..hypotheses.placements import PairedPlacement, align
+from ..hypotheses.similarity import LEAST_CHANGE
 from .refinement import Refinement, refine_by_scene
 
-WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = 22.5, 100.0
+WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = chi2_limit(POSE, 1.0 - SIGNIFICANCE), 100.0
 """Squared Mahalanobis distance of the refined pose from the poles' own above which it is said, and
-above which the answer is refused. χ² with 6 degrees of freedom exceeds the first once in a thousand
-times. In 56 simulated recordings between which a pole was moved by 3 to 15 cm, the refined pose was
-off by more than 0.1 m or 1° only beyond the second, or where the poles were found inconsistent."""
+above which the answer is refused. In 56 simulated recordings between which a pole was moved by 3 to
+15 cm, the refined pose was off by more than 0.1 m or 1° only beyond the second, or where the poles
+were found inconsistent."""
 
 MAX_AXES_CHI2 = 7.0
 """Most χ² of the poles' test for each degree of freedom: with two, what is exceeded once in 1,100
@@ -146,7 +150,7 @@ def check_contradiction(refined: Refinement | None) -> None:
 
 def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason]:
     """Warn where the returns conflict with the radius that was given, by so many σ."""
-    if contradicted > RADIUS_CONFLICT:
+    if contradicted > MAX_NORMAL:
         yield Reason(
             "radius_differs",
             f"the returns conflict with the given radius, {value(radius.given, radius.sigma)}, by "
@@ -155,6 +159,34 @@ def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason
             "answer uses what the returns have",
             {"given_m": radius.given, "estimated_m": radius.estimated, "sigma_m": radius.sigma},
         )
+
+
+def agreement_tests(aligned: BeamAlignment, refined: Refinement | None) -> Iterator[Test]:
+    """Test how well the surfaces of a pair, the given radius and the scale agree with the poles.
+
+    The redundancy of the poles' pose is that of an observation of six unknowns (Baarda 1968): the
+    share of it that the surfaces check.
+    """
+
+    def test(kind: Kind, name: str, chi2: float, freedom: int, redundancy: float) -> Test:
+        w = normalised(chi2, freedom)
+        none = None, None, None
+        return Test(kind, name, *none, chi2, freedom, w, redundancy, None, None, MAX_NORMAL)
+
+    if refined is not None:
+        assert aligned.pose.covariance is not None
+        assert refined.pose.covariance is not None
+        left = np.linalg.solve(aligned.pose.covariance, refined.pose.covariance)
+        checked = float(np.clip(1.0 - np.trace(left) / POSE, 0.0, 1.0))
+        name = "pose by poles and surfaces against that by poles"
+        yield test("surfaces", name, refined.mahalanobis_sq, POSE, checked)
+        if refined.scale is not None:
+            factor, sigma = refined.scale
+            off = (factor - 1.0) / max(sigma, LEAST_CHANGE / MAX_NORMAL)
+            yield test("scale", "scale of the source", off**2, 1, 1.0)
+    radius = aligned.radius
+    checked = float(np.clip(1.0 - (radius.sigma / radius.given_sigma) ** 2, 0.0, 1.0))
+    yield test("radius", "radius as given", aligned.radius_conflict**2, 1, checked)
 
 
 def check_minima(refined: Refinement | None) -> Iterator[Reason]:

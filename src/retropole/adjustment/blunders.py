@@ -26,12 +26,13 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
-from .agreement import MAX_AXES_CHI2, WARN_MAHALANOBIS_SQ
+from .agreement import WARN_MAHALANOBIS_SQ
 from .datum import Datum, Hanging, without_poles, without_survey
 from .descent import FEW, End, SceneTerm
 from .refinement import distance_sq
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, find_links, without_observations
+from .snooping import PER_FREEDOM, POOR
 
 CLOSE = 0.02
 """Patches that lie so far apart count by half, metres: twice what the range offset of a LiDAR is
@@ -210,13 +211,11 @@ def _without(
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)
 
 
-BLUNDER, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
-"""Normalised residual (w) from which an observation is a blunder, and from which it is told that it
-fits poorly, with so much χ² for each degree of freedom: with many degrees of freedom small errors
-that are not modelled add up. The last is what a pair's poles are allowed (`agreement`). Of 11
-sound sites the largest w was 5.9 (benchmarks/site.py sites, seeds 0 to 12); of 20 with a pole that
-was bumped by 3 cm or 1° and more 16 came to more than 6.5, 2 to more than 5, and 2 were refused
-before (blunders, seeds 0 to 59)."""
+BLUNDER = 6.5
+"""Normalised residual (w) from which an observation is a blunder. Of 11 sound sites the largest w
+was 5.9 (benchmarks/site.py sites, seeds 0 to 12); of 20 with a pole that was bumped by 3 cm or 1°
+and more 16 came to more than 6.5, 2 to more than `POOR`, and 2 were refused before (blunders, seeds
+0 to 59)."""
 
 MOST_BLUNDERS = 3
 """So many are left out at most."""

@@ -29,10 +29,10 @@ from .descent import End, SceneTerm
 from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60
-"""So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""
+"""At most this many loops are closed: of 8 LiDARs that all see each other, all 56 triangles."""
 
 RIDGE = 1e-9
-"""Precision of unknowns that a pair says nothing of."""
+"""Precision of unknowns that a pair gives no information about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class _Edge:
 
 
 def close_loops(at: Solved, end: End) -> Iterator[LoopClosure]:
-    """Close the loops of all pairs that have an answer of their own: triangles first."""
+    """Close the loops of all pairs that have a separate answer: triangles first."""
     edges = {each.lidars: each for each in _edges(at, end)}
     for loop in _loops(sorted({i for pair in edges for i in pair}), list(edges))[:MOST_LOOPS]:
         yield _closure(loop, edges, at, end)
@@ -132,7 +132,7 @@ def _edge(
     end: End,
     count: int,
 ) -> _Edge | None:
-    """Solve one pair with the first LiDAR held; None where it leaves its pose open."""
+    """Solve one pair with the first LiDAR held; None if it leaves its pose undetermined."""
     scene = None if seen is None else seen[0]
     unknowns = at.network.unknowns
     parts = [at.network.observations[k] for k in sources]

@@ -7,7 +7,7 @@ scene disagree, what is stated covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
-residual tells nothing. So the answer is sought again without each such place, with weights and
+residual shows nothing. So the answer is sought again without each such place, with weights and
 partners anew, and what is stated covers both.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
@@ -101,7 +101,7 @@ def without_decisive(
     ------
     Decisive, RefinementProblem, End
         The place, and problem (but for its `few`) and answer without it; places without which the
-        rest of the scene says nothing are left out.
+        rest of the scene gives no information are left out.
     """
     (term,), (scene,) = end.scene, problem.scenes
     pairs = term.pairs
@@ -133,7 +133,7 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
+    Under an uncertainty that is wider than surfaces differ that correspond, what the search ends
     at may depend on where it started. The ends are `POSE_SIGMAS` to either side.
     """
     assert poles.covariance is not None
@@ -195,10 +195,10 @@ SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
 """Which of the errors of a whole LiDAR is that of the scale of its ranges."""
 
 MAX_SCALE_SIGMA = 0.1
-"""1 σ of that scale from which the surfaces say nothing of it."""
+"""1 σ of that scale from which the surfaces give no information about it."""
 
 UNSURE = 0.01
-"""Part of their information that poles keep when the scene is asked nearly alone: ten times their
+"""Part of their information that poles keep when the scene is used nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
 off, two of them with a χ² below 17; asked so, the scene conflicts with the poles."""
 
@@ -230,10 +230,10 @@ class Refinement:
     corrected
         The same without the errors that were found of the LiDARs.
     end, parts
-        Where the search ended, and every source of error.
+        If the search ended, and every source of error.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
-        the error of its ranges' scale; None where nothing tells.
+        the error of its ranges' scale; None if no observation shows.
     decisive
         Places that alone decide a direction of the pose, the most decisive first; empty mostly.
     """
@@ -255,7 +255,7 @@ class Refinement:
 
 
 def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -> Refinement | None:
-    """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
+    """Refine the poles' pose by the surfaces of all placements; None if there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
     return refine(
@@ -292,22 +292,22 @@ def refine(
     poles
         Pose and covariance of the poles.
     factor
-        What the poles say of the pose and the errors; None takes `poles` for a normal distribution
-        of the pose that says nothing of the errors.
+        What the poles show of the pose and the errors; None takes `poles` for a normal distribution
+        of the pose that gives no information about the errors.
     model
         Sizes of the errors; None takes those of unknown LiDARs.
     start
         (4, 4) where the search starts; None takes the poles' pose.
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
-        an object and its back cannot be told apart by their normals.
+        an object and its back cannot be distinguished by their normals.
     distortion
         (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
     Refinement or None
-        None where the scene has fewer than `MIN_PATCHES` common patches: it has nothing to say.
+        None if the scene has fewer than `MIN_PATCHES` common patches: it has nothing to say.
     """
     assert poles.covariance is not None
     patches = surface_patches(target), surface_patches(source)
@@ -333,7 +333,7 @@ def refine_pair(
     start: Array | None = None,
     distortion: Array | None = None,
 ) -> Refinement | None:
-    """Search the pose that poles and scene agree on from several starts, and say how sure it is.
+    """Search the pose that poles and scene agree on from several starts, and say how certain it is.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def refine_pair(
     Returns
     -------
     Refinement or None
-        None where the scene has nothing to say.
+        None if the scene has nothing to say.
     """
     assert poles.covariance is not None
     first = poses_of_pair(poles.T_target_source if start is None else start)
@@ -434,10 +434,10 @@ def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Ar
 def _denial(
     problem: RefinementProblem, best: End, poles: PoseEstimate, *, within: bool = False
 ) -> float:
-    """How far poles and scene are apart, squared, in units of what the poles state.
+    """How far from each other poles and scene are, squared, in units of what the poles state.
 
-    Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach:
-    the scene is asked again with the poles hardly counted, as far as they may then be off. Asked
+    Poles that are certain of a wrong pose hold the search where the true surfaces are out of reach:
+    the scene is used again with the poles hardly counted, as far as they may then be off. Asked
     also `within` what the search left, its other minima are no denial where they have less support.
     """
     assert poles.covariance is not None

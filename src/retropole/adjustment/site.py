@@ -82,7 +82,7 @@ class Recorded:
 
     @cached_property
     def left(self) -> tuple[Array, ...]:
-        """What is left of the sway of each LiDAR; none where all stood."""
+        """What is left of the sway of each LiDAR; none where none moved."""
         every = range(len(self.site.lidars))
         return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
@@ -96,7 +96,7 @@ class Adjusted:
     datum
         What it started from.
     aligned, end
-        Where the poles and the survey ended, and where all ended together.
+        If the poles and the survey ended, and where all ended together.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests
@@ -182,7 +182,7 @@ def tested(
     aligned
         What was seen of the poles, with all bands of elevation that the scenes have.
     end, parts
-        Where all ended, and every source of error.
+        If all ended, and every source of error.
     few
         Whether nothing is tested after all.
     """
@@ -338,7 +338,7 @@ def adjusted_of_two(
     numbers
         Index of each of them in `Site.placements`.
     aligned, refined
-        The poles' pose, and with the scene; None where there is none.
+        The poles' pose, and with the scene; None if there is none.
     """
     joint = aligned.joint
     assert joint is not None

@@ -1,14 +1,14 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets a bias of its own beside all unknowns. How much
+Data snooping (Baarda 1968): an observation gets a separate bias next to all unknowns. How much
 the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
-the error has; how well the others determine that error is its redundancy, and tells the least
+the error has; how well the others determine that error is its redundancy, and shows the least
 error that the test finds.
 
-Several observations may also have one bias in common. Last come returns beside their pole, of a
-LiDAR that sees it clearly elsewhere. A return far from the axis counts as an outlier, and pulls no
-more: the quadratic form of such returns says that nothing is wrong. What an axis of its own would
-gain them is found in full.
+Several observations may also have one bias in common. Last come returns next to their pole, of a
+LiDAR that sees it clearly elsewhere. A return far from the axis is treated as an outlier, and
+pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate axis
+would gain them is found in full.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, erfcinv
 
-from ..alignment.certainty import excess
+from ..alignment.certainty import excess, normalised
 from ..alignment.maximum import MIN_INLIER_SHARE, Sight
 from ..alignment.network import Network, Observation
 from ..alignment.posterior import JointState, Posterior, State, evaluate_lidar
@@ -30,6 +29,7 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray, Kind, Test
 from ..base.description import Site
 from ..base.uncertainty.purpose import DEFAULT_AT
+from .agreement import MAX_AXES_CHI2
 from .axes import maximise_from_lines
 from .shared import SharedPole
 from .solved import Solved
@@ -50,7 +50,7 @@ class Bias:
     wide
         (M, R) what errors that are considered do to that slope.
     metres
-        (M', ) which of its parameters are lengths: what is told of it is told for these.
+        (M', ) which of its parameters are lengths: what is reported of it is told for these.
     freedom
         How many of its parameters no unknown can take up.
     """
@@ -86,7 +86,7 @@ def of_columns(
 
 
 def pole_moved(at: Solved, pole: int) -> Bias | None:
-    """A pole that stands elsewhere for each LiDAR; None where fewer than two see it."""
+    """A pole that is at another position for each LiDAR; None if fewer than two see it."""
     parts = [
         (one, _axis_columns(one, pole))
         for one in at.network.observations
@@ -99,7 +99,7 @@ def pole_moved(at: Solved, pole: int) -> Bias | None:
 
 
 def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
-    """A pole that stands elsewhere, at one place, for some LiDARs than for all others."""
+    """A pole that is at another position, at one place, for some LiDARs than for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
     return Bias(cross, own, slope, wide, np.arange(2), 4)
@@ -114,14 +114,15 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
-    """Find the LiDARs for which a pole likeliest stands elsewhere, at one place, than for others.
+    """Find the LiDARs for which a pole likeliest is at another position, at one place, than for
+    others.
 
     Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
 
     Parameters
     ----------
     at, moved
-        The answer, and the bias of a pole that stands elsewhere for each of V LiDARs.
+        The answer, and the bias of a pole that is at another position for each of V LiDARs.
     parts
         Of which one is taken: each some of the V.
     """
@@ -147,7 +148,7 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
 
 
 def placement_moved(at: Solved, one: Observation) -> Bias:
-    """A LiDAR that stood elsewhere in one placement."""
+    """A LiDAR that was at another position in one placement."""
     return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
 
 
@@ -166,7 +167,7 @@ def lidar_apart(at: Solved, lidar: int) -> Bias | None:
 
 
 def value_wrong(at: Solved, one: Observation) -> Bias:
-    """A single measurement with a bias of its own, metres or rad."""
+    """A single measurement with a separate bias, metres or rad."""
     assert one.by_value is not None
     J, residual, _ = one.by_value
     size = at.network.unknowns.size
@@ -179,7 +180,7 @@ def value_wrong(at: Solved, one: Observation) -> Bias:
 
 
 def _axis_columns(one: Observation, pole: int) -> IntArray:
-    """Where a pole's four parameters stand in an observation."""
+    """Where a pole's four parameters are in an observation."""
     assert one.poles is not None
     first = len(one.place) - 4 * len(one.poles)
     return np.asarray(first + 4 * int(np.flatnonzero(one.poles == pole)[0]) + np.arange(4))
@@ -188,7 +189,7 @@ def _axis_columns(one: Observation, pole: int) -> IntArray:
 def find_outlying(
     end: Posterior[JointState], network: Network, sights: Sequence[Sight]
 ) -> Iterator[tuple[int, int, float]]:
-    """Find the poles beside which most of a LiDAR's returns on them lie.
+    """Find the poles next to which most of a LiDAR's returns on them lie.
 
     Parameters
     ----------
@@ -202,8 +203,8 @@ def find_outlying(
     Yields
     ------
     lidar, pole, chi2
-        Indices, and twice the logarithm of the likelihood that an axis of its own would gain: χ²
-        with four degrees of freedom where the pole stands at one place.
+        Indices, and twice the logarithm of the likelihood that a separate axis would gain: χ²
+        with four degrees of freedom where the pole is at one place.
     """
     by_lidar = {sight.lidar: sight for sight in sights}
     for one in network.observations:
@@ -215,7 +216,7 @@ def find_outlying(
 
 
 def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
-    """Twice the logarithm of the likelihood that an axis of its own gains a LiDAR's returns."""
+    """Twice the logarithm of the likelihood that a separate axis gains a LiDAR's returns."""
     beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
     state, log_noise = end.state, end.log_noise[sight.lidar]
     to_lidar = se3.inverse(state.T[sight.lidar])
@@ -239,24 +240,23 @@ def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""
 
+POOR, PER_FREEDOM = 5.0, MAX_AXES_CHI2
+"""Normalised residual (w) above which an observation fits poorly, if its χ² is above this for each
+degree of freedom: with many of them, small errors that are not modelled add up. `blunders.BLUNDER`
+cites what set the first; the second is the limit of a pair's poles."""
+
 LEAST_CHECKED = 1e-9
 """Part of an error's own information below which the others do not determine it at all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How a bias of its own was tested; see `answer.Test`."""
+    """How a separate bias was tested; see `answer.Test`."""
 
     chi2: float
     redundancy: float
     minimal_detectable: float | None
     external: float | None
-
-
-def normalised(chi2: float, freedom: int, among: int = 1) -> float:
-    """Give a χ², the largest of some, as a standard normal number of the same probability."""
-    p = min(among * float(chdtrc(freedom, chi2)), 1.0)
-    return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
 def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outcome]:
@@ -285,7 +285,7 @@ def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outco
         np.split(by_wide, cuts),
         strict=True,
     ):
-        # What is considered moves the slope by so much.
+        # What is considered moves the slope by this amount.
         by = error.wide - wide
         # And the scene's patches, correlated as they are, by more than their information says.
         scatter = excess(scene @ scene.T, taken.T @ carry)
@@ -296,7 +296,7 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
     left = error.own - error.cross.T @ taken_up
     spread = left + more
-    # Of what nothing checks only rounding is left: none of it is a test.
+    # Of what no observation checks only rounding is left: none of it is a test.
     least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
     told = size > least_checked
@@ -342,7 +342,7 @@ def all_tests(
     site, poles
         For names, and who sees which pole.
     astray
-        By LiDAR and pole the χ² of returns that lie beside it (`snooping.find_outlying`).
+        By LiDAR and pole the χ² of returns that lie next to it (`snooping.find_outlying`).
     """
     asked = list(_asked(at, site, poles, astray))
     found = outcomes(at, [(each.error, each.unit) for each in asked])
@@ -360,13 +360,14 @@ def all_tests(
             one.redundancy,
             one.minimal_detectable,
             one.external,
+            max(POOR, normalised(PER_FREEDOM * freedom, freedom, each.among)),
         )
 
 
 class _Asked(NamedTuple):
     """A test: the bias that an observation may have, the likeliest `among` so many.
 
-    `unit` is metres for each of its lengths; `beside` the χ² of returns that lie beside a pole.
+    `unit` is metres for each of its lengths; `beside` the χ² of returns that lie next to a pole.
     """
 
     kind: Kind
@@ -416,7 +417,7 @@ def _of_pole(
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
 ) -> Iterator[_Asked]:
-    """Test a pole: as a whole, as each LiDAR sees it, and parted as is likeliest."""
+    """Test a pole: as a whole, as each LiDAR sees it, and split as is likeliest."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:

@@ -1,13 +1,13 @@
-"""How sure a pose is: what the scatter says, what the instruments allow, and unmodelled errors.
+"""How certain a pose is: what the scatter shows, what the instruments allow, and unmodelled errors.
 
 The poses x and the errors b are estimated together, with information ``H`` (all of x and b, the
 prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
-the data show of it is taken out, the rest passes into the pose. See docs/method.md, Certainty.
+the data show of it is removed, the rest passes into the pose. See docs/method.md, Certainty.
 
 The sizes of the errors are those known beforehand, changed by what the data show. Every error is a
 random effect ``b ~ N(0, σ²)``, with one σ for each group of them. What is known beforehand counts
 as `MIN_MEMBERS` errors of that size; the data may show that they are larger or smaller. Makers
-state the largest errors of a kind, and an error that is not there takes up what the data say about
+state the largest errors of a kind, and an error that is not there takes up what the data show about
 the pose: with sizes that never fall below the known ones, the median e_rt of 60 easy streets and
 harbors (seeds 0 to 29) is 2.0 and 2.4 mm, in place of 1.6 and 2.1.
 """
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtri, fdtri
+from scipy.special import chdtrc, chdtri, erfcinv, fdtri, ndtri
 
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
@@ -44,13 +44,13 @@ CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
 held within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
-tell the width from it: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
+show the width from it: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
 70 in place of 2."""
 
 MIN_MEMBERS = 5
 """Errors that a size is estimated from, and as many of the size that is known beforehand count
-beside those that the data show. Those of a whole LiDAR, one to four of a kind, do not tell their
+next to those that the data show. Those of a whole LiDAR, one to four of a kind, do not show their
 own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
 lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
@@ -131,9 +131,22 @@ CONFIDENCE, SIGNIFICANT = 0.95, 0.99
 """Share of the errors that stated regions hold; share of chance up to which it may be chance."""
 
 
+SIGNIFICANCE = 0.001
+"""Level of the tests that warn: how often one does where nothing is wrong (Baarda 1968)."""
+
+MAX_NORMAL = float(-ndtri(SIGNIFICANCE / 2.0))
+"""Standard normal number, 3.29, that is exceeded so often."""
+
+
 def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
     """χ² with some degrees of freedom that a share of chance is below."""
     return float(chdtri(freedom, 1.0 - share))
+
+
+def normalised(chi2: float, freedom: int, among: int = 1) -> float:
+    """Give a χ², the largest of some, as a standard normal number of the same probability."""
+    p = min(among * float(chdtrc(freedom, chi2)), 1.0)
+    return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,11 +156,11 @@ class Part:
     Attributes
     ----------
     name, lidar
-        What errs, and which LiDAR's; None where it is no single LiDAR's.
+        What errs, and which LiDAR's; None if it is no single LiDAR's.
     sigma, unit
         1 σ of the error itself; None of what is no single quantity.
     estimated
-        The error as the data have it; None where it is not estimated or is not one number.
+        The error as the data have it; None if it is not estimated or is not one number.
     root
         (6 L, R): the part is ``root rootᵀ``.
     is_random
@@ -166,7 +179,7 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class FactorEstimate:
     """Steps (6 L,) of all poses, errors (B,), and the inverse (K, K) of the information of both,
-    zero where the datum holds a pose.
+    zero if the datum holds a pose.
     """
 
     steps: Array
@@ -263,7 +276,7 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
 
 
 def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
-    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty where all stand.
+    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if all stand.
 
     Parameters as of `floors`.
     """
@@ -300,7 +313,7 @@ def joint_covariance(parts: Sequence[Part]) -> Array:
 
 
 def uncertainty_of_pair(parts: Sequence[Part]) -> Uncertainty:
-    """State how sure the pose of a pair's source is, and what makes it so."""
+    """State how certain the pose of a pair's source is, and what makes it so."""
     random, systematic = (
         sum(
             (root @ root.T for root in (part.root[POSE:] for part in parts if kind(part))),
@@ -323,7 +336,7 @@ def budget_of(
     lidar
         Whose pose.
     names
-        Of all LiDARs of a site; None of a pair, whose LiDARs have names of their own.
+        Of all LiDARs of a site; None of a pair, whose LiDARs have separate names.
     """
     own = slice(POSE * lidar, POSE * (lidar + 1))
     rows: dict[tuple[str, int | None], list[Part]] = {}

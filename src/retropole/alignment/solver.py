@@ -27,7 +27,8 @@ DAMPING = 1e-3
 
 ROUNDING = 1e-9
 """Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
-none, damped by its inverse a step is none, and eigenvalues so small beside the largest are zero."""
+none, damped by its inverse a step is none, and eigenvalues so small next to the largest are
+zero."""
 
 
 class Model(Protocol):
@@ -66,7 +67,7 @@ class Step:
         (P,) in units of ``1/√curvature`` of each: where the cost is a negative log-likelihood, of
         the 1 σ that each parameter would have were all others known.
     gain
-        By how much the cost fell; 0 where it cannot be compared.
+        By how much the cost fell; 0 if it cannot be compared.
     """
 
     step: Array
@@ -121,7 +122,7 @@ def levenberg_marquardt(
     small
         Whether a step that was taken is small enough to stop.
     tolerance
-        Largest entry of a scaled step that counts as small where no step lowers the cost: the
+        Largest entry of a scaled step that is treated as small where no step lowers the cost: the
         minimum is reached.
     damping, min_damping
         At the start, and at least.

@@ -68,7 +68,7 @@ def read_stored(
         its covariance.
     lidars
         Target and source by their names, of the result of a site or another file that holds several
-        poses: what both have in common cancels in their pose. How much of it errs alike in both
+        poses: what both have in common cancels in their pose. How much of it errs the same in both
         recordings is not stored: all counts.
 
     Raises

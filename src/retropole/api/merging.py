@@ -1,4 +1,4 @@
-"""One cloud of all LiDARs of a stored result, and how far the surfaces that they see lie apart."""
+"""One cloud of all LiDARs of a stored result, and how far the surfaces that they see differ."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def placed(
     Raises
     ------
     UsageError
-        If there is no such frame, nothing ties the site to the earth, or it was not leveled.
+        If there is no such frame, no observation ties the site to the earth, or it was not leveled.
     MissingExtraError
         If a projected system needs pyproj.
     """
@@ -201,7 +201,7 @@ def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
 
 
 def has_map(site: SiteDoc) -> bool:
-    """Whether a site has separate coordinates, other than those from which it counts."""
+    """Whether a site has separate coordinates, other than those it counts from."""
     return site.frame.epsg is not None or bool(np.any(site.frame.offset))
 
 

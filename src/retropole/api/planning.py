@@ -49,7 +49,7 @@ CONCRETE = Material(0.4)
 
 @dataclass(frozen=True, eq=False)
 class Wish:
-    """What is asked of a plan.
+    """What is required of a plan.
 
     Attributes
     ----------
@@ -341,7 +341,8 @@ def _names(given: Sequence[CloudSource], roles: tuple[str, str]) -> list[str]:
 def _poses(
     names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array | None]
 ) -> list[Array]:
-    """Give all LiDARs a rough pose in the frame of the first: as given, or as the place says.
+    """Give all LiDARs a rough pose in the frame of the first: as given, or as the surroundings
+    show.
 
     Raises
     ------

@@ -211,7 +211,7 @@ class CalibrationResult(Result[ResultDoc]):
     def confirmation(self) -> Confirmation | None:
         """What the scene shows about the pose: how many voxels agree or conflict with it.
 
-        None if the run was refused before the scene was asked, and of a result of a version
+        None if the run was refused before the scene was used, and of a result of a version
         that did not state it.
         """
         return self.document.confirmation
@@ -317,7 +317,7 @@ class CalibrationResult(Result[ResultDoc]):
         Raises
         ------
         MissingExtraError
-            Where matplotlib is not installed.
+            If matplotlib is not installed.
         Refusal
             If the calibration was refused: there is nothing to draw.
         ReadError
@@ -477,7 +477,7 @@ class SiteResult(Result[SiteDoc]):
         Raises
         ------
         MissingExtraError
-            Where matplotlib is not installed.
+            If matplotlib is not installed.
         Refusal
             If the calibration was refused: there is nothing to draw.
         ReadError

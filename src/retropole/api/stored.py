@@ -144,7 +144,7 @@ def find_recordings(
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is taken.
     given
-        Where recordings are now: of a pair, target and source of each placement; of a site, in any
+        If recordings are now: of a pair, target and source of each placement; of a site, in any
         order: each is identified by its hash.
 
     Raises

@@ -28,7 +28,8 @@ Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
 """A length that is not none."""
 
 Sigma = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
-"""A standard deviation that others are divided by, metres: nothing is known to a nanometre."""
+"""A standard deviation that others are divided by, metres: there is no information to a
+nanometre."""
 
 Share = Annotated[float, Meta(ge=-1e-9, le=1 + 1e-9)]
 """A part of one, with its rounding."""

@@ -373,7 +373,9 @@ class Placement:
         return self.target, self.source
 
 
-Kind = Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+Kind = Literal[
+    "pole", "placement", "lidar", "survey", "control point", "up", "surfaces", "radius", "scale"
+]
 """What a test is about."""
 
 
@@ -386,7 +388,8 @@ class Test:
     kind
         What would be wrong: ``pole`` (another place for one LiDAR than for the others),
         ``placement`` (a LiDAR's recording of one), ``lidar``, ``survey`` (a surveyed end of a
-        pole), ``control point``, ``up``.
+        pole), ``control point``, ``up``; of a pair also ``surfaces`` (the pose that they and the
+        poles have together, against that of the poles alone), ``radius`` and ``scale``.
     name
         In words: ``pole 2 of placement 1 as mast-a sees it``.
     lidar, placement, pole
@@ -402,6 +405,8 @@ class Test:
         Least error that is found with a probability of 80 %, metres; None if none is.
     external
         By how much an error of that size would move a point 30 m away, metres; None likewise.
+    allowed
+        The largest w to expect where nothing is wrong.
     """
 
     kind: Kind
@@ -415,6 +420,7 @@ class Test:
     redundancy: float
     minimal_detectable: float | None
     external: float | None
+    allowed: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -195,7 +195,7 @@ class Site:
     poles, points
         What was surveyed, in that frame, less `Frame.offset`.
     need
-        How accurate every pose must be; None only asks for usable.
+        How accurate every pose must be; None only requires usable.
     """
 
     name: str

@@ -67,7 +67,7 @@ def check_is_file(path: Path) -> None:
 
 
 def read_document(path: Path) -> bytes:
-    """Read a file that is expected to hold a transform, and not more of it than one would have.
+    """Read a file that is expected to hold a transform, and not more than one would have.
 
     Raises
     ------

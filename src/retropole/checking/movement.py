@@ -45,7 +45,7 @@ from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
 warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
-recordings is 5 at most with the poles where they were, 10 with poles elsewhere and 8 without (field
+recordings is at most 5 with the poles where they were, 10 with poles elsewhere and 8 without (field
 and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the simulator's devices
 repeat all of their errors."""
 
@@ -354,7 +354,7 @@ def compare_poses(
     used
         What the new one was found by.
     asked
-        The movement that matters, or as small a one as these data can tell.
+        The movement that matters, or as small a one as these data can show.
     reasons
         What is to be said in addition.
     uncertainties

@@ -46,7 +46,7 @@ class Tolerance:
 DEFAULT_TOLERANCE = Tolerance(radians(0.3), 0.03)
 
 WIDEST_TOLERANCE = Tolerance(radians(1.0), 0.1)
-"""The widest that is confirmed where none was requested, and by the scene alone whatever was asked
+"""The widest that is confirmed where none was requested, and by the scene alone whatever was used
 for: 1 σ of where `by_scene` searches it about the stored pose. What no surface holds stays as
 uncertain as that, and is not within it with `CONFIDENCE`."""
 

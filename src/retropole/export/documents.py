@@ -407,7 +407,7 @@ def write_geojson(tree: Tree) -> str:
     Raises
     ------
     UsageError
-        If nothing ties the frame of the site to the earth.
+        If no observation ties the frame of the site to the earth.
     MissingExtraError
         If its frame is projected and pyproj is not installed.
     """

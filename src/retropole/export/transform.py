@@ -61,8 +61,8 @@ class Transform:
         (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None if not known:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
     roles
-        What parent and child are in the calibration: ``("target", "source")``, or the other way
-        round after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
+        What parent and child are in the calibration: ``("target", "source")``, or swapped
+        after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
     verdict
         Of the calibration that it is from, on one line (`result.verdict_line`);
         empty if not known.

@@ -1,8 +1,8 @@
-"""Does a line have the shape of a pole? The rules stand in the order of asking.
+"""Does a line have the shape of a pole? The rules are in the order of asking.
 
 A pole is thin, straight, and long for its width, and runs across the rings.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means next to a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MAX_THICK_LENGTH = 1.5
 columns. Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
 
 FEW_POLE_POINTS = 10
-"""With fewer points a line is a pole only if it is slim and has next to nothing beside it: a few
+"""With fewer points a line is a pole only if it is slim and has next to nothing next to it: a few
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
@@ -62,14 +62,15 @@ MAX_FEW_RMS = 0.035
 no effect; at 0.049: 1 more false."""
 
 MAX_RING_EXTENT = 0.15
-"""Points of one ring lie no farther apart along a pole, metres. A ring that crosses a pole of width
-w leaning sideways by θ leaves w · tan θ: 0.15 m for 12 cm at 51°, or for 4 cm at 75°. Sensitivity
-from 0.105 to 0.21: no effect."""
+"""Points of one ring lie no farther from each other along a pole, metres. A ring that crosses a
+pole of width w leaning sideways by θ leaves w · tan θ: 0.15 m for 12 cm at 51°, or for 4 cm at
+75°. Sensitivity from 0.105 to 0.21: no effect."""
 
 ONE_BEAM_ELEVATION = float(np.radians(0.1))
 """Returns whose elevations span less than this, rad, come from one beam: less than the finest ring
 spacing of the table of sensors, Pandar64 with 1/6°, while a pole has three rings. Where all of a
-line would be seen within it, elevations say nothing. Sensitivity from 0.07° to 0.14°: no effect."""
+line would be seen within it, elevations give no information. Sensitivity from 0.07° to 0.14°: no
+effect."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,12 @@ class Failure:
 def shape_failure(
     cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS, shortest: float = MIN_LENGTH
 ) -> Failure | None:
-    """Say why a line does not have the shape of a pole; None where it has.
+    """Say why a line does not have the shape of a pole; None if it has.
 
     Parameters
     ----------
     cloud
-        Where the line was found.
+        If the line was found.
     line
         As `fit_line` gives it.
     fewest

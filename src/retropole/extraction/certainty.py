@@ -18,7 +18,7 @@ MAX_SURE_RMS = 0.03
 of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
 
 MAX_GAP_STEPS = 3.5
-"""A gap no longer than so many steps from ring to ring is none: two rings missed, since a return
+"""A gap no longer than this many steps from ring to ring is none: two rings missed, since a return
 may be lost in each, and half a step of unevenness where the cloud has no rings."""
 
 MIN_SIGHT_ANGLE = float(np.radians(15.0))
@@ -28,7 +28,7 @@ seen at 28°."""
 
 
 def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
-    """Say why a line that passes all other rules is no confirmed pole; None where it is.
+    """Say why a line that passes all other rules is no confirmed pole; None if it is.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
-    """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
+    """Say that a line is thicker than a pole of a radius, metres; None if it is not."""
     limit = line.with_beams(MAX_SURE_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:
@@ -74,7 +74,8 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
 
 
 def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
-    """A pole has no gap as long as half of it, except between rings that are far apart."""
+    """A pole has no gap as long as half of it, except between rings that are far from each
+    other."""
     order = np.argsort(line.along, kind="stable")
     gaps = np.diff(line.along[order])
     widest = int(np.argmax(gaps))

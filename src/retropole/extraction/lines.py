@@ -1,8 +1,8 @@
 """Propose the lines that some bright points may lie on, and fit each to the points about it.
 
-Bright points are grouped first, and those inside a bright surface told from those along a line.
-Only distances between points count here: a cloud gives the same groups and lines after any rigid
-motion, and in whatever order its points come. What *Sensitivity* means beside a constant:
+Bright points are grouped first, and those inside a bright surface distinguished from those along a
+line. Only distances between points count here: a cloud gives the same groups and lines after any
+rigid motion, and in whatever order its points come. What *Sensitivity* means next to a constant:
 docs/evidence/detection.md.
 """
 
@@ -34,11 +34,12 @@ ground of 5,000 points 12 million. Larger clusters are searched without the brig
 Sensitivity at 280: 1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
 
 CLUSTER_CELL = 0.04
-"""Side of such a cell, metres: a third of the narrowest width told apart here, the 0.12 m radius of
-a tube about a pole of 2 cm. Sensitivity at 0.028: 5 fewer false; at 0.056: 5 fewer false."""
+"""Side of such a cell, metres: a third of the narrowest width distinguished here, the 0.12 m
+radius of a tube about a pole of 2 cm. Sensitivity at 0.028: 5 fewer false; at 0.056: 5 fewer
+false."""
 
 PATCH_RADIUS = 0.3
-"""Radius of the neighbourhood that tells a surface from a line, metres: wider than the 0.12 m
+"""Radius of the neighbourhood that shows a surface from a line, metres: wider than the 0.12 m
 radius of a pole's tube, so that a line is narrow in it. Sensitivity at 0.21: 4 fewer false; at
 0.42: 1 more found, 8 fewer false."""
 
@@ -49,8 +50,8 @@ a pole no more than `MAX_RMS`, 0.06. Sensitivity at 0.063: 1 more found, 5 fewer
 fewer false."""
 
 PATCH_POINTS = 8
-"""A neighbourhood with fewer points says nothing: rings can be farther apart than it is wide.
-Sensitivity from 6 to 11: no effect; without it, 1 more false in a recording."""
+"""A neighbourhood with fewer points gives no information: rings can be farther from each other
+than it is wide. Sensitivity from 6 to 11: no effect; without it, 1 more false in a recording."""
 
 
 def clusters(xyz: Array, link: float) -> list[IntArray]:
@@ -79,7 +80,7 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
 
 
 def on_surface(xyz: Array) -> BoolArray:
-    """Tell which points lie inside a bright surface: wide in two directions about each of them.
+    """Say which points lie inside a bright surface: wide in two directions about each of them.
 
     Saturated ground and large signs are thousands of points, in which chance lines abound. Lines
     are worth looking for in what is left without them.
@@ -123,7 +124,8 @@ def _cells(xyz: Array) -> tuple[Array, IntArray]:
 
 
 def _neighbours(centre: Array, radius: float) -> coo_array:
-    """Graph (C, C) of the pairs of points no farther apart than ``radius``, each pair once."""
+    """Graph (C, C) of the pairs of points no farther from each other than ``radius``, each pair
+    once."""
     pairs = cKDTree(centre).query_pairs(radius, output_type="ndarray")
     return coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centre),) * 2)
 
@@ -227,7 +229,7 @@ class Line:
     returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
-        """Give the largest scatter, metres, that a line of so much has by beams of this width.
+        """Give the largest scatter, metres, that a line of this much has by beams of this width.
 
         Limits are those of a pole of `DEFAULT_RADIUS`.
         """
@@ -278,7 +280,7 @@ def propose_lines(
     xyz
         (N, 3) points, metres, in canonical order.
     shortest, longest
-        How far apart the two points of a pair may be, metres.
+        How far from each other the two points of a pair may be, metres.
     tube
         Radius about a line, metres.
     shell
@@ -392,7 +394,7 @@ def fit_lines(
     Parameters
     ----------
     cloud
-        Where the points are from.
+        If the points are from.
     candidates
         (N,) index of the points that may lie on a line.
     guesses
@@ -400,7 +402,7 @@ def fit_lines(
     radius
         Of the pole, metres.
     beams
-        That met it.
+        That hit it.
     room
         About the pole's radius, in which its points may lie, metres.
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..base.datatypes import Array
 from .lines import LITTLE, MOST, SEARCH_ROOM, TUBE, WIDTH_IN_RMS
-from .surroundings import PIECES, SHORT_LENGTH, Surroundings, cluttered_share
+from .surroundings import PIECES, SHORT_LENGTH, Surroundings, cluttered_share, is_wall_behind
 
-WEIGHTS = 3.0, 1.7, -3.7, -3.5, -4.2, -13.1, -3.7
-"""Of `measures_of`, by benchmarks/odds.py, seeds 0 to 9: 12,495 lines on 140 poles and on 857 other
-things. Log-odds of 0 or more have 98 % of the poles and 13 % of the others."""
+WEIGHTS = 2.9, 2.2, -4.3, -4.1, -1.3, -4.9, -14.2, -3.5
+"""Of `measures_of`, by benchmarks/odds.py, seeds 0 to 9: 12,417 lines on 140 poles and on 857 other
+things. Log-odds of 0 or more have 98 % of the poles and 10 % of the others."""
 
 
 def log_odds(around: Surroundings, radius: float) -> float:
@@ -27,16 +27,21 @@ def measures_of(around: Surroundings, radius: float) -> Array:
     Returns
     -------
     Array
-        (7,) one; the logarithms of its length over its width, and of how many bright returns are
-        close beside it for each of its own, as multiples of `LITTLE`; along which share of it
-        bright ones are beside it at all, and others are close; and along which share of
-        `SHORT_LENGTH` it goes on without tape beyond the end where it does less, and beyond the
-        other.
+        (8,) one; the logarithms of its length over its width, and of the number of bright returns
+        close to it for each of its own, as multiples of `LITTLE`; the share of its length along
+        which bright ones are near it at all, along which others are close, and along which others
+        are near it that are not on a wall behind it; and the share of `SHORT_LENGTH` along which it
+        goes on without tape beyond the end where it does less, and beyond the other.
     """
     line = around.line
     bright = around.is_retro & around.beside
     close = ~around.on_line & (around.distance < radius + TUBE + SEARCH_ROOM)
     goes_on = _goes_on(around)
+    others = around.beside & ~around.is_retro
+    in_surface = cluttered_share(line, around.along[others], MOST)
+    if in_surface:
+        beside, own = (around.cloud.xyz[index] for index in (around.near[others], line.index))
+        in_surface *= not is_wall_behind(beside, own)
     return np.array(
         [
             1.0,
@@ -44,6 +49,7 @@ def measures_of(around: Surroundings, radius: float) -> Array:
             np.log1p(np.count_nonzero(bright & close) / (LITTLE * len(line.index))),
             cluttered_share(line, around.along[bright], LITTLE),
             cluttered_share(line, around.along[close & ~around.is_retro], MOST),
+            in_surface,
             min(goes_on),
             max(goes_on),
         ]

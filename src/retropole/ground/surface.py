@@ -124,7 +124,7 @@ def find_ground(
     ------
     Refusal
         ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two
-        levels are, and nothing shows which of them is below.
+        levels are, and no observation shows which of them is below.
     """
     origins = np.stack([viewer.origin for viewer in viewers])
     rough, ceiling = _rough_axes(viewers) if axes is None else axes

@@ -1,7 +1,7 @@
 """What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
 
 A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
-same pose from several placements is one hypothesis. The scene is asked once for each.
+same pose from several placements is one hypothesis. The scene is used once for each.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from .scans import SiteScans, Views
 MAX_CONFLICTING_IN_LOOPS = 0.06
 """Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
 closed with it. On bare ground the right one, 0.3° off, had up to 0.046 more than one that lays the
-scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
+scenes next to each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
 
 LEAST_TOLD = 0.1
 """Overlap of the best hypothesis below which the scenes show different places."""
 
 
 SPARSE, SPARSE_ERROR = 8, 0.03
-"""First every so many of the points are compared, and all of them where the first may be off by so
-much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by 0.025 at most."""
+"""First every this many of the points are compared, and all of them where the first may be off by
+so much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by at most 0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,10 @@ class Pair:
     overlaps
         Whether the scenes overlap under the best, so that they can be asked.
     refusal
-        Why there is no hypothesis; None where there is one.
+        Why there is no hypothesis; None if there is one.
     by_place
-        Whether the place gives a part of the pose that one pole, or parallel ones, leave open.
+        Whether the surroundings give a part of the pose that one pole, or parallel ones, do not
+        determine.
     """
 
     lidars: tuple[int, int]
@@ -88,18 +89,18 @@ class Pair:
 
 
 def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
-    """Whether two poses are one up to what the poles of one placement leave open.
+    """Whether two poses are one up to what the poles of one placement do not determine.
 
     Parameters
     ----------
     T, other
         (4, 4) each.
     points
-        (N, 3) where the poles stand.
+        (N, 3) where the poles are.
     slack
-        So many times what poles leave open is allowed.
+        So many times what poles do not determine is allowed.
     """
-    # Asked a hundred thousand times: the angle by the trace, and places only where it is small.
+    # Asked a hundred thousand times: the angle by the trace, and places only if it is small.
     cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
     if cosine < np.cos(slack * AGREE_ANGLE):
         return False
@@ -220,7 +221,7 @@ def _overlaps(best: Hypothesis) -> bool:
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
 
-    Scenes that do not overlap tell nothing apart.
+    Scenes that do not overlap distinguish nothing.
     """
     return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
 

@@ -75,7 +75,7 @@ def opened(path: Path) -> Iterator[Bag]:
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
         If it cannot be read, or takes more memory or time than a file of its size can need.
     """

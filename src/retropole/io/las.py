@@ -45,9 +45,9 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     MissingExtraError
-        Where laspy is not installed.
+        If laspy is not installed.
     ReadError
-        Where laspy cannot read the file, or the file is shorter than its header promises.
+        If laspy cannot read the file, or the file is shorter than its header promises.
     """
     try:
         import laspy

@@ -57,7 +57,7 @@ def open_bag(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Re
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
         If the bag cannot be read, or not exactly one topic fits; lists those there are.
     UsageError

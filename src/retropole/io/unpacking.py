@@ -50,7 +50,7 @@ class BoundedFile(io.BufferedReader):
 
 
 def opened_within(path: Path) -> BoundedFile:
-    """Open a file to read no more of it at once than a record can have.
+    """Open a file to read no more at once than a record can have.
 
     Raises
     ------

@@ -21,7 +21,8 @@ from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of
 
 UNSURE = 0.3, 3.0
-"""1 σ of a pose that nothing is known of, rad and m: poles are compared before they hold it."""
+"""1 σ of a pose that there is no information on, rad and m: poles are compared before they hold
+it."""
 
 MOST_ROUNDS = 10
 """Of exchanges of all poles; most sets are at rest after two or three."""
@@ -57,7 +58,7 @@ other."""
 
 
 def unsure(unknowns: Unknowns) -> Array:
-    """(6 L,) precision of poses that nothing is known of."""
+    """(6 L,) precision of poses that there is no information on."""
     return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
 
 
@@ -257,7 +258,8 @@ def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
 def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
     """Exchange poles where LiDARs depend on one, as far as that helps.
 
-    A blunder of a pole that nothing checks does not show. Two poles always depend on each other.
+    A blunder of a pole that no observation checks does not show. Two poles always depend on each
+    other.
     """
     now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
     most = DEARER * error_of(design, chosen)
@@ -289,8 +291,8 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
     """Geometric mean of the errors with the surfaces and without, metres.
 
     Each is the root mean square over all LiDARs: the largest would not say which pole is the first
-    step where several LiDARs are held by none yet. What the surfaces alone hold says the same of
-    all poles. Then the poles decide: they are what the surfaces are checked by.
+    step where several LiDARs are constrained by none yet. What the surfaces alone hold says the
+    same of all poles. Then the poles decide: they are what the surfaces are checked by.
     """
     together, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
     return float(np.sqrt(together * alone))

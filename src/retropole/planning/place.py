@@ -1,7 +1,7 @@
 """The place as it was recorded without poles: its ground, and the poles that could stand on it.
 
-All is in the frame of the place, whose z axis points up from the ground. Of each pole that could
-stand it is known what the beams of each LiDAR meet of it.
+All is in the frame of the scene, whose z axis points up from the ground. Of each pole that
+could stand it is known what the beams of each LiDAR meet of it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Station:
     beams
         In the same frame.
     T
-        (4, 4) its pose in the frame of the place.
+        (4, 4) its pose in the frame of the scene.
     origin
         (3,) where its beams start in the frame of its recording, metres.
     is_settled
@@ -92,11 +92,11 @@ class Station:
 
     @property
     def at(self) -> Array:
-        """(3,) where it is in the place."""
+        """(3,) where it is in the surroundings."""
         return np.asarray(self.T[:3, 3])
 
     def seen_from_place(self) -> RecordedBeams:
-        """Its beams in the frame of the place."""
+        """Its beams in the frame of the scene."""
         return in_frame(self.beams, self.T)
 
 
@@ -143,9 +143,9 @@ def survey(
     Parameters
     ----------
     stations
-        All LiDARs, in the frame of the place.
+        All LiDARs, in the frame of the scene.
     allowed, forbidden
-        Where poles may stand, anywhere if empty; and where they may not.
+        If poles may stand, anywhere if empty; and where they may not.
 
     Raises
     ------
@@ -238,7 +238,7 @@ IN_FIELD = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poles that stand free on the ground, in the frame of the place.
+    """Poles that stand free on the ground, in the frame of the scene.
 
     Attributes
     ----------

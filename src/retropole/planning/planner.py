@@ -146,7 +146,7 @@ class Planned:
     Attributes
     ----------
     stations
-        The LiDARs, settled, in the frame of the place.
+        The LiDARs, converged, in the frame of the scene.
     place
         Its ground.
     candidates, seen
@@ -201,7 +201,7 @@ def plan(
     Parameters
     ----------
     stations
-        The LiDARs, in the frame of the place; the first is the reference.
+        The LiDARs, in the frame of the scene; the first is the reference.
     poles, placements
         How many stand at once, and how often they are moved.
     length, radius
@@ -211,7 +211,7 @@ def plan(
     need
         How accurate the answer must be.
     allowed, forbidden
-        Where poles may stand, and where not.
+        If poles may stand, and where not.
     progress
         Called with the name of each step as it starts.
 
@@ -268,7 +268,7 @@ def plan(
     rehearsal = run(chosen)
     _check_poses(rehearsal)
     if rehearsal.status != "ok":
-        # What the place cannot decide, one pole more may.
+        # What the surroundings cannot decide, one pole more may.
         for k, each in enumerate(more):
             progress(f"rehearse with one {each.what} more")
             status = run(each.chosen).status
@@ -351,7 +351,7 @@ def _check_linked(
 
 
 def _check_poses(rehearsal: Rehearsal) -> None:
-    """Refuse poses that what is in the place contradicts: no pole moved here."""
+    """Refuse poses that the surroundings contradict: no pole moved here."""
     for reason in rehearsal.reasons:
         if rehearsal.status == "refused" and reason.code == "scene_contradicts":
             said = reason.message.partition(": did a pole move")[0]

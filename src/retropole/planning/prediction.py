@@ -1,4 +1,5 @@
-"""What poles tell of the poses, and the error to expect: by the code that states it afterwards.
+"""What poles determine of the poses, and the error to expect: by the code that states it
+afterwards.
 
 At the poses as they are known the returns of a pole have an information (`alignment.network`), with
 its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
@@ -53,7 +54,7 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
 
 
 def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
-    """Give what a LiDAR would record of a pole that is in the frame of the place.
+    """Give what a LiDAR would record of a pole that is in the frame of the scene.
 
     The returns on it, in the LiDAR's own frame, and the cloud around them.
     """
@@ -235,7 +236,7 @@ def problem_of(
 
 
 def scene_information(stations: Sequence[Station], surfaces: Surfaces, unknowns: Unknowns) -> Array:
-    """(K, K) what the surfaces show of poses and errors where the LiDARs are settled."""
+    """(K, K) what the surfaces show of poses and errors where the LiDARs are converged."""
     end = minimise(problem_of(known_poses(stations, unknowns.bands), stations, surfaces))
     information = np.zeros((unknowns.kept, unknowns.kept))
     for term in end.scene:
@@ -271,7 +272,7 @@ def predict(
     Parameters
     ----------
     stations, surfaces
-        The LiDARs, settled, and what they share.
+        The LiDARs, converged, and what they share.
     poles, seen, placement
         Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each is in.
 

@@ -1,4 +1,4 @@
-"""Where the LiDARs are in the place: rough poses, settled on what all recorded."""
+"""Where the LiDARs are in the surroundings: rough poses, converged on what all recorded."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
 
 MOVERS = 30
 """So many voxels of the scene conflict with a pose that is right, since people walk and plants
-move between the recordings: 17 at most on bare ground (benchmarks/plan.py, seeds 0 to 3)."""
+move between the recordings: at most 17 on bare ground (benchmarks/plan.py, seeds 0 to 3)."""
 
 
 FEW = 0.1
 """Part of what agrees that may conflict with a clear pose. Of three LiDARs on a crane the nearest
-settled one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
+converged one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
 
 
 UPWARD = 0.1
@@ -55,7 +55,7 @@ def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
 
 
 def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -> list[Station]:
-    """Stand all LiDARs in the frame of the place, on the ground below the first.
+    """Stand all LiDARs in the frame of the scene, on the ground below the first.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def stand_drawn(
 
 
 def station(name: str, scan: Scan, T: Array) -> Station:
-    """Stand a LiDAR at a pose (4, 4) in the frame of the place, of its file's frame."""
+    """Stand a LiDAR at a pose (4, 4) in the frame of the scene, of its file's frame."""
     cloud = scan.cloud
     shift = se3.from_rt(np.eye(3), cloud.origin)
     cloud = cloud.transformed(se3.inverse(shift))

@@ -196,7 +196,7 @@ class Viewpoint(NamedTuple):
     lidar
         The LiDAR that the person is at.
     azimuth
-        Of the line that angles are counted from, rad, in the frame of the place.
+        Of the line that angles are counted from, rad, in the frame of the scene.
     line
         The line, in words: ``the line to rear``.
     """
@@ -267,7 +267,7 @@ def _level_distance(a: Array, b: Array) -> float:
 
 
 def _steps(angle: float, step_deg: int) -> int:
-    """Round an angle, rad, to steps: degrees above −180, 180 at most."""
+    """Round an angle, rad, to steps: degrees above −180, at most 180."""
     turn = step_deg * round(float(np.degrees(angle)) / step_deg) % 360
     return turn - 360 if turn > 180 else turn
 

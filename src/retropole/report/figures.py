@@ -42,7 +42,7 @@ def new_figure(width: float, height: float) -> Figure:
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -86,7 +86,7 @@ def result_figure(
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     count = max(len(poles[0]), 1)
     figure = new_figure(16, 9)
@@ -155,7 +155,7 @@ def site_figure(
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     figure = new_figure(11, 11)
     grid: Any = figure.add_gridspec(2, 1, height_ratios=(4, 1))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..adjustment.blunders import POOR, is_poor
+from ..adjustment.snooping import POOR
 from ..base import se3
 from ..base.carried import CarriedWalk
 from ..base.clocks import NOTICED, is_set, words_of
@@ -204,7 +204,7 @@ def pairs(site: SiteDoc) -> Listing:
     rows = [
         [
             " – ".join(site.lidars[k].name for k in pair.lidars),
-            *(_size(pair.w, 1), pair.shared_poles, pair.patches or UNKNOWN),
+            *(_size(pair.w, POOR, 1), pair.shared_poles, pair.patches or UNKNOWN),
             pair_words(pair, refused)
             + ("" if pair.refusal is None else f": {pair.refusal.message}"),
         ]
@@ -246,19 +246,27 @@ def tests(site: SiteDoc) -> Listing:
     """List the tests, the largest w first."""
     rows = [
         [
-            *(test.name, test.kind, _size(test.w, 2), number(test.chi2, 1), test.freedom),
+            *(test.name, test.kind, _size(test.w, test.allowed, 2), number(test.allowed, 1)),
+            *(number(test.chi2, 1), test.freedom),
             number(test.redundancy, 0, 100, " %"),
             *(error(test.minimal_detectable), error(test.external)),
         ]
         for test in sorted(site.tests, key=lambda each: -abs(each.w or 0.0))
     ]
-    names = "observation; kind; |w|; χ²; freedom; redundancy; smallest error found; effect at 30 m"
+    names = (
+        "observation; kind; |w|; expected up to; χ²; freedom; redundancy; smallest error found; "
+        "effect at 30 m"
+    )
     return Listing("Tests, the largest |w| first", columns(names), rows, (1,))
 
 
-def _size(w: float | None, digits: int) -> str:
+def _size(w: float | None, allowed: float | None, digits: int) -> str:
     said = number(None if w is None else abs(w), digits)
-    return said + (" stands out" if w is not None and abs(w) > POOR else "")
+    return said + (" stands out" if _is_large(w, allowed) else "")
+
+
+def _is_large(w: float | None, allowed: float | None) -> bool:
+    return w is not None and allowed is not None and abs(w) > allowed
 
 
 def changes(subject: Subject) -> Listing:
@@ -376,7 +384,7 @@ def carried_words(found: CarriedWalk) -> str:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many patches agree or contradict the pose; None if the scene was not asked."""
+    """Say how many patches agree or contradict the pose; None if the scene was not used."""
     return None if result.confirmation is None else result.confirmation.words
 
 
@@ -462,7 +470,7 @@ def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
 
 
 def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
-    """Say what pairs, loops and tests showed, or which LiDARs nothing links."""
+    """Say what pairs, loops and tests showed, or which LiDARs no observation links."""
     if len(site.groups) > 1:
         groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
         yield f"not linked with each other: {' | '.join(groups)}"
@@ -498,14 +506,17 @@ def _checks(site: SiteDoc) -> Iterator[str]:
     if not tests:
         yield "no consistency checks: nothing verifies these poses"
         return
-    high = [each for each in tests if is_poor(abs(each.w or 0.0), each.chi2 or 0.0, each.freedom)]
-    checks, most = counted(len(tests), "consistency check"), f"{POOR:g} is the most to expect"
-    named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in (high or tests)[:NAMED]]
+    high = [each for each in tests if _is_large(each.w, each.allowed)]
+    checks = counted(len(tests), "consistency check")
+    named = [
+        f"{each.name} (w {abs(each.w or 0.0):.1f}, {each.allowed or 0.0:.2g} is the most to expect)"
+        for each in (high or tests)[:NAMED]
+    ]
     if high:
         rest = f" and {len(high) - NAMED} more" if len(high) > NAMED else ""
-        yield f"{checks}, {len(high)} suspicious: {', '.join(named)}{rest}; {most}"
+        yield f"{checks}, {len(high)} suspicious: {', '.join(named)}{rest}"
     else:
-        yield f"{checks}, none suspicious; the largest: {named[0]}, {most}"
+        yield f"{checks}, none suspicious; the largest: {named[0]}"
     blind = unchecked(site)
     if blind:
         yield f"{counted(blind, 'observation')} without a check: an error there would not show"

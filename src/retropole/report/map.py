@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..adjustment.blunders import POOR
+from ..adjustment.snooping import POOR
 from ..base.datatypes import Array
 from ..base.quantities import large, round_below
 from ..result.site import SiteDoc

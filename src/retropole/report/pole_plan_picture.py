@@ -47,7 +47,7 @@ LEAST_STROKE = 25.0
 
 @dataclass(frozen=True, eq=False)
 class PlanPicture:
-    """What the page of a plan is drawn from, in the frame of the place.
+    """What the page of a plan is drawn from, in the frame of the scene.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
 
 SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it stands as far next to a found one as the other LiDAR's
+"""A cluster may be the missing pole where it is as far next to a found one as the other LiDAR's
 poles stand next to each other, within this, metres: two poles leaning by 15°, of which the LiDARs
 see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
 
@@ -46,7 +46,8 @@ NAMED = 3
 """Number of candidates that are named of each LiDAR; the page lists all clusters below."""
 
 NEAREST = 2.0
-"""No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
+"""No pole is required to stand nearer than this, metres: what would have to is too little to go
+by."""
 
 
 def poles(subject: Subject) -> Html:

@@ -240,7 +240,7 @@ def _more(subject: Subject) -> list[str]:
     lines += wrapped(f"  {tried}", "    ") if tried else []
     lines += _lines(listings.pairs(site))
     lines += _lines(listings.loops(site))
-    lines += _lines(listings.tests(site).only(0, 2, 5, 6, 7))
+    lines += _lines(listings.tests(site).only(0, 2, 3, 6, 7, 8))
     lines.append("")
     for each in site.inputs:
         several = f", {subject.placement(each.placement)}" if len(site.placements) > 1 else ""

@@ -123,7 +123,8 @@ class WatchServer(ThreadingMixIn, TCPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close what is open for too long, which ends its thread: called again and again."""
+        """Close what is open for too long, which ends its thread: called again and
+        again."""
         self._close_older(LONGEST_SECONDS)
 
     def _close_older(self, seconds: float) -> None:
@@ -238,7 +239,7 @@ def qr_code(url: str) -> str:
         raise MissingExtraError("live", "a QR code") from None
 
     code = segno.make(url, error="l", micro=False)
-    # Its standard asks for four modules of light around it.
+    # Its standard requires four modules of light around it.
     rows = [[bool(module) for module in row] for row in code.matrix_iter(border=4)]
     light = [False] * len(rows[0])
     lines = (

@@ -187,6 +187,7 @@ class TestDoc(
     redundancy: Share | None
     minimal_detectable: Size | None
     external: Size | None
+    allowed: Number | None = 5.0
 
 
 class Document(msgspec.Struct, frozen=True, eq=False):

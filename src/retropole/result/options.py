@@ -126,7 +126,7 @@ class Reading(NamedTuple):
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not asked for: any number of poles, no prior, the scene's own choice,
+    None stands for what was not given: any number of poles, no prior, the scene's own choice,
     the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
     that is needed, for the source the unit of the target. Frames are start, stop and step.
     """

@@ -1,7 +1,7 @@
 """Where the poles should stand, as ``retropole plan`` writes it: a JSON document of its own.
 
-Schema ``retropole/plan/1``: metres and radians, in the frame of the place: its origin on the ground
-below the first LiDAR, z up, x where that LiDAR's x axis points.
+Schema ``retropole/plan/1``: metres and radians, in the frame of the scene: its origin on
+the ground below the first LiDAR, z up, x where that LiDAR's x axis points.
 """
 
 from __future__ import annotations

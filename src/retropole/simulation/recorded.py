@@ -173,7 +173,7 @@ def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
 
 
 def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
-    """Cast the beams at the poles; the index is of those that meet one before their return."""
+    """Cast the beams at the poles; the index is of those that hit one before their return."""
     hits = cast(beams.origin, beams.directions, poles, width)
     return hits, np.flatnonzero(hits.ranges < beams.ranges)
 

@@ -90,7 +90,7 @@ def report(
 ) -> tuple[Hits, Array]:
     """Replace hits at edges by what the parts of the beam meet.
 
-    Surfaces that a pulse does not tell apart return one range, the mean of theirs weighted with the
+    Surfaces that a pulse does not separate return one range, the mean of theirs weighted with the
     power that returns. Of those it does, the first is reported or the strongest.
 
     Parameters
@@ -162,7 +162,7 @@ thresholds of `sensors` are for about 5 m."""
 
 RAW_FALLOFF, CALIBRATED_FALLOFF = 2.0, 0.5
 """Power of the range by which intensity falls: the inverse square where a sensor states raw signal,
-and what is left of it where it states a reflectivity that it has compensated (chosen)."""
+and what remains where it states a reflectivity that it has compensated (chosen)."""
 
 TAPE_REACH = 12.0
 """Range to which tape at normal incidence saturates a sensor, metres. Chosen so that tape at 3 to
@@ -213,7 +213,7 @@ def intensities(
     ranges
         (N,) metres.
     share
-        (N,) part of the beam that meets the surface.
+        (N,) part of the beam that hits the surface.
     rng, noise
         Relative noise, and whether there is falloff.
     """

@@ -329,7 +329,7 @@ def _place_poles(
     poles: int,
     radius: float,
 ) -> Arrangement | None:
-    """Put the poles of each placement where they link LiDARs that nothing links yet."""
+    """Put the poles of each placement where they link LiDARs that no observation links yet."""
     at = np.array([pose[:2, 3] for pose in place.poses])
     everyone = tuple(range(len(sensors)))
     standing: list[tuple[Cylinder, ...]] = []

@@ -46,7 +46,7 @@ class DrawnSite:
     kind, sensors, devices, noise, radius
         As of the `SimulatedSite`.
     at
-        Where all stands, and who records what.
+        If all stands, and who records what.
     for_survey, for_changes, for_recording
         Generators of what comes next. ``for_changes`` is for those who change the site before it
         is recorded: whatever they draw, all else stays the same.
@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        Where poles move between two recordings; None if they stand as they were drawn.
+        If poles move between two recordings; None if they stand as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):

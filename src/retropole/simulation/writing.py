@@ -93,7 +93,7 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
 
 
 def _write(first: Path, words: bytes, clouds: Mapping[Path, PointCloud]) -> None:
-    """Write recordings, and before them the file that tells of them.
+    """Write recordings, and before them the file that describes them.
 
     Of several sweeps a recording is a folder, out of which those of a run before are taken.
     """

@@ -37,8 +37,8 @@ from .visibility import (
 )
 
 MAX_APART = 60.0
-"""Recordings that lie further apart than this were made at other times, seconds. Clocks that are
-set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
+"""Recordings that lie farther from each other than this were made at other times, seconds. Clocks
+that are set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 
 def recorded_together(placements: Sequence[Placement]) -> bool:
@@ -50,7 +50,7 @@ def recorded_together(placements: Sequence[Placement]) -> bool:
 
 
 def _apart(placement: Placement) -> float | None:
-    """Seconds from the end of one recording to the start of the other; None where not known."""
+    """Seconds from the end of one recording to the start of the other; None if not known."""
     target, source = (time_of_recording(scan.cloud) for scan in placement.scans)
     if target is None or source is None:
         return None
@@ -58,7 +58,7 @@ def _apart(placement: Placement) -> float | None:
 
 
 def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Tell of placements that the two LiDARs recorded at other times, as far as their clocks say.
+    """Say of placements that the two LiDARs recorded at other times, as far as their clocks say.
 
     What was moved in between looks the same as another pose.
     """
@@ -191,17 +191,17 @@ def keys_of(xyz: Array) -> Keys:
 
 
 MIN_FRAMES = 3
-"""With fewer frames nothing tells what moved: a majority needs three. Whether a LiDAR turned, the
-first and the last third of the frames tell."""
+"""With fewer frames no observation shows what moved: a majority needs three. Whether a LiDAR
+turned, the first and the last third of the frames tell."""
 
 MIN_RETURNS_PER_RUN = 5
-"""Returns on a pole that a run of frames needs to tell where the pole is."""
+"""Returns on a pole that a run of frames needs to show where the pole is."""
 
 RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""
 
 DRIFT_SIGMAS = 5.0
-"""A pole moved if it strays by the usual radius of a pole, and by so many times the noise."""
+"""A pole moved if it strays by the usual radius of a pole, and by this many times the noise."""
 
 MAX_TURN = np.radians(0.3)
 """A LiDAR moved if it turned by more while it recorded. The first and the last frames of 72 LiDARs
@@ -220,7 +220,7 @@ ground that were not they are 3 to 12 times as large in all (`sweeps.py --pairs`
 TURN_SIGMAS = 5.0
 """A turn must also exceed this multiple of its own σ. Single sweeps of a LiDAR that does not repeat
 its pattern show other points of the same surfaces: of 96 still Mid-360 recordings the turn was up
-to 0.48°, and 3.6 σ at most; of VLP-16 and XT32 that were turned by 0.35 and 0.5° it was 16 σ and
+to 0.48°, and at most 3.6 σ; of VLP-16 and XT32 that were turned by 0.35 and 0.5° it was 16 σ and
 more (streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ are exceeded by chance
 once in a thousand times (Student's t)."""
 
@@ -276,7 +276,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
     """Refuse a LiDAR that turned while the frames were recorded.
 
     The last frames are registered to the first. Only the turn is judged: a scene such as a corridor
-    leaves a shift open.
+    leaves a shift undetermined.
 
     Raises
     ------
@@ -296,7 +296,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
 
 @kept
 def turned_by(cloud: PointCloud) -> float:
-    """How far a LiDAR turned from the first frames to the last, rad; 0 where that is not known.
+    """How far a LiDAR turned from the first frames to the last, rad; 0 if that is not known.
 
     A turn of more than `MAX_TURN` is known where it is also more than `TURN_SIGMAS` of its noise.
     """

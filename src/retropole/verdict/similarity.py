@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..adjustment.refinement import Refinement
+from ..alignment.certainty import MAX_NORMAL
 from ..base import se3
 from ..base.datatypes import MAX_RADIUS, Array, Hypothesis, Placement, PointCloud, Scan
 from ..base.errors import Refusal
@@ -45,9 +46,6 @@ EXPLAINED = {
     *("poles_scene_contradict", "scene_contradicts", "prior_contradicted", "far_from_lidar"),
 }
 """Refusals that a mirrored or scaled cloud may cause."""
-
-SCALE_SIGMAS = 3.0
-"""An answer's scale is contradicted where it is off by more than `LEAST_CHANGE` and so many σ."""
 
 UNITS: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
 """Units that coordinates may be in."""
@@ -155,7 +153,7 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
     if found is not None:
         raise _refusal(*found, placements[0])
     factor, sigma = (1.0, 0.0) if refined is None or refined.scale is None else refined.scale
-    if abs(factor - 1.0) > max(LEAST_CHANGE, SCALE_SIGMAS * sigma):
+    if abs(factor - 1.0) > max(LEAST_CHANGE, MAX_NORMAL * sigma):
         because = "one of the two clouds is scaled, or the pose is wrong"
         raise _wrong_scale(factor, because, {"sigma": sigma}, f" (1 σ: {sigma:.4f})")
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from ..adjustment.agreement import check_radius
 from ..adjustment.answer import LidarPose, LoopClosure
-from ..adjustment.blunders import POOR, place_of, worst_test
+from ..adjustment.blunders import place_of, worst_test
 from ..adjustment.site import Adjusted, find_links
+from ..adjustment.snooping import POOR
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, Test
 from ..base.description import Site

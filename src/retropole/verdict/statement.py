@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
+from ..adjustment.agreement import agreement_tests
 from ..adjustment.answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from ..adjustment.closures import close_loops
 from ..adjustment.refinement import Refinement
@@ -101,7 +102,8 @@ def _tested(
         for pole, (i, j) in zip(tested.datum.poles, pairs, strict=True)
     }
     tests = tuple(replace(test, name=_called(test, called)) for test in tested.tests)
-    return tests, list(poor_fit(site, replace(tested, tests=tests), of_two=True))
+    misfit = list(poor_fit(site, replace(tested, tests=tests), of_two=True))
+    return (*tests, *agreement_tests(aligned, refined)), misfit
 
 
 def _called(test: Test, poles: Mapping[str, str]) -> str:
@@ -259,7 +261,7 @@ def state_answer_of_two(
         covariance=covariance,
         poles=tuple(moved),
         pairs=(check,),
-        tests=tested.tests,
+        tests=(*tested.tests, *agreement_tests(answered.aligned, refined)),
         without=tuple(without_placements(tested.network, tested.end, len(site.placements))),
     )
 

@@ -316,10 +316,10 @@ def _tests(lidars: int, placements: int, status: Status) -> tuple[Test, ...]:
                 least = 4.13 * 0.004 / share
                 name = f"pole {i + 1} of {PLACEMENTS[j]} as {NAMES[k]} sees it"
                 tests.append(
-                    Test("pole", name, k, j, 2 * j + i, w**2, 1, w, share, least, 3 * least)
+                    Test("pole", name, k, j, 2 * j + i, w**2, 1, w, share, least, 3 * least, 5.0)
                 )
     tests.append(
-        Test("lidar", f"{NAMES[0]} as a whole", 0, None, None, 3.0, 6, 0.4, 0.0, None, None)
+        Test("lidar", f"{NAMES[0]} as a whole", 0, None, None, 3.0, 6, 0.4, 0.0, None, None, 5.0)
     )
     return tuple(tests)
 

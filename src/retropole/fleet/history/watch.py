@@ -8,7 +8,8 @@ A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
   was found.
 - *season*: a cosine and a sine of a year, zero mean and `SEASON` wide.
 - *slow*: an Ornstein-Uhlenbeck process: weather, leaves.
-- *other*: what a pose found the other way (by the scene alone, where poles gave the first) differs.
+- *other*: what a pose found in the opposite direction (by the scene alone, where poles gave the
+first) differs.
 - *e*: drawn anew in each check, with the random part of its covariance times a scale.
 
 In the axes that make the first check's random and common parts diagonal, all six are filtered each
@@ -96,7 +97,7 @@ the tolerance of a check, which any mast moves by from season to season."""
 
 CLEAR = 4.0
 """Difference of twice the log likelihoods from which a step and a trend are distinguished: of two
-checks that are both excluded it is 5 at most."""
+checks that are both excluded it is at most 5."""
 
 UNKNOWN = 1e-6
 """Information on a change that has no data yet, in units of the first check's σ: tiny."""
@@ -344,7 +345,7 @@ def _kept(now: _Filter, n: int, days: float) -> BoolArray:
 def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
-    A change may be one of translation alone, as of a foundation that settles, which three degrees
+    A change may be one of translation alone, as of a foundation that converges, which three degrees
     of freedom tell; it is treated as the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]

@@ -32,7 +32,7 @@ POWER = 0.8
 
 LEAST_CHECKED = 1e-5
 """Part of an error that must show in the residuals to be tested: far above the rounding that is
-left of what nothing checks, far below what any test could find."""
+left of what no observation checks, far below what any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple
@@ -73,7 +73,7 @@ class NetworkAdjustment:
         (M,) part of its errors that shows in its residuals, 0 to 1.
     detectable
         (M, 2) least rotation, rad, and translation, m, in the direction in which it shows least,
-        that the test finds with `POWER`; infinite where nothing checks one.
+        that the test finds with `POWER`; infinite where no observation checks one.
     rivals
         For some that are left out, used ones nearby that may be wrong in their stead.
     components
@@ -84,7 +84,7 @@ class NetworkAdjustment:
         Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
         How often all was adjusted.
-    settled
+    converged
         Whether steps and rounds ended by themselves.
     """
 

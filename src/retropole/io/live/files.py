@@ -439,7 +439,7 @@ class BagSource(_Looking):
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
         If there is no such file or folder.
     UsageError

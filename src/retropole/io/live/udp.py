@@ -33,7 +33,7 @@ from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
-Velodyne does unless it is told otherwise, comes to this address alone."""
+Velodyne does unless it is configured otherwise, comes to this address alone."""
 
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
@@ -281,7 +281,7 @@ class VelodyneSource(PacketSource):
     Parameters
     ----------
     port
-        UDP; 2368 unless the sensor was told otherwise.
+        UDP; 2368 unless the sensor was configured otherwise.
     host
         Address of this computer to listen on.
     senders
@@ -290,7 +290,7 @@ class VelodyneSource(PacketSource):
     Raises
     ------
     MissingExtraError
-        Where velodyne-decoder is not installed.
+        If velodyne-decoder is not installed.
     UsageError
         If the port cannot be opened: another program has it.
     """
@@ -317,7 +317,7 @@ class VelodyneSource(PacketSource):
 
 
 class Told:
-    """What LiDARs tell of themselves on a port: the newest such packet of each, by its address.
+    """What LiDARs report of themselves on a port: the newest such packet of each, by its address.
 
     Several listen to it where their LiDARs send to one port; the last to leave closes it.
 
@@ -477,7 +477,7 @@ class OusterSource(PacketSource):
     Parameters
     ----------
     port
-        UDP, for its LiDAR; 7502 unless the sensor was told otherwise.
+        UDP, for its LiDAR; 7502 unless the sensor was configured otherwise.
     metadata
         The sensor's metadata, a file .json: they say how its packets are arranged.
     host
@@ -488,7 +488,7 @@ class OusterSource(PacketSource):
     Raises
     ------
     MissingExtraError
-        Where ouster-sdk is not installed.
+        If ouster-sdk is not installed.
     ReadError
         If the metadata cannot be read.
     UsageError

@@ -13,7 +13,7 @@ from .mirrors import read_corrections
 from .models import Angles, Interpolated, Mirrors, Model
 
 MAX_BYTES = 2**20
-"""Of a file of angles; one of 128 channels has 50 kB at most."""
+"""Of a file of angles; one of 128 channels has at most 50 kB."""
 
 
 def read_angles(path: Path, model: Model) -> Angles:

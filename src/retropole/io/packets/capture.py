@@ -37,7 +37,7 @@ CAPTURE_HEADER, PACKET_HEADER = 24, 16
 """Bytes before the first packet, and before each."""
 
 MAX_PACKET = 2**17
-"""Bytes that no packet reaches: UDP carries 65,507 at most."""
+"""Bytes that no packet reaches: UDP carries at most 65,507."""
 
 LARGE_BLOCK = 2**18
 """Bytes that are searched for a record at most at a time."""
