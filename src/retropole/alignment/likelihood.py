@@ -183,7 +183,7 @@ def arc_likelihood(
         Of the pole, metres; zero is a line.
     half_width
         (N,) w, metres: half of the beam's width at the pole.
-    next to
+    beside
         (N,) share of the beams next to the pole that were recorded there, 0 to 1: the factor
         1/2(r+w) counts with the rest.
     """

@@ -53,7 +53,7 @@ class Beams:
         (N,) which pole each lies on.
     half_width
         (N,) half of the beam's width at the return, metres.
-    next to
+    beside
         (N,) share of the beams next to the pole, at each return, that are recorded: 1 if
         something is behind on both sides, ½ on one, 0 before the sky.
     passed_directions, passed_pole

@@ -99,7 +99,7 @@ def scans_of(
 
     Parameters
     ----------
-    document, next to it, given
+    document, beside, given
         As `find_recordings` takes them.
     progress
         Called with which recording of how many is read.
@@ -140,7 +140,7 @@ def find_recordings(
     ----------
     document
         The result document.
-    next to
+    beside
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is taken.
     given
@@ -381,7 +381,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
         Of a pair or of a site.
     folder
         If it is going to be.
-    next to
+    beside
         Folder that its paths count from now; else they are those from here.
 
     Returns

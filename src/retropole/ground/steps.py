@@ -184,7 +184,7 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
 
     Returns
     -------
-    on, next to
+    on, beside
         (N,) cells of the ground, and of the level that is a step higher or lower.
     others
         All levels but the ground, the largest first.

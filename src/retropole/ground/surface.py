@@ -87,7 +87,7 @@ class Ground:
         Of the squares of ground that are seen in the disc, m².
     spread
         Least root mean square distance of these from a line through their middle, metres.
-    next to
+    beside
         (n, 2) middles of the squares of the level that is a step higher or lower, rough axes.
     others
         Levels next to it, the largest first.

@@ -273,7 +273,7 @@ def bloom(
 
     Returns
     -------
-    false, next to : ndarray
+    false, beside : ndarray
         (M,) index of the beams with a false return, and of the beam on tape next to each.
     """
     bright, dark = np.flatnonzero(on_tape), np.flatnonzero(~on_tape)
