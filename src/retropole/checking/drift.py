@@ -68,7 +68,7 @@ right pose has up to 0.02 of them, at the edges of objects; wrong ones that clin
 class NewPose:
     """A pose found again, or None, and what there is to say of it.
 
-    `uncertain` says that it must not be taken for a movement, nor for none.
+    `unsure` says that it must not be taken for a movement, nor for none.
     """
 
     pose: PoseEstimate | None
