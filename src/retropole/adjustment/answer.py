@@ -39,7 +39,7 @@ class LidarPose:
         (6, 6) over ``[φ, δ]``, rad and m, axes of the site: ``R_true = Exp(φ) R``, ``t_true = t +
         δ``; zero for the LiDAR whose frame is the site's.
     budget
-        Every source of error of this pose, the largest first; whose it is is in its name.
+        Every source of error of this pose, the largest first; its name says whose it is.
     predicted_error
         At several ranges.
     fitness
@@ -108,8 +108,8 @@ class PairCheck:
     shared_poles
         How many poles of all placements both see.
     standing
-        How many hypotheses the pair alone leaves standing: 0 if it has none, and is linked
-        through others; 1 if it decides by itself.
+        How many hypotheses the data of the pair alone do not rule out: 0 if there is none and
+        the pair is linked through others; 1 if it decides by itself.
     patches
         How many pairs of surface patches the adjustment took from them; 0 if none.
     w

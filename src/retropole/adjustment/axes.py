@@ -96,7 +96,7 @@ def find_axes(
     precision = prior_precision(groups, sigma)
     whole = information.copy()
     whole[np.arange(count), np.arange(count)] += precision
-    # Axes and errors together: what the returns show of an error is removed of the axes.
+    # Axes and errors together: what the returns show of an error is removed from the axes.
     rows = np.linalg.inv(whole)[count:]
     step = np.r_[np.zeros(SHARED), rows @ gradient[kept]]
     passed = rows[:, :count] * precision * sigma[groups.label]

@@ -66,7 +66,7 @@ class _Edge:
 
 
 def close_loops(at: Solved, end: End) -> Iterator[LoopClosure]:
-    """Close the loops of all pairs that have a separate answer: triangles first."""
+    """Close the loops of all pairs that have an answer of their own: triangles first."""
     edges = {each.lidars: each for each in _edges(at, end)}
     for loop in _loops(sorted({i for pair in edges for i in pair}), list(edges))[:MOST_LOOPS]:
         yield _closure(loop, edges, at, end)
@@ -132,7 +132,7 @@ def _edge(
     end: End,
     count: int,
 ) -> _Edge | None:
-    """Solve one pair with the first LiDAR held; None if it leaves its pose undetermined."""
+    """Solve one pair with the first LiDAR held; None if its pose is not determined."""
     scene = None if seen is None else seen[0]
     unknowns = at.network.unknowns
     parts = [at.network.observations[k] for k in sources]

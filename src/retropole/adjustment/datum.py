@@ -3,7 +3,7 @@
 Surveyed poles are matched to those that the LiDARs see as the poles of one more LiDAR would be;
 control points are known by name.
 
-If the surroundings alone give a part of a link, the poses beyond it are fixed there while only
+Where the surroundings alone give a part of a link, the poses beyond it are fixed there while only
 poles are adjusted; in the end the scene must determine them.
 """
 
@@ -63,7 +63,7 @@ class Hanging:
         ]
 
     def parted(self, poles: Sequence[SharedPole]) -> list[SharedPole]:
-        """The same poles, those across as one on each side: then they show nothing of the link."""
+        """The same poles, those across as one on each side: then they do not constrain the link."""
         own, others = list(poles), []
         for k in self.across(poles):
             seen = poles[k].seen
@@ -114,7 +114,7 @@ def find_hanging(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Han
 
 
 def hanging_off(hanging: Sequence[Hanging], anchor: int, all_: frozenset[int]) -> Iterator[Hanging]:
-    """Say of each link which side depends on it: the one that the frame is not aligned with.
+    """Orient each link: the side that the frame is not aligned with depends on it.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def known_poses(hanging: Sequence[Hanging], poses: Mapping[int, Array]) -> tuple
     Parameters
     ----------
     hanging
-        What hangs, off the LiDAR that the frame is aligned with.
+        The LiDARs that depend on one pole, away from the one that defines the frame.
     poses
         From the index of a LiDAR to its pose (4, 4), in the frame of the site.
     """
@@ -148,8 +148,7 @@ def known_poses(hanging: Sequence[Hanging], poses: Mapping[int, Array]) -> tuple
 
 
 def check_poles_left(site: Site, hanging: Sequence[Hanging], poles: Sequence[SharedPole]) -> None:
-    """Refuse where the pole that a link depends on is gone: the surroundings alone is no
-    calibration.
+    """Refuse if the pole that a link depends on is gone: surroundings alone are no calibration.
 
     Raises
     ------
@@ -203,8 +202,8 @@ class Datum:
     unmet
         What was surveyed and nothing that the LiDARs see meets.
     hanging
-        What depends on a link that the surroundings give a part of, off what the frame is aligned
-        with.
+        What depends on a link that the surroundings give in part, seen from what defines the
+        frame.
     """
 
     poses: dict[int, Array]

@@ -227,7 +227,7 @@ class End:
     precision
         (B,) of the prior that they were estimated with.
     inverse
-        (K, K) of the information of poses and errors; zero if the datum holds a pose.
+        (K, K) of the information of poses and errors; zero where the datum holds a pose.
     search
         (6 L, 6 L) covariance as far as which patches look for their partners.
     scene

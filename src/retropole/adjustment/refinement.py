@@ -7,7 +7,7 @@ scene disagree, what is stated covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
-residual shows nothing. So the answer is sought again without each such place, with weights and
+residual is no check. So the answer is sought again without each such place, with weights and
 partners anew, and what is stated covers both.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
@@ -133,8 +133,8 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Under an uncertainty that is wider than surfaces differ that correspond, what the search ends
-    at may depend on where it started. The ends are `POSE_SIGMAS` to either side.
+    Where the uncertainty exceeds the distance of corresponding surfaces, the end of the search
+    may depend on its start. The ends are `POSE_SIGMAS` to either side.
     """
     assert poles.covariance is not None
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
@@ -230,10 +230,11 @@ class Refinement:
     corrected
         The same without the errors that were found of the LiDARs.
     end, parts
-        If the search ended, and every source of error.
+        Where the search ended, and every source of error.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
-        the error of its ranges' scale; None if no observation shows.
+        the error of its ranges' scale; None if no observation
+        determines it.
     decisive
         Places that alone decide a direction of the pose, the most decisive first; empty mostly.
     """
@@ -307,7 +308,7 @@ def refine(
     Returns
     -------
     Refinement or None
-        None if the scene has fewer than `MIN_PATCHES` common patches: it has nothing to say.
+        None if the scene has fewer than `MIN_PATCHES` common patches: too little information.
     """
     assert poles.covariance is not None
     patches = surface_patches(target), surface_patches(source)
@@ -353,7 +354,7 @@ def refine_pair(
     Returns
     -------
     Refinement or None
-        None if the scene has nothing to say.
+        None if the scene gives no information.
     """
     assert poles.covariance is not None
     first = poses_of_pair(poles.T_target_source if start is None else start)
@@ -434,10 +435,10 @@ def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Ar
 def _denial(
     problem: RefinementProblem, best: End, poles: PoseEstimate, *, within: bool = False
 ) -> float:
-    """How far from each other poles and scene are, squared, in units of what the poles state.
+    """Squared distance of the poses of poles and scene, in units of the σ that the poles state.
 
     Poles that are certain of a wrong pose hold the search where the true surfaces are out of reach:
-    the scene is used again with the poles hardly counted, as far as they may then be off. Asked
+    the scene is used again with the poles hardly counted, as far as they may then be off. Used
     also `within` what the search left, its other minima are no denial where they have less support.
     """
     assert poles.covariance is not None

@@ -82,7 +82,7 @@ class Recorded:
 
     @cached_property
     def left(self) -> tuple[Array, ...]:
-        """What is left of the sway of each LiDAR; none where none moved."""
+        """What is left of the sway of each LiDAR; empty if none swayed."""
         every = range(len(self.site.lidars))
         return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
@@ -96,7 +96,7 @@ class Adjusted:
     datum
         What it started from.
     aligned, end
-        If the poles and the survey ended, and where all ended together.
+        Where the poles and the survey ended, and where all ended together.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests

@@ -1,8 +1,8 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets a separate bias next to all unknowns. How much
+Data snooping (Baarda 1968): an observation gets its own bias in addition to all unknowns. How much
 the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
-the error has; how well the others determine that error is its redundancy, and shows the least
+the error has; how well the others determine that error is its redundancy, and gives the least
 error that the test finds.
 
 Several observations may also have one bias in common. Last come returns next to their pole, of a
@@ -50,7 +50,7 @@ class Bias:
     wide
         (M, R) what errors that are considered do to that slope.
     metres
-        (M', ) which of its parameters are lengths: what is reported of it is told for these.
+        (M', ) which of its parameters are lengths: errors are reported for these.
     freedom
         How many of its parameters no unknown can take up.
     """
@@ -86,7 +86,7 @@ def of_columns(
 
 
 def pole_moved(at: Solved, pole: int) -> Bias | None:
-    """A pole that is at another position for each LiDAR; None if fewer than two see it."""
+    """A pole that is at a different position for each LiDAR; None if fewer than two see it."""
     parts = [
         (one, _axis_columns(one, pole))
         for one in at.network.observations
@@ -99,7 +99,7 @@ def pole_moved(at: Solved, pole: int) -> Bias | None:
 
 
 def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
-    """A pole that is at another position, at one place, for some LiDARs than for all others."""
+    """A pole that is at one position for some LiDARs, and at another for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
     return Bias(cross, own, slope, wide, np.arange(2), 4)
@@ -114,15 +114,14 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
-    """Find the LiDARs for which a pole likeliest is at another position, at one place, than for
-    others.
+    """Find the LiDARs that most likely see a pole at another position than the others do.
 
     Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
 
     Parameters
     ----------
     at, moved
-        The answer, and the bias of a pole that is at another position for each of V LiDARs.
+        The answer, and the bias of a pole that is at a different position for each of V LiDARs.
     parts
         Of which one is taken: each some of the V.
     """
@@ -216,7 +215,7 @@ def find_outlying(
 
 
 def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
-    """Twice the logarithm of the likelihood that a separate axis gains a LiDAR's returns."""
+    """Twice the logarithm of the likelihood that an own axis would gain a LiDAR's returns."""
     beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
     state, log_noise = end.state, end.log_noise[sight.lidar]
     to_lidar = se3.inverse(state.T[sight.lidar])
@@ -251,7 +250,7 @@ LEAST_CHECKED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How a separate bias was tested; see `answer.Test`."""
+    """How an observation's own bias was tested; see `answer.Test`."""
 
     chi2: float
     redundancy: float
@@ -285,7 +284,7 @@ def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outco
         np.split(by_wide, cuts),
         strict=True,
     ):
-        # What is considered moves the slope by this amount.
+        # Considered parameters move the slope by this amount.
         by = error.wide - wide
         # And the scene's patches, correlated as they are, by more than their information says.
         scatter = excess(scene @ scene.T, taken.T @ carry)
@@ -417,7 +416,7 @@ def _of_pole(
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
 ) -> Iterator[_Asked]:
-    """Test a pole: as a whole, as each LiDAR sees it, and split as is likeliest."""
+    """Test a pole: as a whole, as each LiDAR sees it, and split in the likeliest way."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:

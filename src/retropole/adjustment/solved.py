@@ -155,7 +155,7 @@ def moved_by(places: Places) -> tuple[Array, Array]:
 
 
 def parts_of_surfaces(end: End) -> list[Part]:
-    """Say what the surfaces do to all poses: nothing if no scene has a part."""
+    """State the effect of the surfaces on all poses: nothing if no scene has a part."""
     if not end.scene:
         return []
     free = np.flatnonzero(np.diag(end.inverse)[: len(end.search)] > 0)
@@ -173,7 +173,7 @@ def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tupl
     Parameters
     ----------
     problem, end
-        What was minimised, and if it ended.
+        What was minimised, and where it ended.
     scatter
         What that of the poles' returns is called.
     """
@@ -198,7 +198,7 @@ class Solved:
     values
         (Z,) the unknowns.
     inverse
-        (Z, Z) of all information; zero if the datum holds a pose.
+        (Z, Z) of all information; zero where the datum holds a pose.
     wide
         (Z, R) errors that are considered and not estimated, each of 1 σ.
     sigma
@@ -292,7 +292,7 @@ def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part])
     Parameters
     ----------
     network, end
-        What was adjusted, and if it ended.
+        What was adjusted, and where it ended.
     groups
         The errors.
     parts
@@ -322,7 +322,7 @@ def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part])
     which = np.flatnonzero(sigma)
     wide = np.zeros((unknowns.size, len(which)))
     wide[poses + which, np.arange(len(which))] = sigma[which]
-    # What moves the poses by this amount moves all else with it.
+    # What moves the poses by this moves everything else with them.
     moved = np.flatnonzero(network.free)
     surfaces = [part.root for part in parts if part.name in (SCATTER, FLAT)]
     by_scene_moved = np.hstack([np.zeros((poses, 0)), *surfaces])[moved]
@@ -342,7 +342,7 @@ def without_placements(network: Network, end: End, placements: int) -> Iterator[
     Parameters
     ----------
     network, end
-        What was adjusted, and if it ended.
+        What was adjusted, and where it ended.
     placements
         How many there are.
     """

@@ -115,7 +115,7 @@ class AxesTest:
     ----------
     chi2, freedom
         By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² where the poles are similar.
+        posterior, and how many more parameters that has: χ² if the poles stood the same.
     by_pole
         (K,) the same where only that pole's axis is freed.
     """
@@ -126,11 +126,10 @@ class AxesTest:
 
 
 def compare_axes(network: Network, precision: Array, considered: Array) -> AxesTest:
-    """Test whether the poles were placed the same when each LiDAR recorded them (score test, Rao
-    1948).
+    """Test whether the poles stood the same when each LiDAR recorded them (score test, Rao 1948).
 
-    The source's axes get a separate displacement, next to pose, errors and common axes. Six of
-    its directions are the pose's; two poles leave two to test, their angle and their distance.
+    The source's axes get a separate displacement, in addition to pose, errors and common axes. Six
+    of its directions are the pose's; two poles leave two to test, their angle and their distance.
 
     Parameters
     ----------
@@ -159,7 +158,7 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
         )
         score = pull[own] - cross.T @ known[:, -1]
         left = source[np.ix_(own, own)] - cross.T @ known[:, :-1]
-        # What is considered moves the score by this amount.
+        # Considered parameters move the score by this amount.
         by = (source[np.ix_(own, errors)] - known[:, :-1].T @ by_errors) * considered[
             errors - unknowns.poses
         ]
@@ -183,7 +182,8 @@ MIN_RETURNS_PER_POLE = 3
 
 PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
-and m, as far as the poles are used: wide next to what surfaces show afterwards. Of 66 that were
+and m, as far as
+the poles are used: wide compared with what surfaces show afterwards. Of 66 that were
 refined about one pole (benchmarks/hard_scenes.py, seeds 0 to 39) the furthest was 0.24° and 2 cm
 off."""
 
@@ -290,7 +290,7 @@ def align_beams(
     placement
         (K,) index of that which each pole stood in; None if there is one.
     by_place
-        Whether the place, and not the poles, gives what `T_start` has next to them.
+        Whether the surroundings, and not the poles, gives what `T_start` has in addition to them.
 
     Raises
     ------
@@ -316,7 +316,7 @@ def align_beams(
 
 
 def without_poles(T: Array, radius: float) -> BeamAlignment:
-    """State a pose (4, 4) that the surroundings alone gives, as poles would that know no more."""
+    """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing."""
     covariance = np.diag(PLACE_SIGMA**2)
     pose = PoseEstimate(T, covariance, 0.0)
     nothing = np.zeros((0, 3))
@@ -361,7 +361,7 @@ def align_all(
     free
         (6 L,) which parameters of the poses are estimated.
     scene_bands
-        For each LiDAR, bands of elevation that it has returns in next to those on poles.
+        For each LiDAR, bands of elevation that it has returns in other than those on poles.
     most_noise
         As `maximum.maximise_joint` has it.
 
@@ -396,7 +396,7 @@ def align_all(
     assumed = found.point.state.radius
     found, network = maximum(found.point.state, found.point.log_noise, radius)
     by_returns = radius_of_returns(network, model, assumed)
-    # Poles that give no information about it may want less than none.
+    # Poles that give no information about it may yield a negative one.
     own = max(by_returns.value, 0.0)
     start = replace(found.point.state, radius=own)
     found, network = maximum(start, found.point.log_noise, by_returns.sigma)
@@ -440,7 +440,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
     estimate = solve_factor(factor, precision)
     variance = np.diag(estimate.inverse)[unknowns.poses :]
-    # Poles alone show the size of hardly any error: asked once more, they say the same.
+    # Poles alone determine the size of hardly any error: evaluated once more, they say the same.
     sigma = group_scales(groups, known, precision, estimate.errors, variance)
     uncertainty = uncertainty_of_pair(
         [

@@ -44,13 +44,13 @@ CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
 held within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
-show the width from it: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
+give the width: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
 70 in place of 2."""
 
 MIN_MEMBERS = 5
 """Errors that a size is estimated from, and as many of the size that is known beforehand count
-next to those that the data show. Those of a whole LiDAR, one to four of a kind, do not show their
+in addition to the data's. Those of a whole LiDAR, one to four of a kind, do not determine their
 own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
 lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
@@ -179,7 +179,7 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class FactorEstimate:
     """Steps (6 L,) of all poses, errors (B,), and the inverse (K, K) of the information of both,
-    zero if the datum holds a pose.
+    zero where the datum holds a pose.
     """
 
     steps: Array
@@ -276,7 +276,7 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
 
 
 def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
-    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if all stand.
+    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if none sways.
 
     Parameters as of `floors`.
     """
@@ -336,7 +336,7 @@ def budget_of(
     lidar
         Whose pose.
     names
-        Of all LiDARs of a site; None of a pair, whose LiDARs have separate names.
+        Of all LiDARs of a site; None of a pair, whose LiDARs have names of their own.
     """
     own = slice(POSE * lidar, POSE * (lidar + 1))
     rows: dict[tuple[str, int | None], list[Part]] = {}

@@ -1,4 +1,4 @@
-"""What a return says of the axis of a taped pole, and what a beam says that passed next to it.
+"""What a return says of the axis of a taped pole, and what a beam that passed it says.
 
 Xue et al. 2019, eq. 3 and 4, walk along the facing arc of the pole and solve eq. 4 for each step.
 Here every beam is compared with the cylinder in closed form. That is exact, and covers beams off
@@ -40,7 +40,7 @@ LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, FEW_NODES = 20, 6
-"""Of the integral over the arc; over each edge next to it, and over what is left undetermined of
+"""Of the integral over the arc; over each edge next to it, and over the uncertainty of
 an axis. With 16 the derivatives of the arc no longer agree with its differences."""
 
 MAX_SIDEWAYS_SIGMAS = 6.0
@@ -218,7 +218,8 @@ def arc_likelihood(
 
     # Derivatives of a node's exponent with respect to g, m, r, of which x and y are the first two
     # in units of the noise, and the mean of what they leave. Weights depend on r too: what the
-    # gradient and the curvature of their logarithm have on the arc next to that of 1/2(r+w).
+    # gradient and the curvature of their logarithm have on the arc in addition to those of
+    # 1/2(r+w).
     z = -(y * sine) * inverse_lateral
     z[:arc] += 1 / safe - x[:arc] * cosine * inverse_depth
     px, py, pz = part * x, part * y, part * z

@@ -172,7 +172,7 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
 
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0
-"""1 σ about the poses that the search starts from, rad and m: wide enough to give no information
+"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information
 where the poles do, and the search has a way where the poles of a LiDAR leave it free."""
 
 
@@ -180,7 +180,7 @@ where the poles do, and the search has a way where the poles of a LiDAR leave it
 class JointPriors:
     """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
 
-    `free` (6 L,) shows which parameters of the poses are estimated; the others are the datum.
+    `free` (6 L,) says which parameters of the poses are estimated; the others are the datum.
     """
 
     start: Array

@@ -61,7 +61,7 @@ class PoleFactor:
         (K, R) how η moves with each error of the depth of a pole, by its 1 σ (`network`).
     left
         (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
-        rotation and translation, axes of its own; empty if all stand.
+        rotation and translation, axes of its own; empty if none sways.
     """
 
     T: Array
@@ -177,7 +177,7 @@ class Observation:
         Whose, and where; None if it is the surveyor's.
     poles
         (K,) the axes that are among the unknowns, in their order; the last ones of the
-        surroundings.
+        site.
     returns
         How many returns lie on them.
     share
@@ -212,7 +212,7 @@ class Network:
     unknowns
         Their order.
     state
-        If the steps of poses, axes and control points start.
+        Where the steps of poses, axes and control points start.
     start
         (Z,) the unknowns there: all zero but for the errors that the state already has.
     observations
@@ -372,7 +372,7 @@ def _returns(
     information, gradient, inliers = expand_lidar(
         state.of(sight.lidar, own), 1, beams, part, layout
     )
-    # Where one recording alone curves upwards, others compare the answer with its slope: without
+    # Where one recording alone curves upwards, others hold the answer against its slope: without
     # any information there, the test of it would be as large as rounding is small.
     information = semidefinite(information, np.abs)
     information, gradient, depth = _with_depth(information, gradient, state, sight.lidar, own)
@@ -462,8 +462,8 @@ def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) 
     network
         The observations.
     ridge
-        Precision that axes and points get which little or nothing is reported of: of an axis, one
-        end that was surveyed.
+        Precision of axes and points with little or no information, such as an axis of which only
+        one end was surveyed.
     left
         What is left of the sway of each LiDAR; see `PoleFactor`.
     """

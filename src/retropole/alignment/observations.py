@@ -1,4 +1,4 @@
-"""The beams that a LiDAR sent at the poles: those that returned, and those that passed next to."""
+"""The beams that a LiDAR sent at the poles: those that returned, and those that passed close by."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ PASSING = 0.015
 it than outliers lie, metres."""
 
 BESIDE = 0.2
-"""Beams so much further aside, along such a stretch of the pole, determine whether those next to
-it are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
+"""Beams this much further aside, along such a stretch of the pole, show whether those next to it
+are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
 
 MOST_RETURNS = 1000
 """Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
@@ -136,9 +136,9 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
 def _shares(returns: int, cloud: PointCloud) -> tuple[float, float]:
     """Which share of a pole's returns, and of the beams that passed next to it, is worked on.
 
-    Together they show where the pole ends: as many of either must be left out. Where the cloud was
-    thinned (`io.recordings`), beams next to the pole are fewer already; its returns, bright, are
-    not.
+    Together they determine where the pole ends: as many of either must be left out. Where the cloud
+    was thinned (`io.recordings`), beams next to the pole are fewer already; its returns, bright,
+    are not.
     """
     left = len(cloud) / (len(cloud) + cloud.thinned)
     share = max(min(left, MOST_RETURNS / returns), min(FEW_RETURNS / returns, 1.0))

@@ -1,6 +1,6 @@
 """The posterior of shared cylinders: what all beams of both LiDARs say together, and its gradient.
 
-The state constrains the pose, a range offset that all retro-reflective returns of one LiDAR share,
+The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share,
 the radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
 `State.moved`. The cost is the negative logarithm of the posterior.
 
@@ -203,7 +203,7 @@ def beam_geometry(
 
 
 def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
-    """Geometry of a LiDAR's beams that met poles, and of those that passed next to them."""
+    """Geometry of a LiDAR's beams that hit poles, and of those that passed next to them."""
     # All at once: the arrays are small, and calls cost as much as what they compute.
     any_range = np.zeros(len(beams.passed_pole))
     both = beam_geometry(

@@ -27,8 +27,8 @@ DAMPING = 1e-3
 
 ROUNDING = 1e-9
 """Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
-none, damped by its inverse a step is none, and eigenvalues so small next to the largest are
-zero."""
+none, damped by its inverse a step is none, and eigenvalues so small compared with the largest
+are zero."""
 
 
 class Model(Protocol):
@@ -122,7 +122,7 @@ def levenberg_marquardt(
     small
         Whether a step that was taken is small enough to stop.
     tolerance
-        Largest entry of a scaled step that is treated as small where no step lowers the cost: the
+        Largest entry of a scaled step that counts as small where no step lowers the cost: the
         minimum is reached.
     damping, min_damping
         At the start, and at least.

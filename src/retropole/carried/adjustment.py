@@ -50,7 +50,7 @@ NOISE = (0.2, 0.2, 0.08, 0.08)
 """Noise of the acceleration to start from: of x and y, m²/s³, and of u and v, 1/s³."""
 
 HUBER, BEYOND = 2.5, 12.0
-"""Residuals have less weight from so many σ on, and not at all beyond."""
+"""Residuals have less weight from this many σ on, and not at all beyond."""
 
 MAX_STEPS = 40
 """Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
@@ -80,7 +80,7 @@ FULL_STEPS = 5
 """After this many steps, half of each is gone."""
 
 DRAWS = 4
-"""Draws of the motion: over hundreds of knots, few show its spread."""
+"""Draws of the motion: over hundreds of knots, few draws show its spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ class Adjusted:
     axes
         (S, 4) x, y, u and v at (S,) `at`, s.
     at
-        If the axes are given.
+        Where the axes are given.
     T_walk_target
         (4, 4) to the frame W.
     spread
@@ -114,7 +114,7 @@ class Adjusted:
         across an angle, rad.
     clock_windows
         (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
-        next to that of all, and its 1 σ, s.
+        relative to that of all, and its 1 σ, s.
     random, parts
         (6, 6) of `covariance` from the scatter of the returns and the motion of the pole, and what
         each systematic error adds.
@@ -173,7 +173,7 @@ def adjust(
         np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
     )
     motion, spread = np.array(NOISE), np.array([[1.0, 0.0], [1.0, 0.0]])
-    # Draws for what the data do not determine of the motion: equal inputs give equal answers.
+    # Draws for the uncertainty of the motion: equal inputs give equal answers.
     draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
     converged = False
     for number in range(MAX_STEPS):
@@ -181,7 +181,7 @@ def adjust(
         weights = _weights(system.residuals)
         step = _solve(frame, state, system, weights, motion, draws)
         moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
-        # What hits do not determine follows the motion and is not differentiated: full steps may
+        # The uncertainty of hits follows the motion and is not differentiated: full steps may
         # go to and fro about the end.
         part = 1.0 if number < FULL_STEPS else 0.5
         state = State(
@@ -274,7 +274,7 @@ def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Ar
     """What rows scatter by more than stated: along beams a factor, across an angle, (2, 2).
 
     The splines take up a part of the scatter, the leverage of the rows. Along, no factor is less
-    than 1; across, the variance of an angle is added to what hits do not determine: beams that do
+    than 1; across, the variance of an angle is added to that of the hits: beams that do
     not point where they should, and the glow of tape, move the edges of the pole.
     """
     found = np.ones((2, 2))
@@ -335,7 +335,7 @@ def _solve(
     covariance = np.linalg.inv(schur)
     border = -covariance @ (g_border - side.T @ solved[:, -1])
     coefs = -(solved[:, -1] + solved[:, :-1] @ border)
-    # Draws of the posterior show how much of the motion the data do not determine (EM).
+    # Draws of the posterior show how much of the motion the data leave uncertain (EM).
     upper = np.zeros_like(factor)
     for k in range(len(factor)):
         upper[-1 - k, k:] = factor[k, : factor.shape[1] - k]

@@ -31,7 +31,7 @@ BEYOND_EDGE = 0.5
 where a part of the beam hits it, as deep as the rest where tape glows (chosen)."""
 
 DEEPER_AFAR = 1e-3
-"""1 σ of how the depth of hits changes with the range next to the model: the farther, the less of
+"""1 σ of how the depth of hits changes with the range beyond the model: the farther, the less of
 a beam's edge is bright enough. In simulated fields it was 0.1 to 1.1 mm for each metre (tuning
 seeds 25 to 29)."""
 
@@ -372,7 +372,7 @@ def _across(ray: Array, n: Array) -> tuple[Array, Array, Array]:
 
 
 def _errors_of(frame: Frame, state: State, lidar: int) -> tuple[Array, int]:
-    """Errors of a LiDAR, and where they are in the border."""
+    """Errors of a LiDAR, and their index in the border."""
     sizes = [DEVICE + 3 * len(bands) for bands in frame.bands]
     first = 8 + sum(sizes[:lidar])
     return state.border[first - OFFSET : first - OFFSET + sizes[lidar]], first

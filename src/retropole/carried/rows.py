@@ -1,13 +1,13 @@
 """What the returns of a carried pole measure: one row for each ring of each sweep.
 
 The hits of one ring are a few steps across the pole. How deep they lie before the axis, and how far
-their middle may be next to it, follows from how many there are: k hits with the step s need the
-axis within::
+their middle may be off it sideways, follows from how many there are: k hits with the step s need
+the axis within::
 
     w = min(R − (k−1)s/2, (k+1)s/2 − R)
 
 of their middle, R being the radius of the pole with the beam, so that its standard deviation is
-w/√3. Rings whose beams have one azimuth leave the same undetermined: they are treated as one.
+w/√3. Rings whose beams have one azimuth leave the same uncertainty: they count as one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ WIDEST = 0.015
 
 SAME_AZIMUTH = 0.3
 """Neighbouring rings whose middles differ by less than this part of a step leave the same
-undetermined."""
+uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Rows:
     rings, sweep
         (N,) ring, −1 where none are numbered, and place of the sweep in the track.
     sharing
-        (N,) how many rings leave the same undetermined across the pole.
+        (N,) how many rings leave the same uncertainty across the pole.
     divergence
         Full angle of the beams as the widths of the pole show it, rad.
     range_noise
@@ -160,7 +160,7 @@ class Open(NamedTuple):
 
 
 def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> Open:
-    """Say what the hits of each row do not determine.
+    """State the uncertainty that the hits of each row leave.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ STEP, FINE_STEP = 0.02, 0.002
 """Between the offsets that are tried, s: 20 ms at 1 m/s is 2 cm, less than a basin is wide."""
 
 GAP = 0.25
-"""Between sweeps farther from each other a track is not interpolated, s."""
+"""Between sweeps further apart a track is not interpolated, s."""
 
 METRES_PER_RADIAN = 3.0
 """Weighs distances of lines with angles: the usual distance of a pole, metres."""

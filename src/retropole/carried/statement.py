@@ -59,7 +59,7 @@ def state_walk(
     Raises
     ------
     Refusal
-        If a LiDAR moved, and where the surroundings conflict with the answer.
+        If a LiDAR moved, or if the surroundings conflict with the answer.
     """
     for scan in placement.scans:
         if scan.refusal is not None:
@@ -132,7 +132,7 @@ def _uncertainty(adjusted: Adjusted) -> Uncertainty:
 
 
 def axes_in_target(adjusted: Adjusted) -> tuple[Array, Array]:
-    """Where the pole was, (S, 3) metres, and if it pointed, (S, 3), in the target's frame."""
+    """Where the pole was, (S, 3) metres, and its direction, (S, 3), in the target's frame."""
     x, y, u, v = adjusted.axes.T
     T = se3.inverse(adjusted.T_walk_target)
     along = np.stack([u, v, np.ones_like(u)], axis=1) @ T[:3, :3].T

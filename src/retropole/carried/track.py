@@ -28,7 +28,7 @@ from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
 
 STANDS = 0.4
-"""What is found within `SAME_PLACE` in more than this part of the sweeps is there."""
+"""What is found within `SAME_PLACE` in more than this part of the sweeps is static."""
 
 SAME_PLACE = 0.2
 """Distance of the same pole that stands, in another sweep, metres: what noise moves the middle of
@@ -38,11 +38,11 @@ FASTEST = 2.5
 """No person carries a pole faster, m/s (chosen: a person who runs)."""
 
 JUMP = 0.4
-"""The middle of a pole's returns moves by this amount from sweep to sweep where it is, metres: as
-rings enter and leave."""
+"""The middle of a pole's returns moves by this amount from sweep to sweep where it stands, metres:
+as rings enter and leave."""
 
 BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
-"""What is so close next to a return, rad, and nearer by this amount, metres, may hide a part of the
+"""What is so close to a return, rad, and nearer by this amount, metres, may hide a part of the
 pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
 
 DIFFUSE = 300
@@ -79,7 +79,7 @@ class Track:
         (N, 3) its returns, their (N,) times, rings (−1 where none are numbered) and the place of
         their sweep among the S.
     is_whole
-        (N,) whether nothing is in front close next to a return: a hand, or the person.
+        (N,) whether nothing is in front of a return and close to it: a hand, or the person.
     sweeps
         How many sweeps were recorded.
     crowded
@@ -259,7 +259,7 @@ def _poles_in(
 
 
 def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
-    """Whether nothing is in front next to each of some returns (M,) of a pole."""
+    """Whether nothing is in front of and close to each of some returns (M,) of a pole."""
     ranges = lengths(cloud.xyz - cloud.origin)
     rays = (cloud.xyz - cloud.origin) / ranges[:, None]
     others = ranges < ranges[index].max() - IN_FRONT

@@ -23,7 +23,7 @@ MOST_STARTS = 4
 """At most this many starts are adjusted: each takes about a second."""
 
 WORST_START = 0.1
-"""A start whose lines are farther from each other, rad, is none: of sound walks it was 0.010 to
+"""A start whose lines are further apart, rad, is none: of sound walks it was 0.010 to
 0.020 (tuning seeds 0 to 5), of one whose common part was too short 0.18."""
 
 APART = 0.1
@@ -107,7 +107,7 @@ def calibrate_tracks(
         As of `calibrate_walk`.
     ahead
         By how much the source's clock is ahead as it is otherwise known, to within `WIDEST`, s.
-        None: not at all, or where the walks differ then, as if both began together.
+        None: not at all, or where the walks are then apart, as if both began together.
 
     Raises
     ------
@@ -148,8 +148,7 @@ def calibrate_tracks(
 
 
 def apart(target: Track, source: Track) -> float:
-    """How far from each other the clocks are where the walks do not overlap by half as they are,
-    s; else 0.
+    """Offset of the clocks, s, where the walks do not overlap by half as they are; else 0.
 
     Taken from where the pole was first seen.
     """

@@ -35,9 +35,8 @@ LEVER = 10.0
 """A carrier that creeps turns as about a point so far away, metres, 1 σ."""
 
 SWEEP = 0.2
-"""Recordings whose middles lie farther from each other than a sweep of the slowest LiDARs takes,
-s, and than either recording took, are not of one moment: of a motion between them nothing is
-known."""
+"""Recordings whose middles are further apart in time than a sweep of the slowest LiDARs takes, s,
+and than either recording took, are not of one moment: a motion between them is unknown."""
 
 
 @dataclass(frozen=True, eq=False)

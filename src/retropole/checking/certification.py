@@ -70,7 +70,7 @@ class Correspondence:
 def correspond(target: Sequence[Pole], source: Sequence[Pole]) -> Correspondence:
     """Say which poles are the same, by their distances and angles alone.
 
-    Poles that stand up to half a metre from where the others say they are are treated as the same:
+    Poles that stand up to half a metre from where the others say they are count as the same:
     that they do not fit is for the test to find.
 
     Raises

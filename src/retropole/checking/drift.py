@@ -1,10 +1,10 @@
 """Is an installed site still where it was? New recordings against a stored calibration.
 
 The pose is found again, with the poles where they are there, by the scene alone where they are not.
-Only the new clouds are superimposed, so the place itself may have changed since. Whether the
-new pose is the stored one is tested by `movement`.
+Only the new clouds are registered to each other, so the place itself may have changed since.
+Whether the new pose is the stored one is tested by `movement`.
 
-Where target and source were given swapped, the stored pose reversed fits
+Where target and source were given the other way round, the stored pose reversed fits
 (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
 chance where the pose reversed is.
 """
@@ -51,9 +51,9 @@ NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 """Warnings of a new calibration by poles that leave the scene alone to answer."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
-"""1 σ about the stored pose from which the scene starts, rad and m: wide next to whatever the scene
-holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in what it
-does not hold. Surfaces correspond over three times as much, and more."""
+"""1 σ about the stored pose from which the scene starts, rad and m: wide compared with what the
+scene holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in
+what it does not hold. Surfaces correspond over three times as much, and more."""
 
 NEAR_STORED_ROTATION = float(np.radians(10.0))
 """1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
@@ -136,7 +136,7 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         reason = Reason(
             "no_common_surfaces",
             "near the stored pose the clouds have no surfaces in common: a LiDAR was moved by more "
-            "than a few degrees or decimetres, these are other LiDARs (or swapped), or "
+            "than a few degrees or decimetres, these are other LiDARs (or the other way round), or "
             "the place has none; calibrate again",
             {},
         )
@@ -215,7 +215,7 @@ def swapped_sensors(
         return None
     return swap(
         f"TARGET's rings are not those of the {sensors[0].name} that the result's target is, or "
-        f"SOURCE's not those of the {sensors[1].name}, and swapped they fit",
+        f"SOURCE's not those of the {sensors[1].name}, and the other way round they fit",
         {"told_by": "sensors"},
     )
 
@@ -233,7 +233,7 @@ def swapped_clouds(
     T_stored, T_found
         (4, 4) the stored pose and the one that poles gave, target from source; None if none did.
     scenes
-        What is in the target's and in the source's scene.
+        Objects in the target's and in the source's scene.
     found
         What that says of the stored pose.
     """
@@ -269,7 +269,9 @@ def swapped_clouds(
 
 def swap(why: str, values: dict[str, float | int | str]) -> Reason:
     """Say that target and source are swapped, and what to do."""
-    return Reason("swapped", f"TARGET and SOURCE are swapped: {why}; give them swapped", values)
+    return Reason(
+        "swapped", f"TARGET and SOURCE are swapped: {why}; give them the other way round", values
+    )
 
 
 def _apart(T: Array, other: Array) -> tuple[float, float]:
@@ -333,7 +335,7 @@ def check(
         Of `NO_RECORDINGS`, such as ``same_recording``: no two recordings of these two LiDARs.
     """
     if stored.covariance is None:
-        raise UsageError("the stored pose has no covariance: nothing shows how certain it is")
+        raise UsageError("the stored pose has no covariance: its uncertainty is unknown")
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
         target, source = carrier.taken_out(stored.T_target_source, target, source)
@@ -343,7 +345,7 @@ def check(
     answer = _answered(question, calibrate(target, source, options=confirmed), confirmed)
     if _is_off(answer):
         again = calibrate(target, source, options=options)
-        # What the surfaces show without an answer of the poles was just found.
+        # What the surfaces show without a pose from the poles was just found.
         if again.T_target_source is not None or is_ambiguous(again):
             answer = _answered(question, again, options)
     return _with_carrier(answer, carrier)
@@ -397,7 +399,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
 
 
 def _is_off(answer: CheckResult) -> bool:
-    """Whether nothing fits about the stored pose: a LiDAR is at another position, if not swapped.
+    """Whether nothing fits about the stored pose: a LiDAR was moved, or they are swapped.
 
     Then poles alone may say where.
     """
@@ -458,7 +460,7 @@ def _compared(
     assert new.pose is not None
     pose, uncertainty, carrier = new.pose, new.uncertainty, question.carrier
     if carrier is not None and carrier.is_seen:
-        # What was removed is known no better.
+        # The motion that was removed is known no better.
         assert pose.covariance is not None
         pose = structs.replace(pose, covariance=pose.covariance + carrier.covariance)
         if uncertainty is not None:

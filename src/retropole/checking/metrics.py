@@ -253,7 +253,7 @@ def evaluate(
     sigma
         Width of the entropy's kernel, metres.
     poles
-        Of the target and of the source, where they are known: the objects in the scene is counted
+        Of the target and of the source, where they are known: the objects in the scene are counted
         without them, as a calibration does, since they agree with the pose that they gave.
 
     Raises

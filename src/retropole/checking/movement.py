@@ -91,7 +91,7 @@ tolerance, so many at least are not answered by *same*."""
 SURE = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
-"""Probability of finding a movement of the tolerance, below which the size of one is uncertain."""
+"""Probability of finding a movement of the tolerance, below which its size counts as uncertain."""
 
 ONE_SIDED = float(ndtri(CONFIDENCE))
 """So many σ beyond a normal variable its mean lies with that confidence: 1.645."""
@@ -201,7 +201,7 @@ class Weakness:
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
-        """Say also if the step is least certain, which pose limits it, and what helps."""
+        """Say also where the step is least certain, which pose limits it, and what helps."""
         covariance, share = step_covariance(self.stored, self.new), self._stored_share()
         remedy = (
             "the stored calibration is the weaker part: calibrate again, with the scene or with "
@@ -297,9 +297,9 @@ class CheckResult:
     tolerance
         If nothing moved: the least that these data confirm, no less than what was requested. By
         more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
-        another reason stands against any.
+        another reason speaks against any.
     confirmation
-        What is in the new recordings says of the stored pose; None if there are none.
+        What the new recordings show about the stored pose; None if there are none.
     """
 
     status: Status
@@ -354,9 +354,9 @@ def compare_poses(
     used
         What the new one was found by.
     asked
-        The movement that matters, or as small a one as these data can show.
+        The movement that matters, or as small a one as these data can resolve.
     reasons
-        What is to be said in addition.
+        Further reasons to report.
     uncertainties
         Both covariances in their two kinds, where the same devices were used: their systematic
         parts mostly cancel. None, as of a pose that something else found, cancels nothing.

@@ -5,7 +5,7 @@ answer. None of them uses the poles. To add one, write it here, and name it in `
 `methods.RIVALS`.
 
 All end with a registration of the whole clouds from given starts. From the identity, as if the two
-frames were one, that is a separate rival: ICP point to point (Besl and McKay 1992), a rival of
+frames were one, that is a rival in itself: ICP point to point (Besl and McKay 1992), a rival of
 Xue et al. 2019, Table IV; and plane to plane (Segal, Haehnel and Thrun 2009). Two find a start:
 
 - H. Lim et al., *KISS-Matcher: Fast and Robust Point Cloud Registration Revisited*, ICRA 2025:

@@ -1,8 +1,8 @@
-"""Does a line have the shape of a pole? The rules are in the order of asking.
+"""Does a line have the shape of a pole? The rules are in the order in which they are tested.
 
 A pole is thin, straight, and long for its width, and runs across the rings.
 
-What *Sensitivity* means next to a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MAX_THICK_LENGTH = 1.5
 columns. Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
 
 FEW_POLE_POINTS = 10
-"""With fewer points a line is a pole only if it is slim and has next to nothing next to it: a few
+"""With fewer points a line is a pole only if it is slim and has hardly anything around it: a few
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
@@ -89,7 +89,7 @@ def shape_failure(
     Parameters
     ----------
     cloud
-        If the line was found.
+        Where the line was found.
     line
         As `fit_line` gives it.
     fewest

@@ -31,7 +31,7 @@ MIN_CANDIDATE_LENGTH = 0.16
 apart, at 2.3 m."""
 
 POINTING = 0.002
-"""Beyond `NEAR_POLES_END`, what beams point next to where they should scatters the returns of a
+"""Beyond `NEAR_POLES_END`, the pointing error of beams scatters the returns of a
 candidate by this more, rad: 25 mm at 15 m. Of tubes of 6 and 11 cm at 13 to 17 m
 (benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
 
@@ -87,7 +87,7 @@ def with_candidates(
         cluster = retro[group]
         parts, failure = parts_of(cloud, cluster)
         if len(cluster) > MANY:
-            # A pole close next to a large plate is taken for a part of its surface.
+            # A pole close to a large plate is taken for a part of its surface.
             parts.append(cluster)
         for part in parts:
             near = near_box(columns, part)

@@ -2,7 +2,7 @@
 
 Confirmed poles (`poles`) and candidates (`candidates`) are found by it; `Sought` says how strictly.
 
-What *Sensitivity* means next to a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Sought(NamedTuple):
         Inner and outer radius about a proposed line in which other bright returns speak against
         it, metres.
     pointing
-        What beams point next to where they should, of poles beyond `NEAR_POLES_END`, rad.
+        Pointing error of beams at poles beyond `NEAR_POLES_END`, rad.
     """
 
     radius: float
@@ -140,16 +140,16 @@ def find_lines(
     Parameters
     ----------
     cloud
-        If the points are from.
+        Where the points are from.
     near
         (M,) index of all points about them: all within `SHORT_LENGTH`, or more.
     part
         (P,) index of the bright points to search.
     free
         (N,) which points of the cloud are bright and on no line yet; those of the lines that are
-        found are removed of it.
+        found are removed from it.
     bright
-        (N,) which speak against a line that they are next to.
+        (N,) which are evidence against a line near them.
     sought
         What to look for.
     is_saturated
@@ -158,7 +158,7 @@ def find_lines(
     Returns
     -------
     tuple
-        The lines; and why the rest is none, None if too few points are left.
+        The lines; and why the rest is none; None if too few points are left.
     """
     found: list[Judged] = []
     for _ in range(MAX_POLES):

@@ -2,7 +2,7 @@
 
 Bright points are grouped first, and those inside a bright surface distinguished from those along a
 line. Only distances between points count here: a cloud gives the same groups and lines after any
-rigid motion, and in whatever order its points come. What *Sensitivity* means next to a constant:
+rigid motion, and in whatever order its points come. What *Sensitivity* means at a constant:
 docs/evidence/detection.md.
 """
 
@@ -39,8 +39,8 @@ radius of a tube about a pole of 2 cm. Sensitivity at 0.028: 5 fewer false; at 0
 false."""
 
 PATCH_RADIUS = 0.3
-"""Radius of the neighbourhood that shows a surface from a line, metres: wider than the 0.12 m
-radius of a pole's tube, so that a line is narrow in it. Sensitivity at 0.21: 4 fewer false; at
+"""Radius of the neighbourhood that distinguishes a surface from a line, metres: wider than the 0.12
+m radius of a pole's tube, so that a line is narrow in it. Sensitivity at 0.21: 4 fewer false; at
 0.42: 1 more found, 8 fewer false."""
 
 PATCH_WIDTH = 0.09
@@ -229,7 +229,7 @@ class Line:
     returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
-        """Give the largest scatter, metres, that a line of this much has by beams of this width.
+        """Give the largest scatter, metres, that such a limit allows with beams of this width.
 
         Limits are those of a pole of `DEFAULT_RADIUS`.
         """
@@ -280,7 +280,7 @@ def propose_lines(
     xyz
         (N, 3) points, metres, in canonical order.
     shortest, longest
-        How far from each other the two points of a pair may be, metres.
+        Least and largest distance of the two points of a pair, metres.
     tube
         Radius about a line, metres.
     shell
@@ -394,7 +394,7 @@ def fit_lines(
     Parameters
     ----------
     cloud
-        If the points are from.
+        Where the points are from.
     candidates
         (N,) index of the points that may lie on a line.
     guesses

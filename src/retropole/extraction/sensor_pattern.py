@@ -33,8 +33,8 @@ from ..io.beams import (
 )
 
 RMS_PER_RADIUS, DEPTH_PER_RADIUS = 0.62, float(np.pi / 4)
-"""Beams evenly spaced across a cylinder scatter by this many radii about their line, which runs so
-many in front of the axis."""
+"""Beams evenly spaced across a cylinder scatter by this many radii about their line, which runs
+this many in front of the axis."""
 
 
 ORDINARY_DIVERGENCE = 0.003
@@ -195,7 +195,7 @@ def _spins(cloud: PointCloud) -> bool:
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
-    """Say why a cloud is hardly of the sensor that was named; nothing if it may be, or where
+    """Say why a cloud is hardly of the sensor that was named; empty if it may be, or if
     `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No

@@ -38,7 +38,7 @@ GATHER_WITHIN = 10.0
 """Seconds for a row to come from the worker that has it, which may have died since."""
 
 COUNT_AGAIN = 2.0
-"""Seconds after which the workers are counted again: the scheduler is used over the network."""
+"""Seconds after which the workers are counted again: the scheduler is queried over the network."""
 
 PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""

@@ -107,7 +107,7 @@ class Reader:
     memory
         Bytes that it may hold; None for any number.
     folder
-        If its copies of files go; None for the system's.
+        Where its copies of files go; None for the system's.
     """
 
     def __init__(self, memory: int | None = None, folder: str | None = None) -> None:

@@ -33,7 +33,7 @@ from .overview import STATUSES, Overview, Seen
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
 
 WORST = 20
-"""Number of of the largest errors that are listed."""
+"""Number of the largest errors that are listed."""
 
 EXAMPLES = 3
 """Number of sites that are named for each reason."""
@@ -135,7 +135,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     overview
         As `overview.overview_of` gives it.
     link
-        If a site's own report is, as the page links to it; empty for nowhere.
+        Where a site's own report is, as the page links to it; empty for nowhere.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
 
 
 def _named(overview: Overview) -> str:
-    """Name the dataset by its folder alone: a page is passed on, and where it was is nobody's."""
+    """Name the dataset by its folder alone: a page is passed on, and its path is private."""
     return printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
 
 

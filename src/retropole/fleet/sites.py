@@ -59,7 +59,7 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     config
         Options of a pair; a site file has its own.
     latitude, longitude
-        If it is, rad; None if that is not said.
+        Where it is, rad; None if that is not given.
     result
         Place of the stored result that a check compares it with; a calibration takes none.
     time

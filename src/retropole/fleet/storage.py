@@ -45,7 +45,7 @@ _others: ContextVar[tuple[str, ...]] = ContextVar("_others", default=())
 
 
 def other_protocols() -> tuple[str, ...]:
-    """Name the protocols that are followed next to `PROTOCOLS`."""
+    """Name the protocols that are followed in addition to `PROTOCOLS`."""
     return _others.get()
 
 
@@ -143,7 +143,7 @@ def exists(place: str, *, as_folder: bool = False) -> bool:
     Raises
     ------
     ReadError
-        If the file system cannot be asked.
+        If the file system cannot be queried.
     """
     with _asked(place, "cannot be looked for") as (system, path):
         system.invalidate_cache()
@@ -175,7 +175,7 @@ def _changed(place: str) -> Iterator[tuple[Any, str]]:
 
 
 def _why(error: Exception) -> str:
-    """Say what is wrong; of what is not there, stores name only a separate address."""
+    """Say what is wrong; of what is not there, stores name only an internal address."""
     if isinstance(error, FileNotFoundError):
         return os.strerror(errno.ENOENT)
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -200,7 +200,7 @@ def matching(pattern: str) -> list[str]:
     Raises
     ------
     ReadError
-        If the file system cannot be asked.
+        If the file system cannot be queried.
     """
     with _asked(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
@@ -373,15 +373,15 @@ def fetch(place: str, into: Path) -> Path:
 def alone_in(folder: str) -> Iterator[None]:
     """Keep other runs from a folder, or from a URL, from now on.
 
-    At a URL an object is the lock. Nothing removes it where a process is killed: no clock shows a
-    run that is slow from one that is no more, so whoever knows it has to.
+    At a URL an object is the lock. Nothing removes it where a process is killed: no clock
+    distinguishes a slow run from one that has ended, so whoever knows it has to.
 
     Raises
     ------
     OSError
         If another run has it: the message says which. Where nothing can be written there.
     ReadError
-        If the file system cannot be asked.
+        If the file system cannot be queried.
     """
     if not is_url(folder):
         with run_alone(Path(absolute(folder))):

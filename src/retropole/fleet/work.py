@@ -124,7 +124,7 @@ def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
 
 @cache
 def environment() -> str:
-    """Name what the numbers of an answer depend on, next to its inputs."""
+    """Name what the numbers of an answer depend on, in addition to its inputs."""
     libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "small_gicp"))
     python = f"Python {platform.python_version()}"
     return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])

@@ -118,7 +118,7 @@ def cell_keys(xyz: Array, size: float, anchor: IntArray, lidar: IntArray | int =
     anchor
         (3,) cell in the middle of the grid: the cube from ``anchor · size`` on.
     lidar
-        (N,) index of the LiDAR of each, for a separate cell.
+        (N,) index of the LiDAR of each, to give each LiDAR separate cells.
 
     Raises
     ------

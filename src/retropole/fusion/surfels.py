@@ -3,7 +3,7 @@
 The points of each LiDAR are summed in small cubes, and a surfel is fitted to a cube and its 26
 neighbours together. So a surface is never cut where it passes through the border of a cube, which
 would draw the two halves of its noise apart. Where two LiDARs see one surface, how far their
-surfels differ along the normal is what the calibration, and the LiDARs, are off there.
+surfels are apart along the normal is what the calibration, and the LiDARs, are off there.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..surfaces.patches import MAX_FLATNESS, MIN_ACROSS, MIN_SPREAD
 from .merging import LIDARS, Grid, Points, cell_keys, cells_at, summed
 
 DEFAULT_CELL = 0.3
-"""Side of the cubes, metres: three of them are as wide as the rings of most LiDARs differ on a
+"""Side of the cubes, metres: three of them are as wide as the rings of most LiDARs are apart on a
 wall at 20 m. With 0.2 and 0.5 the distances are the same to a millimetre (benchmarks/merging.py,
 field, seeds 0 to 4)."""
 
@@ -96,7 +96,7 @@ class Surfels:
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """How far the surfaces of two LiDARs differ, place by place.
+    """How far apart the surfaces of two LiDARs are, place by place.
 
     Attributes
     ----------
@@ -410,8 +410,7 @@ def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array
 
 
 def distances(apart: Iterable[Apart]) -> list[Distance]:
-    """Sum up how far from each other surfaces lie, by pair of LiDARs and kind of surface; none is
-    left out.
+    """Sum up the distances of surfaces, by pair of LiDARs and kind of surface; none is left out.
 
     Medians: single objects that moved, or that both see otherwise, move them little.
     """

@@ -68,7 +68,8 @@ DIRECTIONS, TURNS = 18, (4.0, 1.5, 0.5)
 both sides then, degrees: over 10 m, 0.5° are 9 cm."""
 
 NOISES = (0.001, 0.003, 0.01)
-"""1 σ of the mean height of a cell, metres, next to the noise of ranges: of asphalt to grass."""
+"""1 σ of the mean height of a cell, metres, in addition to the noise of ranges: of asphalt to
+grass."""
 
 LEAST_FALL = 0.02
 """Beams fall by this part of their length at least, where they are counted by where they meet the
@@ -336,7 +337,7 @@ class _OwnCells(NamedTuple):
 
 def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
     xyz = viewer.cloud.xyz[index]
-    # By where the beams hit the plane: by the points, noise would choose the cell.
+    # By where the beams meet the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
     start, beams = (
         se3.apply(T, viewer.cloud.origin[None])[0],

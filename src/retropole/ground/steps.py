@@ -66,7 +66,7 @@ LEAST_SHARE = 0.05
 """Least share of the smaller of them."""
 
 MOST_LEVELS = 6
-"""Number of of the largest pieces that are tried for a beginning of the ground."""
+"""Number of the largest pieces that are tried for a beginning of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
 """A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
@@ -80,7 +80,7 @@ NEAREST, NEARER = 0.05, 0.6
 which so much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
-"""At a step, levels are by this amount of their distance apart in the middle of this many nearest
+"""At a step, levels are apart by this part of their distance in the middle of this many nearest
 pairs of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes
 fit (seeds 0 to 199, 3065 and 3181 of the benchmark)."""
 
@@ -271,8 +271,7 @@ def _beside_a_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels are as far from each other where they are nearest as elsewhere, as at no
-    slope."""
+    """Whether two levels differ as much where they are nearest as elsewhere, unlike a slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]

@@ -26,7 +26,7 @@ LOW, HIGH = 0.1, 0.9
 err."""
 
 FLAT = 0.06
-"""Bottom and top of a square of ground are no farther from each other, metres: less than the least
+"""Bottom and top of a square of ground are no further apart, metres: less than the least
 kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3

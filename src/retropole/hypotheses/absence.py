@@ -39,8 +39,8 @@ def without_absent(
     Returns
     -------
     tuple of Hypothesis
-        In the same order. Where the scene rules out, next to a hypothesis, all that pair three
-        poles or more and leave none absent, it stays.
+        In the same order. A hypothesis stays where the scene rules out all others that pair
+        three poles or more and leave none absent.
     """
     whole = [
         each
@@ -74,7 +74,7 @@ def absent(placement: Placement, match: Match) -> int:
 
 
 def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
-    """Whether a LiDAR looks through where a pole is that ``T`` (4, 4) moves into its frame.
+    """Whether a LiDAR looks through a pole that ``T`` (4, 4) moves into its frame.
 
     Of the beams that pass within `MOVED` of the pole, and that nothing before it stops, the share
     ``r / MOVED`` hits a pole of radius r. Those without any return are not known, nor counted.

@@ -1,6 +1,6 @@
-"""Whether the objects in the scene confirms a pose, and how much of it could have contradicted it.
+"""Whether the objects in the scene confirm a pose, and how much of it could have contradicted it.
 
-That no observation conflicts with a pose shows little where nothing could: in a corridor of plain
+That nothing conflicts with a pose shows little where nothing could: in a corridor of plain
 walls a pose may slide along them. So the same voxels are counted at other poses: the best shifts
 along the ground and off it, small turns about the vertical, and the other ways of laying the poles
 on each other. The pose must be better than all of them. Two measures, the share of the voxels that
@@ -48,8 +48,8 @@ TURN = np.radians(15.0)
 """Poses turned by this amount about the vertical are compared with the pose, rad."""
 
 MAX_RIVALS = 3
-"""Number of other hypotheses that are, too; all other angles about a pole, where the surroundings
-gave that."""
+"""Number of other hypotheses that are compared as well; all other angles about a pole, where the
+surroundings gave the pose."""
 
 REDUNDANT_POLES = 3
 """So many poles check each other: two fit a wrong pose as exactly as the right one."""
@@ -170,7 +170,7 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
 
 
 def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
-    """Poses next to a pose: the best shifts along the ground and off it.
+    """Poses near a pose: the best shifts along the ground and off it.
 
     Off the ground only if the pose lifts the grounds off each other, and more coincides there.
     """
@@ -216,7 +216,7 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
 
 
 def _apart(T: Array, other: Array, points: Array) -> float:
-    """How far from each other two poses put the points of the source, metres: the median."""
+    """Median distance of the points of the source under two poses, metres."""
     points = points if len(points) else np.zeros((1, 3))
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
 
@@ -224,7 +224,7 @@ def _apart(T: Array, other: Array, points: Array) -> float:
 def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """Whether the poles check each other: three of them, or two placements that differ.
 
-    Files of two placements on one stand, mixed up, show the same lie twice: both LiDARs must see
+    Files of two placements on one stand, mixed up, repeat the same error: both LiDARs must see
     that the shapes differ by more than their noise. Parallel ones may be posts of a row.
     """
     if is_by_place(paired):
@@ -260,7 +260,7 @@ def is_in_conflict(found: Confirmation) -> bool:
 
 
 def check_confirmation(found: Confirmation) -> None:
-    """Refuse a pose that the objects in the scene conflicts with.
+    """Refuse a pose that the objects in the scene conflict with.
 
     Raises
     ------

@@ -39,11 +39,11 @@ first of these distances and 2 m can only come into it where the pose moves by m
 allow, and looking for the neighbours of such points is what takes the time of a registration."""
 
 ICP_STEPS, STEPS_AT_ONCE = 30, 5
-"""Steps of one registration, and after how many of them is used whether it has moved too far: most
-that do have by the tenth."""
+"""Steps of one registration, and after how many of them the motion is checked: most
+that move too far have done so by the tenth."""
 
 MOST_REFINED = 4
-"""Number of hypotheses that may settle, the best first: each takes three registrations. In those
+"""Number of hypotheses that are refined, the best first: each takes three registrations. In those
 12 scenes the right one was the first."""
 
 

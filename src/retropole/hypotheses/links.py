@@ -7,7 +7,7 @@ distance, under a pose at which the scenes coincide and at no other.
 LiDARs that share a single pole with others are linked where the surroundings of that pole give the
 rest of the pose. As for a pair alone (`by_place`): the surroundings must lead all other angles
 about the pole, and the objects in the scene must confirm the pose. Only LiDARs that nothing else
-links are used, so that all others are answered as without.
+links are tried, so that all others are answered as without.
 """
 
 from __future__ import annotations
@@ -191,10 +191,10 @@ def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
 def link_by_place(
     scans: SiteScans, pairs: Sequence[Pair], radius: float
 ) -> tuple[SiteScans, tuple[Pair, ...]]:
-    """Link groups of LiDARs by one pole that both see, where the place shows the rest.
+    """Link groups of LiDARs by one pole that both see, where the surroundings give the rest.
 
-    Every pair between two groups is used: where two of them tell different poses, they do not go
-    together (`joint_choice.choose_poses`), and the site has no answer.
+    Every pair between two groups is tried: where two of them give different poses, they do not
+    fit together (`joint_choice.choose_poses`), and the site has no answer.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def link_by_place(
 
 
 def _is_confirmed(chosen: Chosen) -> bool:
-    """Whether the objects in the scene confirms the pose, and no other angle about the pole."""
+    """Whether the objects in the scene confirm the pose, and no other angle about the pole."""
     first, *others = chosen.hypotheses
     T = first.match.T_target_source
     found = confirm(chosen.paired, T, others, np.random.default_rng(0))

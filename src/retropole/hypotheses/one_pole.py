@@ -1,14 +1,14 @@
-"""One pole that both LiDARs see: the surroundings show how far about it, and how far along it.
+"""One pole that both LiDARs see: the surroundings give the angle about it and the shift along it.
 
-A line aligned with a line leaves a rotation about it, a slide along it, and which end is up. What
-stands off the ground in each cloud is sorted into cells about the pole, by distance, angle and
+A line aligned with a line leaves a rotation about it, a slide along it, and which end is up. The
+objects above the ground in each cloud are sorted into cells about the pole, by distance, angle and
 height, and all rotations and slides are compared at once: the cross-correlation over angle and
 height, summed over the distances (by FFT). The best few converge on the scene.
 
-Without any pole, objects above the ground, seen from above, gives the pose. The ground that both
-LiDARs see leaves a rotation about its normal and a shift along it. What stands off it in each cloud
-is sorted into cells by place and height, and all rotations and shifts are compared at once: the
-cross-correlation over the ground, summed over the heights. The best few converge on the scene.
+Without any pole, the objects above the ground, seen from above, give the pose. The ground that both
+LiDARs see leaves a rotation about its normal and a shift along it. The objects above it in each
+cloud are sorted into cells by place and height, and all rotations and shifts are compared at once:
+the cross-correlation over the ground, summed over the heights. The best few converge on the scene.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ PEAKS_APART = 10, 2
 
 MOST_POLES, MOST_SETTLED = 4, 6
 """Number of poles of each LiDAR that are aligned with the other's, the best supported first; and
-so many of the peaks with either end up, the highest first, are looked at. Of 121 poles
+number of the peaks with either end up, the highest first, that are looked at. Of 121 poles
 (benchmarks/hard_scenes.py, seeds 0 to 59) the right pose is the highest with its end up for 120,
 and of 67 before LiDARs on masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the ground
 among the points for 61, since that lies on itself at many angles. With three peaks, the like of
@@ -64,12 +64,12 @@ recordings with one alone that came to anything (benchmarks/deception.py, "one p
 seeds 100 to 131) moved by 1.3° and at most 0.26 m, most of the others by 10° or 2 m and more."""
 
 LAID_RMS = 0.1
-"""Residual of the poles where the scenes coincide, at most, metres, next to what the sides
-of a pole differ: registrations of sparse clouds are off by this amount. What the poles show more
-exactly is used later."""
+"""Residual of the poles where the scenes coincide, at most, metres, in addition to what the sides
+of a pole are apart: registrations of sparse clouds are off by this amount. What the poles
+determine more exactly is used later."""
 
 NOTHING_SAID = np.zeros((6, 6))
-"""What such a match says of how certain its pose is."""
+"""Information that such a match gives about its pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +85,14 @@ class Peak:
 def matches_about(
     placement: Placement, standing: tuple[Standing, Standing], radius: float
 ) -> list[Match]:
-    """Find the poses that lay one pole on one pole and the place on the surroundings.
+    """Find the poses that lay one pole on one pole and the surroundings on each other.
 
     Parameters
     ----------
     placement
         With the poles of both LiDARs, the best supported first.
     standing
-        objects above the ground there, in either cloud.
+        Objects above the ground there, in either cloud.
     radius
         Of the poles, metres: the lines that two LiDARs see of one lie up to π r/2 apart.
 
@@ -160,7 +160,7 @@ def match_under(
     target, source, T
         Poles of both LiDARs, and (4, 4) the pose.
     apart
-        How far from each other the lines of one pole may lie, metres, before any error.
+        Largest distance of the lines of one pole, metres, before any error.
     """
     pairs = extended(target, source, T, EXTENSION_RMS + apart)
     if not pairs:
@@ -257,7 +257,7 @@ CELL, TURNS = 0.5, 240
 
 CELLS, REACH = 256, 32.0
 """Cells along a side, and how far from its LiDAR a point counts, metres. LiDARs up to
-``CELLS * CELL - 2 * REACH`` apart see no point next to one that lies there only since FFTs wrap."""
+``CELLS * CELL - 2 * REACH`` apart see no point near one that lies there only since FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
 """Limits of the layers, metres above the ground: thin where cars, fences and people are."""
@@ -283,7 +283,7 @@ def matches_from_above(
     radius: float | None = None,
     prior: PosePrior | None = None,
 ) -> list[Match]:
-    """Find the poses that lay the ground on the ground and the place on the surroundings.
+    """Find the poses that lay the ground on the ground and the surroundings on each other.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def matches_from_above(
             T = None if is_low else settled(peak.T, origin)
             match = _laid(peak.T)
             if T is not None and is_ground_on_ground(*standing, T):
-                # Where no pole lies on one it is compared with as it converged, at its best.
+                # Where no pole lies on one it is compared as it converged, at its best.
                 match = replace(_laid(T), exact=radius is None, icp_refined=True)
                 on_poles = None if radius is None else match_under(*poles, T, FACING_SIDES * radius)
                 match = on_poles if on_poles is not None and on_poles.exact else match

@@ -1,7 +1,7 @@
 """What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
 
 A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
-same pose from several placements is one hypothesis. The scene is used once for each.
+same pose from several placements is one hypothesis. The scene scores each once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEAST_TOLD = 0.1
 
 
 SPARSE, SPARSE_ERROR = 8, 0.03
-"""First every this many of the points are compared, and all of them where the first may be off by
+"""First one in this many of the points is compared, and all of them where the first may be off by
 so much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by at most 0.025."""
 
 
@@ -89,7 +89,7 @@ class Pair:
 
 
 def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
-    """Whether two poses are one up to what the poles of one placement do not determine.
+    """Whether two poses are one up to the uncertainty that the poles of one placement leave.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> b
     points
         (N, 3) where the poles are.
     slack
-        So many times what poles do not determine is allowed.
+        Factor on the difference that the poles' uncertainty allows.
     """
-    # Asked a hundred thousand times: the angle by the trace, and places only if it is small.
+    # Called a hundred thousand times: the angle by the trace, and places only if it is small.
     cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
     if cosine < np.cos(slack * AGREE_ANGLE):
         return False
@@ -221,7 +221,7 @@ def _overlaps(best: Hypothesis) -> bool:
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
 
-    Scenes that do not overlap distinguish nothing.
+    Scenes that do not overlap distinguish no poses.
     """
     return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
 

@@ -3,7 +3,7 @@
 Each placement has its own hypotheses; only the right pose recurs in all. What the scene shows of a
 pose is averaged over the placements.
 
-A refusal says how much was tried of what the poles allow. Next to bright things that may be poles
+A refusal says how much was tried of what the poles allow. With bright things that may be poles
 hundreds of ways of laying some on others are possible. So many of each kind are tried, the best
 first: counts, not seconds, so that the same recordings give the same answer on any machine.
 """
@@ -38,9 +38,9 @@ class Tried(NamedTuple):
     Attributes
     ----------
     pairs
-        Of pairs of poles that have the shape of a pair of the other LiDAR: superimposed.
+        Of pairs of poles that have the shape of a pair of the other LiDAR: matched.
     ways
-        Of the ways of matching the poles : scored by the scene.
+        Of the ways of matching the poles: scored by the scene.
     fitting
         Of those that fit exactly: registered.
     """
@@ -63,7 +63,7 @@ def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
     refusal
         Why there is no answer.
     tried
-        In each attempt; what is used is the one that had the most ways.
+        In each attempt; the figures are of the one that had the most ways.
     """
     most = max(tried, key=lambda each: (each.ways.found, each.fitting.found), default=NOTHING)
     cut = {name: share for name, share in most._asdict().items() if share.tried < share.found}
@@ -79,7 +79,7 @@ def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
 """Poses of two placements are one if they differ by less, rad, and metres where the poles are.
-Right ones differ by what the poles of one placement do not determine, wrong ones by half turns."""
+Right ones differ by the uncertainty of the poles of one placement, wrong ones by half turns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +256,7 @@ def align(
 
 
 def left_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
-    """What is left of the sway of target and source, (6, 6) each; none where both was."""
+    """What is left of the sway of target and source, (6, 6) each; empty if neither swayed."""
     both = zip(*(each.scans for each in placements), strict=True)
     return left_of_each([[scan.sway for scan in own] for own in both])
 

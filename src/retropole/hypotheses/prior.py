@@ -79,7 +79,7 @@ def pose_prior(
 def agreeing_with_prior(matches: Sequence[Match], prior: PosePrior | None) -> list[Match]:
     """Keep the matches that agree with the prior.
 
-    Only those whose poles fit exactly can be the answer, and only they are treated as agreeing.
+    Only those whose poles fit exactly can be the answer, and only they count as agreeing.
 
     Raises
     ------

@@ -40,8 +40,8 @@ RESCUED = {
 """Refusals after which candidate poles are tried: other poles may give what these did not."""
 
 BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
-"""Refusals after which poles that leave some of the pose open are superimposed, and the place
-gives the rest."""
+"""Refusals after which poles that do not determine the whole pose are matched, and the
+surroundings give the rest."""
 
 ENOUGH_CONFIRMED = 2
 """With this many confirmed poles in a cloud its threshold is right, and lower ones are not
@@ -59,8 +59,8 @@ def choose_with_candidates(
 ) -> Chosen:
     """Choose by the confirmed poles; where they give nothing, by the candidates too.
 
-    Where these are not confirmed either, the hypotheses first converge on the scene. At last one
-    pole will do where the place shows the rest.
+    Where these are not confirmed either, the hypotheses are first refined by the scene. At last one
+    pole will do where the surroundings give the rest.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def choose_with_candidates(
     count, prior
         How many poles both LiDARs see, and what is known of the rotation.
     by_place
-        Whether the place may give what one pole does not determine.
+        Whether the surroundings may give what one pole does not determine.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def choose_with_candidates(
                     and not has_rival(attempt.paired, radius)
                 ):
                     return attempt
-        # The last converged, and by all poles.
+        # The last refined, and by all poles.
         for confirmed in map(confirmed_by_place, reversed(attempts)):
             if (
                 confirmed is not None
@@ -164,7 +164,7 @@ def choose_about_one_pole(
     Returns
     -------
     Chosen or None
-        None if nothing coincide so.
+        None if nothing coincides so.
     """
     return _first_by_place(
         chain([placements], _looks(placements, radius, step)), radius, step, None, None
@@ -180,7 +180,7 @@ def _first_by_place(
 ) -> Chosen | None:
     """Choose by the place with the first poles that coincide.
 
-    That the surroundings do not show where a candidate pole is refuses nothing: it may be no pole.
+    A candidate pole whose surroundings do not give the pose refuses nothing: it may be no pole.
     """
     before: list[Pole] = []
     for found in looks:

@@ -21,8 +21,7 @@ from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of
 
 UNSURE = 0.3, 3.0
-"""1 σ of a pose that there is no information on, rad and m: poles are compared before they hold
-it."""
+"""1 σ of an unknown pose, rad and m: poles are compared before they determine it."""
 
 MOST_ROUNDS = 10
 """Of exchanges of all poles; most sets are at rest after two or three."""
@@ -38,7 +37,7 @@ MOST_TRIED = 10
 """Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
 
 DEARER = 1.25
-"""Number of times the error that may be where a LiDAR depends on one pole less."""
+"""Factor by which the error may grow if one LiDAR fewer depends on a single pole."""
 
 HANGS = 1.0
 """A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
@@ -58,7 +57,7 @@ other."""
 
 
 def unsure(unknowns: Unknowns) -> Array:
-    """(6 L,) precision of poses that there is no information on."""
+    """(6 L,) precision of unknown poses."""
     return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
 
 
@@ -161,8 +160,8 @@ class Design:
     def change(self, inverse: Array, k: int, sign: float) -> Array:
         """(L - 1,) by how much one pole more (1), or less (-1), changes the squared errors.
 
-        Of what the pole shows, ``u uᵀ``, the covariance ``C`` changes by ``C u (1 ± uᵀ C u)⁻¹ uᵀ
-        C`` (Woodbury).
+        By the information ``u uᵀ`` of a pole the covariance ``C`` changes by
+        ``C u (1 ± uᵀ C u)⁻¹ uᵀ C`` (Woodbury).
         """
         place, root = self.roots[k]
         own = inverse[: self.unknowns.poses, place] @ root
@@ -204,7 +203,7 @@ def choose(
     Returns
     -------
     list of list of int
-        For each placement the numbers of its poles; None if so many may not stand together.
+        For each placement the numbers of its poles; None if that many may not stand together.
     """
     chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
     for count in range(poles):
@@ -299,12 +298,12 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
-    """Find the best pole more for a placement, and the error with it; None if none may stand."""
+    """Find the best further pole for a placement, and the error with it; None if none may stand."""
     return next(_ranked(design, chosen, p), None)
 
 
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
-    """Yield the poles that may be in a placement, too, and the error with each, best first."""
+    """Yield the poles that may join a placement, and the error with each, best first."""
     taken = [k for each in chosen for k in each]
     error = design.beside(taken) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():

@@ -105,7 +105,7 @@ def against_plan(
 
 
 def _badness(stood: Stood) -> float:
-    """Sum of how far poles are off; one that is missing is treated as `FARTHEST`."""
+    """Sum of how far poles are off; one that is missing counts as `FARTHEST`."""
     away = [
         FARTHEST if each.offset is None else float(np.linalg.norm(each.offset))
         for each in stood.deviations
@@ -122,7 +122,7 @@ def _match(
     offsets = np.zeros((len(wanted), len(poles), 2))
     for k, plan in enumerate(wanted):
         for j, (point, axis) in enumerate(zip(points, axes, strict=True)):
-            # Where its axis hits the ground; of a level one the middle.
+            # Where its axis meets the ground; of a level one the middle.
             along = (plan.foot_m - point)[2] / axis[2] if abs(axis[2]) > LEVEL else 0.0
             offsets[k, j] = (point + along * axis - plan.foot_m)[:2]
     away = np.linalg.norm(offsets, axis=2)

@@ -157,7 +157,7 @@ def look(
 
 
 def _why(pole: Pole, found: Detection) -> str:
-    """Why a candidate is no pole: what was reported of the cluster with most of its returns."""
+    """Why a candidate is no pole: the reason given for the cluster with most of its returns."""
     shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
     return max(shared, default=(0, ""))[1]
 
@@ -212,7 +212,7 @@ def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
 
 
 def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
-    """How far away what is before a pole is, metres; None if nothing does.
+    """Distance of what hides a pole, metres; None if nothing does.
 
     0 where it is too near to be measured.
     """
@@ -356,7 +356,7 @@ class Watched:
 
 
 class Taken(NamedTuple):
-    """The result of a LiDAR: a sweep that was searched, or None; what is to be said of it; whether
+    """What came from a LiDAR: a sweep that was searched, or None; what to report of it; whether
     it is of another frame than those before."""
 
     searched: Frame | None = None

@@ -1,7 +1,7 @@
 """The place as it was recorded without poles: its ground, and the poles that could stand on it.
 
-All is in the frame of the scene, whose z axis points up from the ground. Of each pole that
-could stand it is known what the beams of each LiDAR meet of it.
+All is in the frame of the scene, whose z axis points up from the ground. For each possible pole
+it is known which beams of each LiDAR hit it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FARTHEST = 15.0
 """Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
 
 ABOVE = 0.3
-"""Returns so high above the ground are of something that is there, metres."""
+"""Returns so high above the ground are of something that stands there, metres."""
 
 CLEARANCE = 0.6
 """So far a pole keeps from it, metres (docs/poles.md)."""
@@ -57,7 +57,7 @@ MIN_FEET = 4
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A LiDAR where it is, and what it recorded there without poles.
+    """A LiDAR at its pose, and what it recorded there without poles.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Station:
 
     @property
     def at(self) -> Array:
-        """(3,) where it is in the surroundings."""
+        """(3,) its position in the frame of the scene."""
         return np.asarray(self.T[:3, 3])
 
     def seen_from_place(self) -> RecordedBeams:
@@ -145,7 +145,7 @@ def survey(
     stations
         All LiDARs, in the frame of the scene.
     allowed, forbidden
-        If poles may stand, anywhere if empty; and where they may not.
+        Where poles may stand, anywhere if empty; and where they may not.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def survey(
     if not (near < FARTHEST).any():
         raise Refusal(
             "no_ground",
-            f"no LiDAR recorded anything within {FARTHEST:g} m next to it, the nearest return is "
+            f"no LiDAR recorded anything within {FARTHEST:g} m of it, the nearest return is "
             f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
@@ -203,19 +203,19 @@ def _disc(radius: float) -> BoolArray:
 
 
 LEANS = (np.radians(20.0), np.radians(35.0))
-"""Leans that are tried next to upright, rad (docs/poles.md)."""
+"""Leans that are tried in addition to upright, rad (docs/poles.md)."""
 
 DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""
 
 MOST_FEET = 40
-"""Places that are looked at first: they are as far from each other as that takes."""
+"""Places that are looked at first: their spacing is as wide as that takes."""
 
 FEET_OF_TWO = 8
 """Of several LiDARs, those that every two see together: with less, far ones had none."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""How far from each other that may be, metres."""
+"""Spacings that are tried for them, metres."""
 
 MIN_RETURNS, MIN_RINGS = 14, 4
 """Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as

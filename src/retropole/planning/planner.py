@@ -53,7 +53,7 @@ def recordings_with(
     *,
     again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles that are in the place into the recording of each LiDAR.
+    """Put poles, in the frame of the scene, into the recording of each LiDAR.
 
     The place was recorded once. Recorded `again`, for another placement, its ranges have other
     noise: number for number the same, it would be refused as one recording given twice.
@@ -146,7 +146,7 @@ class Planned:
     Attributes
     ----------
     stations
-        The LiDARs, converged, in the frame of the scene.
+        The LiDARs, their poses refined, in the frame of the scene.
     place
         Its ground.
     candidates, seen
@@ -211,7 +211,7 @@ def plan(
     need
         How accurate the answer must be.
     allowed, forbidden
-        If poles may stand, and where not.
+        Where poles may stand, and where not.
     progress
         Called with the name of each step as it starts.
 

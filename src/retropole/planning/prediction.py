@@ -131,7 +131,7 @@ def network_of(
 
 
 def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:
-    """Eliminate the axis of each of this many poles: root (P, R) of its information, and its place.
+    """Eliminate the axis of each of `count` poles: root (P, R) of its information, and its place.
 
     Every pole has a separate placement in the network; `known` (K,) is the precision of all
     unknowns before.
@@ -171,7 +171,7 @@ def prior_of(unknowns: Unknowns, known: Array) -> Array:
 
 
 KNOWN = np.radians(2.0), 0.3
-"""1 σ of a pose that the surroundings gave, before the surfaces settle it, rad and m."""
+"""1 σ of a pose that the surroundings gave, before the surfaces refine it, rad and m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ def problem_of(
 
 
 def scene_information(stations: Sequence[Station], surfaces: Surfaces, unknowns: Unknowns) -> Array:
-    """(K, K) what the surfaces show of poses and errors where the LiDARs are converged."""
+    """(K, K) what the surfaces show of poses and errors where the LiDARs' poses are refined."""
     end = minimise(problem_of(known_poses(stations, unknowns.bands), stations, surfaces))
     information = np.zeros((unknowns.kept, unknowns.kept))
     for term in end.scene:
@@ -272,7 +272,7 @@ def predict(
     Parameters
     ----------
     stations, surfaces
-        The LiDARs, converged, and what they share.
+        The LiDARs, their poses refined, and what they share.
     poles, seen, placement
         Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each is in.
 

@@ -1,4 +1,4 @@
-"""Where the LiDARs are in the surroundings: rough poses, converged on what all recorded."""
+"""Where the LiDARs are in the surroundings: rough poses, refined by what all recorded."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
 """A rough pose is good to 10° and 1 m; what converges farther away than this is another."""
 
 MOVERS = 30
-"""So many voxels of the scene conflict with a pose that is right, since people walk and plants
+"""This many voxels of the scene may conflict with a right pose, since people walk and plants
 move between the recordings: at most 17 on bare ground (benchmarks/plan.py, seeds 0 to 3)."""
 
 
@@ -55,7 +55,7 @@ def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
 
 
 def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -> list[Station]:
-    """Stand all LiDARs in the frame of the scene, on the ground below the first.
+    """Place all LiDARs in the frame of the scene, on the ground below the first.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -
                 found = settled._replace(T=poses[j] @ settled.T)
             if settled.is_clear:
                 break
-        # Where another converges it, one that sees little of the same is no witness.
+        # Where another settles it, one that sees little of the same is no witness.
         if conflicts and not found.by_place:
             raise conflicts[0]
         is_settled.append(found.by_place)
@@ -110,7 +110,7 @@ def stand_drawn(
     names, sensors, poses
         Of the LiDARs; (4, 4) poses in the frame that is drawn in.
     boxes
-        What is there, in the same frame.
+        What stands there, in the same frame.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def stand_drawn(
 
 
 def station(name: str, scan: Scan, T: Array) -> Station:
-    """Stand a LiDAR at a pose (4, 4) in the frame of the scene, of its file's frame."""
+    """Place a LiDAR at a pose (4, 4) in the frame of the scene, of its file's frame."""
     cloud = scan.cloud
     shift = se3.from_rt(np.eye(3), cloud.origin)
     cloud = cloud.transformed(se3.inverse(shift))
@@ -166,8 +166,8 @@ def place_frame(cloud: PointCloud) -> Array:
 
 
 class Settled(NamedTuple):
-    """A pose (4, 4), and how many parts of the scene agree and conflict with it where what is
-    in the surroundings gave it; none of either where only the ground did."""
+    """A pose (4, 4), and how many parts of the scene agree and conflict with it where
+    the surroundings gave it; none of either where only the ground did."""
 
     T: Array
     agreeing: int = 0
@@ -175,7 +175,7 @@ class Settled(NamedTuple):
 
     @property
     def by_place(self) -> bool:
-        """Whether what is in the surroundings gave it."""
+        """Whether the surroundings gave it."""
         return self.agreeing > 0
 
     @property

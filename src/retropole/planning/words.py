@@ -48,8 +48,7 @@ LEAST_LINE = 0.5
 """LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
 
 BY_EYE = 4.0
-"""Poles that lean as it comes are best from 1 m to this far from each other, metres
-(docs/poles.md)."""
+"""Poles that lean as it comes are best from 1 m to this distance apart, metres (docs/poles.md)."""
 
 UPRIGHT = np.radians(2.0)
 """A pole that leans by less stands upright, rad."""

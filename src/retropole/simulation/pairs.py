@@ -182,7 +182,7 @@ def facing_poles(
 def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
     """Turn a LiDAR about the vertical until a point (3,) is in the middle of its field of view.
 
-    It stays next to it by `off` as a part of the field; a LiDAR that sees all around as it is.
+    It misses it by `off` as a part of the field; a LiDAR that sees all around as it is.
     """
     if sensor.sees_all_around:
         return pose

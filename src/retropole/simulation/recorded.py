@@ -142,7 +142,7 @@ def _sent_beams(
     basis = np.stack([*_level(cloud.axis), cloud.axis])
     flat = directions @ basis.T
     column = np.arctan2(flat[:, 1], flat[:, 0]) / sensor.azimuth_step
-    # Beams keep their phase from ring to ring, near enough to show which of them returned.
+    # Beams keep their phase from ring to ring, near enough to determine which of them returned.
     seen = np.zeros((len(sensor.elevations), count), dtype=bool)
     seen[own, np.round(column).astype(np.int64) % count] = True
     ring, turn = np.nonzero(~seen)
@@ -222,7 +222,7 @@ def levels(sines: Array) -> IntArray:
     # Rings of the table of sensors are 8 bins apart or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
-        # A bin next to it holds what fell over its edge.
+        # A neighbouring bin holds what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
     if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
         rings[:] = -1
@@ -232,7 +232,7 @@ def levels(sines: Array) -> IntArray:
 def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
-    """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) next to."""
+    """Directions (K, 3) of beams that are missing in each ring, and a neighbour (K,) of each."""
     across, beside = _level(axis)
     azimuth = np.arctan2(directions @ beside, directions @ across)
     sines = directions @ axis

@@ -53,7 +53,7 @@ class Sweep(NamedTuple):
 
 
 def sweeps(sensor: Sensor, rng: np.random.Generator, count: int) -> Iterator[Sweep]:
-    """Send the beams of this many sweeps, one after the other.
+    """Send the beams of `count` sweeps, one after the other.
 
     In each, a sensor whose lines repeat starts at a random azimuth within its step. A rosette
     starts at a random place of a sequence that never repeats and covers its field of view evenly,
@@ -261,7 +261,7 @@ class Mover:
     Attributes
     ----------
     surface
-        If it is at time 0.
+        Where it is at time 0.
     velocity
         (3,) m/s.
     """
@@ -369,7 +369,7 @@ class Sway:
         return np.asarray(self.foot + self.turn((rest - self.foot)[None], np.array([time]))[0])
 
     def turn(self, rays: Array, times: Array) -> Array:
-        """Turn rays (N, 3) of the world as the mast is at times (N,), s."""
+        """Turn rays (N, 3) of the world as the mast leans at times (N,), s."""
         phase = 2 * np.pi * self.frequency * times + self.phase
         angle = self.amplitude * np.sin(phase)[:, None]
         along = (rays @ self.axis)[:, None] * self.axis

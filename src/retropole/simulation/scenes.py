@@ -31,7 +31,7 @@ class Surroundings:
     Attributes
     ----------
     surfaces
-        Everything that is there, the ground included.
+        Everything that stands there, the ground included.
     clear
         (2,) half extents in x and y, metres, of the middle that is kept clear for poles and LiDARs.
     """

@@ -50,7 +50,7 @@ class SitePlace:
     Attributes
     ----------
     surroundings
-        Everything that is there, the ground included, in the world frame.
+        Everything that stands there, the ground included, in the world frame.
     poses
         (4, 4) pose of each LiDAR in the world frame.
     reach
@@ -329,7 +329,7 @@ def _place_poles(
     poles: int,
     radius: float,
 ) -> Arrangement | None:
-    """Put the poles of each placement where they link LiDARs that no observation links yet."""
+    """Put the poles of each placement where they link LiDARs that nothing links yet."""
     at = np.array([pose[:2, 3] for pose in place.poses])
     everyone = tuple(range(len(sensors)))
     standing: list[tuple[Cylinder, ...]] = []

@@ -46,7 +46,7 @@ class DrawnSite:
     kind, sensors, devices, noise, radius
         As of the `SimulatedSite`.
     at
-        If all stands, and who records what.
+        Where everything stands, and who records what.
     for_survey, for_changes, for_recording
         Generators of what comes next. ``for_changes`` is for those who change the site before it
         is recorded: whatever they draw, all else stays the same.
@@ -80,7 +80,7 @@ class SimulatedSite:
         point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
         where it recorded none.
     surroundings
-        All that is there but the poles, in the world frame.
+        All that stands there but the poles, in the world frame.
     poles
         Of each placement.
     seen
@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        If poles move between two recordings; None if they stand as they were drawn.
+        Where poles move between two recordings; None if they stand as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):

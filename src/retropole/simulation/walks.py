@@ -62,7 +62,7 @@ class Walk:
     Attributes
     ----------
     hand
-        If the hand holds the pole at a time, s: (3,) metres, world frame.
+        Where the hand holds the pole at a time, s: (3,) metres, world frame.
     lean
         Slope of the pole in x and y at a time, s.
     behind

@@ -6,8 +6,8 @@ tolerance; it is in the way where the other LiDAR looked through it; else it is 
 of view, and gives no information. A voxel counts once however many points it has.
 
 A scene may fit elsewhere as well, which a correlation over shifts shows. Poles that were carried
-along a corridor or a street leave walls on walls: hardly anything is contradicted. What stands
-between the walls then lies next to itself, and fits better where it was. All shifts are compared at
+along a corridor or a street leave walls on walls: hardly anything is contradicted. The objects
+between the walls are then displaced, and fit better where they were. All shifts are compared at
 once, as the cross-correlation of the occupied cells, layer by layer.
 """
 
@@ -282,7 +282,7 @@ def _agrees(seer: Standing, moved: Array, ranges: Array) -> BoolArray:
 
 
 def _tolerance(ranges: Array) -> Array:
-    """How far from each other depths may be that agree, metres."""
+    """Largest difference of depths that agree, metres."""
     return np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, VOXEL_SIDE)
 
 
@@ -459,7 +459,7 @@ def _beside_peak(values: NDArray[np.float32], best: tuple[np.intp, ...]) -> Arra
 
 
 def _occupied(cells: IntArray, layer: int, fast: list[int]) -> NDArray[np.float32]:
-    """Grid of one layer, 1 if a point lies; single precision counts thousands exactly."""
+    """Grid of one layer, 1 where a point lies; single precision counts thousands exactly."""
     within = cells[cells[:, 2] == layer]
     grid = np.zeros(fast, dtype=np.float32)
     grid[within[:, 0], within[:, 1]] = 1.0

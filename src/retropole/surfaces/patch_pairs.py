@@ -50,7 +50,7 @@ def robust_scale(values: Array, weights: Array) -> float:
 
 
 def common_scatter(values: Array, variance: Array, weights: Array) -> float:
-    """Find the variance that values (N,) have in common next to that which is predicted of each.
+    """Find the common variance of values (N,), in addition to that which is predicted of each.
 
     The τ² with which ``x²/(v + τ²)`` has the same `robust_scale` among those of small predicted
     variance v as among those of large v; zero if the small ones scatter no more as it is. Small
@@ -162,8 +162,7 @@ MIN_PATCHES = 30
 
 @dataclass(frozen=True, eq=False)
 class PatchPairs:
-    """Patches of both clouds that lie on one surface under a pose, and how far from each other
-    they are.
+    """Patches of both clouds that lie on one surface under a pose, and their distances.
 
     Attributes
     ----------

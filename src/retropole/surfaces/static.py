@@ -58,7 +58,7 @@ def _apart(placement: Placement) -> float | None:
 
 
 def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Say of placements that the two LiDARs recorded at other times, as far as their clocks say.
+    """Report placements that the two LiDARs recorded at other times, as far as their clocks show.
 
     What was moved in between looks the same as another pose.
     """
@@ -191,11 +191,11 @@ def keys_of(xyz: Array) -> Keys:
 
 
 MIN_FRAMES = 3
-"""With fewer frames no observation shows what moved: a majority needs three. Whether a LiDAR
-turned, the first and the last third of the frames tell."""
+"""With fewer frames what moved is unknown: a majority needs three. Whether a LiDAR turned follows
+from the first and the last third of the frames."""
 
 MIN_RETURNS_PER_RUN = 5
-"""Returns on a pole that a run of frames needs to show where the pole is."""
+"""Returns on a pole that a run of frames needs to locate the pole."""
 
 RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""

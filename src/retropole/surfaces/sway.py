@@ -1,9 +1,9 @@
 """A mast that sways: its returns are brought to rest, and how far off that may be is stated.
 
-The motion comes from the sweeps (`sweeps`), and if it rests from how masts move.
+The motion comes from the sweeps (`sweeps`), and the position of rest from how masts move.
 
 That is a set of hypotheses of an oscillation about rest, weighed by the returns. All sweeps of a
-recording show the same surfaces; how they move against each other shows how the LiDAR moved
+recording show the same surfaces; how they lie relative to each other shows how the LiDAR moved
 (`sweeps`), but for what all have in common: where it rests. That follows from how a mast moves. It
 oscillates about rest, at a frequency and with a size that are not known beforehand::
 
@@ -39,7 +39,7 @@ SPACING, RESOLVED = 0.15, 0.7
 apart, which is one over its length."""
 
 FREQUENCY_SPREAD = 0.1
-"""A mast does not keep its frequency exactly: so far next to it, as a part, it moves as well."""
+"""A mast does not keep its frequency exactly: within this part of it, it moves as well."""
 
 BROAD = 10
 """Frequencies of the hypothesis that a mast moves at all of them."""
@@ -108,7 +108,7 @@ class Motion:
 
     @property
     def is_seen(self) -> bool:
-        """Whether it is sway, and so large that it is used."""
+        """Whether it is sway, and large enough to count."""
         return self.evidence > SEEN and self.angle > LEAST_SWAY
 
     @property
@@ -143,7 +143,7 @@ class Axes(NamedTuple):
 
 
 def axes_of(asked: Asked, root: Array) -> Axes:
-    """Find the axes in which the returns and a prior differ.
+    """Find the axes in which both the information of the returns and a prior are diagonal.
 
     `root` (6, R) is of the covariance of each six coefficients, over turn and shift, rad and m,
     where the size is one.
@@ -402,7 +402,7 @@ class Velocity(NamedTuple):
 
 
 def velocity_of(cloud: PointCloud, prior: Array) -> Velocity | None:
-    """Ask the sweeps of a recording how their LiDAR moved on steadily; None if they do not show.
+    """Estimate the steady motion of a LiDAR from its sweeps; None if they do not determine it.
 
     Parameters
     ----------

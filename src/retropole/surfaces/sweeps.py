@@ -54,7 +54,8 @@ def numbered(values: IntArray) -> tuple[IntArray, IntArray]:
 
 CELL_SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies next to a corner, large ones ground
-where rings lie so far from each other that no smaller one has two."""
+where
+rings are so far apart that no smaller one has two."""
 
 CORNERS = 2 ** np.array([0, 21, 42])
 """One number for each cell, where none is 2²⁰ from the origin."""
@@ -63,7 +64,7 @@ CUTS = 20
 """Parts of a side, in one of which cells begin."""
 
 RETURNS = 90_000
-"""That are used, evenly of all sweeps: with so many a sweep's turn is known to 0.002°."""
+"""Returns that are used, evenly of all sweeps: with this many a sweep's turn is known to 0.002°."""
 
 LEAST_RETURNS = 30
 """Of a cell."""
@@ -78,7 +79,7 @@ On a square one such cell gave the turn about the vertical alone, 0.07° off."""
 
 LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
 """RMS of the beams' directions across the longer extent of what they cover, rad, and the least
-ratio of both variances: below, the cell is hit by a single ring."""
+ratio of both variances: below, the cell is met by a single ring."""
 
 FAR = 4.0
 """Residuals of this many σ of their cell count no more (Tukey's biweight)."""
@@ -87,10 +88,10 @@ FINEST = 0.003
 """Least σ of the residuals of a cell, metres."""
 
 PARTS = 8
-"""Parts of a sweep that the motion is reported in, where returns have times."""
+"""Parts of a sweep that the motion is resolved in, where returns have times."""
 
 PERIOD = 0.1
-"""Of a sweep, s, where no observation shows."""
+"""Of a sweep, s, where it is unknown."""
 
 LONGEST = 0.5
 """Times of returns that spread further over one sweep are no times of a sweep, s."""

@@ -193,7 +193,7 @@ def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
 
 
 def _tried(site: FleetSite, check: Check) -> CheckRow:
-    """Begin the row of a check that has not reported anything yet."""
+    """Begin the row of a check that has no result yet."""
     time = datetime.fromisoformat(site.time) if site.time else check.tried
     return CheckRow(site.id, time, "cannot_tell", version=__version__)
 

@@ -229,8 +229,7 @@ def replay(
     """Say what changed at sites, in the order of their ids, and what of the history is damaged.
 
     Without ids, at all that the history has.
-    `newest` is, of a run, the result of each site, by its id, and `known` the files that there
-    were.
+    `newest` holds the result of each site of a run, by its id, and `known` the files that existed.
     """
     damaged: list[ReadError] = []
     changes: list[SiteChange] = []

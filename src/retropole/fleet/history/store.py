@@ -125,7 +125,7 @@ class CheckRow(msgspec.Struct, frozen=True):
 
     @property
     def is_usable(self) -> bool:
-        """Whether its step says where the site is: a check too weak to say *same* does."""
+        """Whether its step gives the pose of the site: a check too weak to say *same* does."""
         return is_usable(self.step is not None, self.status, self.codes)
 
 
@@ -139,7 +139,7 @@ def key_of(
 
 
 def is_usable(has_step: bool, status: str, codes: Collection[str]) -> bool:
-    """Whether a check says where its site is."""
+    """Whether a check gives the pose of its site."""
     if not has_step or status == "error" or (codes and not set(codes).isdisjoint(UNSETTLED)):
         return False
     return status != "cannot_tell" or "too_weak" in codes

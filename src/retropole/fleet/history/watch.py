@@ -8,8 +8,8 @@ A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
   was found.
 - *season*: a cosine and a sine of a year, zero mean and `SEASON` wide.
 - *slow*: an Ornstein-Uhlenbeck process: weather, leaves.
-- *other*: what a pose found in the opposite direction (by the scene alone, where poles gave the
-first) differs.
+- *other*: the difference of a pose found by the other method (by the scene alone, where poles
+  gave the first).
 - *e*: drawn anew in each check, with the random part of its covariance times a scale.
 
 In the axes that make the first check's random and common parts diagonal, all six are filtered each
@@ -50,13 +50,12 @@ LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
-"""What a site's random scatter is taken for next to what is stated, in σ, before it has reported:
-and how many checks that is treated as. The site's own surprises then correct it."""
+"""Prior of the ratio of a site's random scatter to what is stated, in σ, before its first check;
+and how many checks that counts as. The site's own surprises then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
-"""Of what varies slowly the variance next to the random part, and the days in which it forgets;
-with the logarithm of how likely each is before a site has reported: the site's own checks
-choose."""
+"""Of what varies slowly the variance relative to the random part, and the days in which it forgets;
+with the logarithm of how likely each is before the first check: the site's own checks choose."""
 
 SHARES, TIMES = np.array(list(SLOW)).T
 
@@ -182,7 +181,7 @@ class Watched:
     waiting
         Numbers of the checks that are off and wait for another: not confirmed.
     scale
-        Scatter of the site next to what is stated, in σ.
+        Scatter of the site relative to what is stated, in σ.
     """
 
     events: tuple[Event, ...] = ()
@@ -345,8 +344,8 @@ def _kept(now: _Filter, n: int, days: float) -> BoolArray:
 def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
-    A change may be one of translation alone, as of a foundation that converges, which three degrees
-    of freedom tell; it is treated as the χ²(6) that chance exceeds as often.
+    A change may be one of translation alone, as of a foundation that settles, which has three
+    degrees of freedom; it counts as the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
     pushed = (V.T @ b).T[..., None]

@@ -61,7 +61,7 @@ class NetworkAdjustment:
     T_world_node
         (N, 4, 4) poses: map points of each node into the frame of the network.
     covariance
-        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero if the datum holds.
+        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum holds.
     cross
         (E, 6, 6) covariance between the first and the second pose of each edge.
     used
@@ -84,7 +84,7 @@ class NetworkAdjustment:
         Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
         How often all was adjusted.
-    converged
+    settled
         Whether steps and rounds ended by themselves.
     """
 

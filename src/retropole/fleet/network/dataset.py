@@ -55,7 +55,7 @@ class NodeList:
     Attributes
     ----------
     place
-        If it was read.
+        Where it was read.
     of_site
         For each site the nodes of its LiDARs, by their names.
     surveyed

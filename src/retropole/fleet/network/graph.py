@@ -50,7 +50,7 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Surveyed points that a node sees, or that it is on.
+    """Surveyed points that a node sees, or that it stands on.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     low, high = np.sort(graph.ends[order], axis=1).T
     # Between the same two ends the best one counts.
     best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
-    # What the tree is the least sum of, ranks, shows which they are.
+    # The tree is the least sum of ranks; these show which edges they are.
     ranks = coo_array((best + 1.0, (low[best], high[best])), shape=(size, size))
     tree = minimum_spanning_tree(ranks.tocsr())
     kept = wanted.copy()
