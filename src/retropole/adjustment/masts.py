@@ -3,7 +3,7 @@
 A short recording does not determine well where a mast rests, and two LiDARs need not agree on it.
 LiDARs that sway as one need not know it: at every moment ``ξ_i = A_i ξ``, ξ the motion of the first
 of them and A_i the adjoint of the pose between them, so that one motion explains the returns of
-all. Whether it does the evidence tells: that of one motion over that of one for each. Both are as
+all. The evidence shows whether it does: that of one motion over that of one for each. Both are as
 probable beforehand.
 """
 

@@ -437,7 +437,8 @@ def _denial(
 ) -> float:
     """Squared distance of the poses of poles and scene, in units of the σ that the poles state.
 
-    Poles that are certain of a wrong pose hold the search where the true surfaces are out of reach:
+    Poles that state a small σ for a wrong pose hold the search where the true surfaces are out of
+    reach:
     the scene is used again with the poles hardly counted, as far as they may then be off. Used
     also `within` what the search left, its other minima are no denial where they have less support.
     """

@@ -182,7 +182,7 @@ def tested(
     aligned
         What was seen of the poles, with all bands of elevation that the scenes have.
     end, parts
-        If all ended, and every source of error.
+        Where all ended, and every source of error.
     few
         Whether nothing is tested after all.
     """

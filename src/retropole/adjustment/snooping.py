@@ -106,7 +106,7 @@ def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> B
 
 
 def splits(count: int) -> Iterator[tuple[int, ...]]:
-    """Give all ways to part so many LiDARs in two, each of two or more: the fewer of both."""
+    """Give all ways to split `count` LiDARs in two, each of two or more: the fewer of both."""
     for size in range(2, count // 2 + 1):
         for part in combinations(range(count), size):
             if 2 * size < count or 0 in part:
@@ -215,7 +215,7 @@ def find_outlying(
 
 
 def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
-    """Twice the logarithm of the likelihood that an own axis would gain a LiDAR's returns."""
+    """Twice the log likelihood that a separate axis would gain for a LiDAR's returns."""
     beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
     state, log_noise = end.state, end.log_noise[sight.lidar]
     to_lidar = se3.inverse(state.T[sight.lidar])
@@ -364,7 +364,7 @@ def all_tests(
 
 
 class _Asked(NamedTuple):
-    """A test: the bias that an observation may have, the likeliest `among` so many.
+    """A test: the bias that an observation may have, the likeliest `among` this many.
 
     `unit` is metres for each of its lengths; `beside` the χ² of returns that lie next to a pole.
     """

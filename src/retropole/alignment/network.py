@@ -176,8 +176,7 @@ class Observation:
     lidar, placement
         Whose, and where; None if it is the surveyor's.
     poles
-        (K,) the axes that are among the unknowns, in their order; the last ones of the
-        site.
+        (K,) the axes that are among the unknowns, in their order; the last ones of the place.
     returns
         How many returns lie on them.
     share

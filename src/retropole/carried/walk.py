@@ -84,7 +84,7 @@ def calibrate_walk(
     Raises
     ------
     Refusal
-        If a recording shows no walk, and where the walk carries no answer.
+        If a recording shows no walk, or the walk gives no answer.
     """
     of_both = zip((target, source), sensors, thresholds, strict=True)
     tracks = [find_track(each, s, threshold=t, radius=radius) for each, s, t in of_both]

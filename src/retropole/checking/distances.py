@@ -159,7 +159,7 @@ MIN_SWEEPS, MAX_SWEEPS = 3, 12
 """Sweeps from which variances are compared, and how many are looked at, evenly."""
 
 MIN_RETURNS = 8
-"""A sweep with fewer returns on one of the poles is left out: its axis is undetermined by
+"""A sweep with fewer returns on one of the poles is left out: its axis is uncertain by
 centimetres."""
 
 

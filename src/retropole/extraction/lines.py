@@ -229,7 +229,7 @@ class Line:
     returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
-        """Give the largest scatter, metres, that such a limit allows with beams of this width.
+        """Give the largest scatter, metres, that a limit allows with beams of this width.
 
         Limits are those of a pole of `DEFAULT_RADIUS`.
         """

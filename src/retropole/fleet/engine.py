@@ -62,7 +62,7 @@ def run_task(data: bytes) -> bytes:
     Raises
     ------
     UsageError
-        If the worker has other versions than whoever asks: its numbers would not be the same.
+        If the worker has other versions than the client: its numbers would not be the same.
     """
     task = msgspec.msgpack.decode(data, type=Task)
     if environment() != task.environment:
@@ -104,7 +104,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     MissingExtraError
         Where Dask is not installed, or what makes its credentials.
     UsageError
-        If there is no scheduler at the address, or no worker; or where other users write to the
+        If there is no scheduler at the address, or no worker; or if other users write to the
         folder of its temporary files.
     """
     try:

@@ -42,7 +42,7 @@ SHOWN = 20
 """Number of sites of a list that are shown at once; the page unfolds the others."""
 
 MOST_FAILED = 500
-"""So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
+"""Number of refusals, and of errors, that are listed with messages; a DuckDB query finds more."""
 
 
 FIRST: dict[Status, tuple[str, str, str]] = {

@@ -379,7 +379,7 @@ def alone_in(folder: str) -> Iterator[None]:
     Raises
     ------
     OSError
-        If another run has it: the message says which. Where nothing can be written there.
+        If another run has it: the message says which. If nothing can be written there.
     ReadError
         If the file system cannot be queried.
     """

@@ -70,7 +70,7 @@ def opened(
     Raises
     ------
     ReadError
-        If it cannot be read, or what is read of it meanwhile; a `NewerError` where a newer
+        If it cannot be read, or what is read of it meanwhile; a `NewerError` if a newer
         version wrote it.
     MissingExtraError
         As `arrow`.

@@ -61,7 +61,7 @@ with. Each takes three registrations."""
 SETTLES = se3.PoseDifference(float(np.radians(5.0)), 1.0)
 """Scenes that coincide converge within this about the pole, rad and m. The poses of 17
 recordings with one alone that came to anything (benchmarks/deception.py, "one pole, nothing wrong",
-seeds 100 to 131) moved by 1.3° and at most 0.26 m, most of the others by 10° or 2 m and more."""
+seeds 100 to 131) moved by at most 1.3° and 0.26 m, most of the others by 10° or 2 m and more."""
 
 LAID_RMS = 0.1
 """Residual of the poles where the scenes coincide, at most, metres, in addition to what the sides

@@ -4,7 +4,7 @@ Each placement has its own hypotheses; only the right pose recurs in all. What t
 pose is averaged over the placements.
 
 A refusal says how much was tried of what the poles allow. With bright things that may be poles
-hundreds of ways of laying some on others are possible. So many of each kind are tried, the best
+hundreds of ways of matching them are possible. A fixed number of each kind is tried, the best
 first: counts, not seconds, so that the same recordings give the same answer on any machine.
 """
 

@@ -398,7 +398,7 @@ def leaning(
 
 
 def at_most(feet: Array, count: int) -> Array:
-    """Keep so many feet (F, 3) at most, as near to each other as that allows."""
+    """Keep at most this many feet (F, 3), as near to each other as that allows."""
     kept = feet
     for spacing in SPACINGS:
         if len(kept) <= count:

@@ -182,7 +182,8 @@ def facing_poles(
 def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
     """Turn a LiDAR about the vertical until a point (3,) is in the middle of its field of view.
 
-    It misses it by `off` as a part of the field; a LiDAR that sees all around as it is.
+    The point is off the middle by `off`, as a part of the field. A LiDAR that sees all around is
+    left as it is.
     """
     if sensor.sees_all_around:
         return pose
@@ -195,7 +196,7 @@ def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
 
 
 MIN_RETURNS, MIN_RINGS = 6, 3
-"""A LiDAR sees a pole with at least this many returns on so many rings: fewer give no line."""
+"""A LiDAR sees a pole with at least this many returns on this many rings: fewer give no line."""
 
 MAX_RECORDINGS = 20
 """Recordings of an arrangement before a `SimulationError`: noise seldom leaves too few returns of a

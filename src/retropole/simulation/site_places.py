@@ -250,7 +250,7 @@ MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""
 
 MAX_SPOTS = 15
-"""Draws of where the poles of one placement are before the place is drawn anew."""
+"""Draws of the positions of one placement's poles before the site is drawn anew."""
 
 MIN_GAP = 1.0
 """By how much a ring fails to close, metres, where pairs take the other hypothesis."""
@@ -336,7 +336,7 @@ def _place_poles(
     seen: list[tuple[tuple[bool, ...], ...]] = []
     for left in range(placements, 0, -1):
         groups = groups_of(seen, len(sensors))
-        # So many groups may remain, that each of the other placements joins an equal share.
+        # This many groups may remain, that each of the other placements joins an equal share.
         may_remain = 1 + (len(groups) - 1) * (left - 1) // left
         for _ in range(MAX_SPOTS):
             # Around the middle of a LiDAR and the nearest of the other groups.

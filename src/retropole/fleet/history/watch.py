@@ -14,7 +14,7 @@ A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
 
 In the axes that make the first check's random and common parts diagonal, all six are filtered each
 by itself; what later checks correlate there is left out. Under each of the laws `SLOW` of what
-varies slowly the site has a Kalman filter; the likeliest one tells.
+varies slowly the site has a Kalman filter; the likeliest one decides.
 
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
@@ -144,7 +144,7 @@ class Event:
     onset
         Number of the first check that shows it.
     found
-        Number of the check that told.
+        Number of the check that showed it.
     size
         (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
         the stored pose; None of others.
