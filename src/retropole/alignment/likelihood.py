@@ -10,7 +10,7 @@ depth and σ_m sideways, and beams evenly spaced across the pole,
 
     p(g, m) = 1/2(r+w) ∫_{−r−w}^{r+w} N(g; √max(r² − x², 0), σ_g²) N(m; x, σ_m²) dx,
 
-the facing half of the circle, blurred; w is how far next to the pole the middle of a wide beam may
+the facing half of the circle, blurred; w is how far outside the pole the middle of a wide beam may
 be and still return from its edge. For σ_m → 0 its logarithm is the squared difference of the
 measured range from that at which the beam hits the pole; a return whose beam would miss the pole
 is penalised smoothly in σ_m. A beam that went on to something behind the pole has the likelihood
@@ -40,7 +40,7 @@ LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, FEW_NODES = 20, 6
-"""Of the integral over the arc; over each edge next to it, and over the uncertainty of
+"""Of the integral over the arc; over each edge outside it, and over the uncertainty of
 an axis. With 16 the derivatives of the arc no longer agree with its differences."""
 
 MAX_SIDEWAYS_SIGMAS = 6.0
@@ -253,7 +253,7 @@ def arc_likelihood(
 def _nodes(
     lateral_offset: Array, span: Array, radius: float, half_width: Array, room: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Nodes of the integral over the arc, ``x = r sin θ``, and over the edges next to it.
+    """Nodes of the integral over the arc, ``x = r sin θ``, and over the edges outside it.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def _nodes(
     -------
     cosine, sine, beyond, weight
         (A, N) of nodes on the arc; (K, N) of all, ± 1 on the edges; (K − A, N) how far those of the
-        edges lie next to it, metres; and (K, N). A row is a node: sums over short rows would take
+        edges lie outside it, metres; and (K, N). A row is a node: sums over short rows would take
         several times as long.
     """
     low = np.clip(lateral_offset - span, -radius, radius - np.minimum(span, radius))

@@ -141,7 +141,7 @@ class BeamGeometry:
     Attributes
     ----------
     depth, lateral_offset, sine
-        (N,) each: how far the return lies in front of the axis and next to it, metres, and the sine
+        (N,) each: how far the return lies in front of the axis and beside it, metres, and the sine
         of the angle between beam and axis.
     jacobian
         (N, 2, P) derivative of depth and lateral offset by a step of `State.moved`.

@@ -41,7 +41,7 @@ RINGS, LAYERS = 80, 64
 
 SLIDE = 8
 """Slides that are tried, in cells: 4 m. The middles of what two LiDARs see of one pole lie no
-farther from each other than it is long."""
+further apart than it is long."""
 
 PEAKS_APART = 10, 2
 """Peaks nearer to each other than this are one, in cells of angle and of slide."""

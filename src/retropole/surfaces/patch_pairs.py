@@ -145,7 +145,7 @@ BLENDED = 4
 CLUSTER_SIDE, CLUSTER_RANGE = 2.0, 40.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated, up to this
 range, metres. From there on twice the side, four times from twice the range: what lies so far away
-is seen by rings and in patches that are as much farther from each other."""
+is seen by rings and in patches whose spacing is as much wider."""
 
 MAX_LEAN = 0.02
 """Patches that LiDARs see from different sides count the less the more they lean for the noise of

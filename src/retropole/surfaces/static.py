@@ -37,8 +37,8 @@ from .visibility import (
 )
 
 MAX_APART = 60.0
-"""Recordings that lie farther from each other than this were made at other times, seconds. Clocks
-that are set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
+"""Recordings further apart in time than this were made at other times, seconds. Clocks that are
+set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 
 def recorded_together(placements: Sequence[Placement]) -> bool:
