@@ -61,9 +61,6 @@ MODULES = "lines", "acceptance_shape", "surroundings", "line_search", "poles"
 LOW, HIGH = 0.7, 1.4
 """Times its value, a constant of ``--sensitivity``; a whole number changes by one at least."""
 
-BOUNDED = {"EDGE_QUANTILE", "ENOUGH_SHARE"}
-"""Shares so near to 1 that what is left to 1 changes by these factors instead."""
-
 NOT_VARIED = {"MAD_TO_SIGMA", "DEFAULT_RADIUS"}
 """Properties of numbers, not of poles; and what the caller gives."""
 
@@ -183,8 +180,6 @@ def neighbours_of(name: str, value: float) -> tuple[float, float]:
     """The values below and above at which a constant is tried."""
     if isinstance(value, int):
         return min(round(LOW * value), value - 1), max(round(HIGH * value), value + 1)
-    if name in BOUNDED:
-        return 1 - HIGH * (1 - value), 1 - LOW * (1 - value)
     return LOW * value, HIGH * value
 
 

@@ -9,7 +9,6 @@ from msgspec.structs import replace
 
 from retropole.adjustment.shared import SharedPole
 from retropole.adjustment.survey import (
-    NEAR_SURVEYED,
     Fit,
     lay_on_survey,
     list_unmet,
@@ -21,6 +20,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from retropole.base.errors import Reason, Refusal
+from retropole.surfaces.visibility import OVERLAP_DISTANCE
 from tests.adjustment.adjusting import Steps
 
 pytestmark = pytest.mark.full
@@ -147,7 +147,7 @@ def test_what_most_is_met_by_well_comes_first() -> None:
     assert sorted([drawn, chance, exact, rough], key=order) == [rough, exact, drawn, chance]
     assert order(fit(10, 0.01)) < order(fit(10, 0.02))
     # What is met at the limit is as good as nothing.
-    assert order(fit(10, NEAR_SURVEYED))[0] == order(fit(0, 0.0))[0] == 0.0
+    assert order(fit(10, OVERLAP_DISTANCE))[0] == order(fit(0, 0.0))[0] == 0.0
 
 
 def test_a_pole_in_another_frame_and_back(steps: Steps) -> None:

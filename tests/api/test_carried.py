@@ -12,9 +12,11 @@ from retropole.api.simulation import simulate_walk, write_walk
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import UsageError
+from retropole.base.sensors import find_sensor
 from retropole.export.recording import Track, write_recording
-from retropole.io import read_frames, write_pcd
-from retropole.io.recordings import Frame
+from retropole.io import open_recording, read_frames, write_pcd
+from retropole.io.recordings import Frame, chosen_frames
+from retropole.io.timed import timed_frames
 
 NAMED = {"sensor": "VLP-16", "options": rp.RunConfig(carried=True)}
 START = 1.7e9
@@ -69,6 +71,9 @@ def test_a_written_walk_is_answered_within_what_is_stated(
     assert step @ np.linalg.solve(answer.covariance, step) < 22.5
     clock = answer.walk.clock_offset_s - truth["clock_offset_s"]
     assert abs(clock) < 4 * answer.walk.clock_sigma_s
+    assert [each.threshold for each in answer.document.inputs] == 2 * [
+        find_sensor("VLP-16").threshold
+    ]
     answer.save(tmp_path)
     again = rp.load_result(tmp_path)
     assert 'id="walk"' in again.report(tmp_path / "again.html").read_text()
@@ -100,11 +105,8 @@ def begun(frame: Frame) -> float:
     return START + float(frame.cloud.time.min())
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("times", ["absolute", "from each sweep", "none", "shifted", "in names"])
-def test_files_of_any_kind_give_the_same_answer(
-    folder: Path, answer: rp.CalibrationResult, tmp_path: Path, times: str
-) -> None:
+def changed(folder: Path, times: str, shift: float) -> tuple[Frames, Callable[[Frame], Frame]]:
+    """Read a walk, its source's clock ahead by some seconds, and say how its times are stored."""
     frames = {name: list(read_frames(folder / name)) for name in ("lidar0", "lidar1")}
 
     def change(frame: Frame) -> Frame:
@@ -113,21 +115,45 @@ def test_files_of_any_kind_give_the_same_answer(
         within = {"none": None, "absolute": cloud.time}.get(times, cloud.time - cloud.time.min())
         return replace(frame, stamp=begun(frame), cloud=replace(cloud, time=within))
 
-    shift = 3.0 if times == "shifted" else 0.0
     frames["lidar1"] = [
         replace(each, cloud=replace(each.cloud, time=each.cloud.time + shift))  # type: ignore[operator, arg-type]
         for each in frames["lidar1"]
     ]
-    if times == "in names":
-        for name, own in frames.items():
-            for each in own:
-                write_pcd(tmp_path / name / f"{begun(each):.6f}.pcd", change(each).cloud)
-        found = rp.calibrate(tmp_path / "lidar0", tmp_path / "lidar1", **NAMED)  # type: ignore[arg-type]
-    else:
-        topics = {"topic": ("/lidar0", "/lidar1")}
-        both = as_bag(frames, tmp_path, change)
-        found = rp.calibrate(both[0], both[1], **NAMED, **topics)  # type: ignore[arg-type]
+    return frames, change
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("times", "shift"), [("none", 0.0), ("from each sweep", 3.0)])
+def test_files_of_any_kind_give_the_same_answer(
+    folder: Path, answer: rp.CalibrationResult, tmp_path: Path, times: str, shift: float
+) -> None:
+    frames, change = changed(folder, times, shift)
+    both = as_bag(frames, tmp_path, change)
+    topics = {"topic": ("/lidar0", "/lidar1")}
+    found = rp.calibrate(both[0], both[1], **NAMED, **topics)  # type: ignore[arg-type]
     rotation, translation, offset = differs(found, answer)
     assert rotation < 1e-5
     assert translation < 1e-4
     assert abs(offset - shift) < 1e-5
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("times", ["absolute", "in names"])
+def test_files_of_any_kind_give_the_same_sweeps(folder: Path, tmp_path: Path, times: str) -> None:
+    """What is found in equal sweeps is the same: they need not be searched again."""
+    frames, change = changed(folder, times, 0.0)
+    if times == "in names":
+        for each in frames["lidar1"]:
+            write_pcd(tmp_path / "lidar1" / f"{begun(each):.6f}.pcd", change(each).cloud)
+        recording = open_recording(tmp_path / "lidar1")
+    else:
+        recording = open_recording(as_bag(frames, tmp_path, change)[1], topic="/lidar1")
+    read = timed_frames(recording, chosen_frames(recording, slice(None)))
+    later = []
+    for one, other in zip(read, frames["lidar1"], strict=True):
+        assert one.cloud.time is not None
+        assert other.cloud.time is not None
+        np.testing.assert_array_equal(one.cloud.xyz, other.cloud.xyz)
+        later.append(one.cloud.time - other.cloud.time)
+    # By whatever clock, it is the same throughout.
+    assert np.ptp(np.concatenate(later)) < 1e-5

@@ -1,16 +1,20 @@
 """Exact walks: the adjustment ends at the truth, with the derivatives of its rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from retropole.base import se3
 from retropole.base.systematic import Sizes
+from retropole.base.uncertainty import predicted_error
 from retropole.carried import linear
 from retropole.carried.adjustment import Adjusted, adjust
 from retropole.carried.linear import Seen
 from retropole.carried.rows import rows_of
 from retropole.carried.start import Start
-from tests.carried.walks import RADIUS, SeenWalk, seen_walk
+from retropole.carried.track import Track
+from tests.carried.walks import RADIUS, REST, SeenWalk, seen_walk
 
 
 def adjusted(walk: SeenWalk, start: Start) -> Adjusted:
@@ -29,6 +33,34 @@ def test_an_exact_walk_ends_at_the_truth() -> None:
     assert np.all(np.abs(step) < sigma[:6])
     assert abs(found.offset - walk.offset) < 1e-3
     assert found.left_out < 0.01
+
+
+@pytest.mark.full
+def test_a_pole_at_rest_adds_to_the_estimate() -> None:
+    """Not as often as it is seen: at rest beams leave the same open in every sweep."""
+    walk = seen_walk(rests=True)
+    start = Start(walk.T_target_source, walk.offset, 0.01, False)
+    found = adjusted(walk, start)
+    moving = tuple(
+        without_rests(track, ahead)
+        for track, ahead in zip(walk.tracks, (0.0, walk.offset), strict=True)
+    )
+    without = adjusted(walk._replace(tracks=(moving[0], moving[1])), start)
+    stated, more = (
+        predicted_error(each.covariance[:6, :6], (30.0,))[0].sigma_m for each in (found, without)
+    )
+    assert 0.5 * more < stated < 0.97 * more
+    step = se3.local(found.T_target_source, walk.T_target_source)
+    assert step @ np.linalg.solve(found.covariance[:6, :6], step) < 12.6
+
+
+def without_rests(track: Track, ahead: float) -> Track:
+    """Leave out the sweeps in which the pole rests."""
+    moves = np.abs((track.times - ahead + 2.0) % 4.0 - 2.0) > REST / 2
+    of = moves[track.sweep]
+    returns = {name: getattr(track, name)[of] for name in ("xyz", "stamps", "rings", "is_whole")}
+    sweeps = {name: getattr(track, name)[moves] for name in ("times", "points", "directions")}
+    return replace(track, **sweeps, **returns, sweep=(np.cumsum(moves) - 1)[track.sweep[of]])
 
 
 def test_derivatives_are_those_of_the_residuals() -> None:

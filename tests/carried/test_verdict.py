@@ -53,10 +53,23 @@ def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
     jump = np.array([[0.0, 0.02, 0.0], [0.0, 0.0, 0.0]])
     assert chosen([replace(sound, clock_windows=steady)]) is not None
     assert code_of(replace(sound, clock_windows=steady + jump)) == "clock_jumps"
-    # Of a lasting step no window alone tells.
-    several = np.array([[5.0 * k, 0.004 if k > 2 else -0.004, 0.0015] for k in range(6)])
-    assert code_of(replace(sound, clock_windows=several)) == "clock_jumps"
-    assert chosen([replace(sound, clock_windows=several * [1, 0.4, 1])]) is not None
+    # Of a lasting step no window alone may say so.
+    step = np.array([5.0, 0.010, 0.0021])
+    assert code_of(replace(sound, clock_step=step)) == "clock_jumps"
+    assert chosen([replace(sound, clock_step=step * [1, 0.8, 1])]) is not None
+
+
+@pytest.mark.full
+def test_a_step_of_the_clock_is_found_when_it_was() -> None:
+    walk = seen_walk()
+    target, source = walk.tracks
+    late = 0.015 * (source.stamps > 7.0)
+    stepped = walk._replace(tracks=(target, replace(source, stamps=source.stamps + late)))
+    when, step, sigma = adjusted(stepped).clock_step
+    assert abs(when - (7.0 - walk.offset)) <= 1.0
+    assert abs(step - 0.015) < 3 * sigma
+    assert step > 5 * sigma
+    assert abs(adjusted(walk).clock_step[1]) < 4 * sigma
 
 
 def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:

@@ -28,7 +28,7 @@ def line_with(
     """A line whose figures are given and not computed."""
     if along is None:
         along = np.linspace(-length / 2, length / 2, count)
-    return Line(np.arange(count), along, FOOT, UP, length, rms, rings, 0.08)
+    return Line(np.arange(count), along, FOOT, UP, length, rms, rings, 0.12)
 
 
 def offset(x: Array | float, y: Array | float, z: Array | float) -> Array:

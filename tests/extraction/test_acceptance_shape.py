@@ -10,7 +10,7 @@ import pytest
 from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction import acceptance_shape as rules
 from retropole.extraction.acceptance_shape import shape_failure
-from retropole.extraction.lines import WIDTH_IN_RMS, Line
+from retropole.extraction.lines import MIN_POLE_POINTS, WIDTH_IN_RMS, Line
 from tests.extraction.synthetic import FOOT, UP, code_of, line_with
 
 
@@ -31,8 +31,8 @@ SLIM_RATIO = rules.MIN_SLENDERNESS * WIDTH_IN_RMS
 
 LIMITS: dict[str, tuple[Line, Line, str, str]] = {
     "points": (
-        line_with(rules.MIN_POLE_POINTS, rings=6),
-        line_with(rules.MIN_POLE_POINTS - 1, rings=5),
+        line_with(MIN_POLE_POINTS, rings=6),
+        line_with(MIN_POLE_POINTS - 1, rings=5),
         "too_few_points",
         "5 points in line",
     ),
@@ -86,14 +86,14 @@ LIMITS: dict[str, tuple[Line, Line, str, str]] = {
         "more than any post",
     ),
     "points of what is thick": (
-        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_FEW_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_FEW_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),
     "thickness of few points": (
-        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_FEW_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_FEW_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),
@@ -119,7 +119,7 @@ def test_rules_are_asked_in_order() -> None:
 
 @pytest.mark.parametrize(("factor", "code"), [(0.999, ""), (1.001, "along_a_beam")])
 def test_rings_lie_across_a_pole(factor: float, code: str) -> None:
-    extent = factor * rules.MAX_RING_EXTENT
+    extent = factor * line_with().tube
     starts = np.array([-0.6, 0.0, 0.6])
     along = np.sort(np.concatenate([starts, starts + extent / 2, starts + extent]))
     line = line_with(9, length=float(np.ptp(along)), rings=3, along=along)
@@ -128,7 +128,7 @@ def test_rings_lie_across_a_pole(factor: float, code: str) -> None:
 
 def test_a_stray_point_on_one_ring_is_no_sweep() -> None:
     along = np.repeat(np.linspace(-0.6, 0.6, 8), 3)
-    along[1] += 2 * rules.MAX_RING_EXTENT
+    along[1] += 2 * line_with().tube
     line = line_with(24, along=along)
     assert shape_failure(cloud_of(line, np.repeat(np.arange(8), 3)), line) is None
 

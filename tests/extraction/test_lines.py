@@ -14,7 +14,7 @@ from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction.lines import (
     LINK,
     MANY,
-    PATCH_POINTS,
+    MIN_POLE_POINTS,
     PATCH_RADIUS,
     RING_GAP,
     TUBE,
@@ -265,7 +265,9 @@ def test_a_plate_is_a_surface_and_a_pole_is_not() -> None:
     assert not inside[len(wide) :].any()
 
 
-@pytest.mark.parametrize(("count", "is_surface"), [(PATCH_POINTS, True), (PATCH_POINTS - 1, False)])
+@pytest.mark.parametrize(
+    ("count", "is_surface"), [(MIN_POLE_POINTS, True), (MIN_POLE_POINTS - 1, False)]
+)
 def test_few_points_tell_no_surface(count: int, is_surface: bool) -> None:
     bearing = 2 * np.pi * np.arange(count) / count
     ring = 0.14 * np.stack([np.cos(bearing), np.sin(bearing), np.zeros(count)], axis=1)

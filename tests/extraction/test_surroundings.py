@@ -12,8 +12,8 @@ from retropole.base.datatypes import DEFAULT_RADIUS, Array, Detection, PointClou
 from retropole.extraction import surroundings
 from retropole.extraction import surroundings as rules
 from retropole.extraction import surroundings as shared
-from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, MAX_RING_EXTENT, THICK_RMS
-from retropole.extraction.lines import HALF, LITTLE, MOST, SEARCH_ROOM, Line
+from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
+from retropole.extraction.lines import HALF, LITTLE, MAX_BESIDE, MOST, SEARCH_ROOM, Line
 from retropole.extraction.poles import extract_poles
 from retropole.extraction.surroundings import (
     Surroundings,
@@ -76,8 +76,8 @@ def test_few_is_fewer_than_the_limit(rings: int, few: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "limit"),
     [
-        (0.5 * shared.MAX_BESIDE, shared.MAX_BESIDE),
-        (1.2 * shared.MAX_BESIDE, 1.2 * shared.MAX_BESIDE),
+        (0.5 * MAX_BESIDE, MAX_BESIDE),
+        (1.2 * MAX_BESIDE, 1.2 * MAX_BESIDE),
     ],
 )
 def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
@@ -89,7 +89,7 @@ def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> N
 def test_beside_is_outside_the_tube_and_between_the_ends() -> None:
     pole = on_pole()
     own = about(pole).line
-    limit = shared.MAX_BESIDE
+    limit = MAX_BESIDE
     away = np.array([0.99 * own.tube, 1.01 * own.tube, 0.99 * limit, 1.01 * limit, 0.2])
     seen = about(pole, (offset(away, 0.0, np.array([0, 0, 0, 0, 0.81])), DIM))
     assert seen.beside[-5:].tolist() == [False, True, True, False, False]
@@ -195,14 +195,14 @@ def wall(distance: float, width: float = 0.35) -> Array:
 
 @pytest.mark.parametrize(("factor", "is_behind"), [(0.99, False), (1.01, True)])
 def test_a_wall_is_behind_from_some_distance(factor: float, is_behind: bool) -> None:
-    assert is_wall_behind(wall(factor * surroundings.MIN_WALL_GAP), on_pole(width=0)) is is_behind
+    assert is_wall_behind(wall(factor * surroundings.MAX_CLOSE), on_pole(width=0)) is is_behind
 
 
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_a_pole_that_leans_on_a_wall_leaves_it_in_part(share: float) -> None:
     """The wall is behind as far as the quantile of its distances says."""
     far = int(share * (1 - MOST) * 100)
-    away = np.repeat([-1.1 * surroundings.MIN_WALL_GAP, 0.0], [far, 100 - far])
+    away = np.repeat([-1.1 * surroundings.MAX_CLOSE, 0.0], [far, 100 - far])
     assert is_wall_behind(wall(0.0), offset(away, 0.0, 0.0)) is (share > 1)
 
 
@@ -211,7 +211,7 @@ def test_a_wall_is_most_of_what_lies_beside(extra: float, is_wall: bool) -> None
     plane = wall(0.2)
     count = int(extra / 2 * len(plane) * (1 / MOST - 1))
     # In pairs, as far before the plane as behind it, so that they do not draw it away.
-    off = np.array([1.5 * surroundings.PLANE_DISTANCE, 0, 0])
+    off = np.array([1.5 * SEARCH_ROOM, 0, 0])
     pairs = [plane[:count] + off, plane[:count] - off]
     assert is_wall_behind(np.concatenate([plane, *pairs]), on_pole(width=0)) is is_wall
 
@@ -260,7 +260,7 @@ def test_rings_as_close_as_their_returns_tell_nothing() -> None:
 
 
 def test_few_returns_tell_nothing() -> None:
-    least = surroundings.FEWEST_AROUND
+    least = 2 * surroundings.SWEEP_NEIGHBOURS
     column = offset(0.0, 0.2, np.linspace(0, 0.02 * (least - 1), least))
     xyz = np.concatenate([on_pole(0.6, 10, 1), column])
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line_with(10))
@@ -499,31 +499,6 @@ def test_a_line_along_the_rings_is_no_pole() -> None:
     code, reason = failed(level_rows())
     assert code == "along_a_beam"
     assert "beams sweep" in reason
-
-
-@pytest.mark.parametrize(
-    ("step", "rings", "each", "code"),
-    [
-        (0.1, 6, 1, "along_a_beam"),
-        (0.1, 6, 2, ""),
-        (0.99 * MAX_RING_EXTENT, 5, 1, "along_a_beam"),
-        (1.01 * MAX_RING_EXTENT, 5, 1, ""),
-    ],
-)
-def test_a_short_line_in_single_file_is_no_pole(
-    step: float, rings: int, each: int, code: str
-) -> None:
-    """Rings as near as this have more points each on a pole; farther apart they may have one."""
-    pole = on_pole(step * (rings - 1), rings, each)
-    found, reason = failed(scene(pole))
-    assert found == code
-    assert not code or "single file" in reason
-
-
-def test_rings_excuse_single_file() -> None:
-    pole = on_pole(0.5, 10, 1)
-    assert failed(scene(pole))[0] == "along_a_beam"
-    assert failed(scene(pole, rings=np.arange(10))) == ("", "")
 
 
 @pytest.mark.parametrize("end", [-1, 1])

@@ -85,6 +85,13 @@ def test_a_list_has_options_of_pairs(tmp_path: Path) -> None:
     assert (second.id, second.target, second.latitude) == ("a", "/y/1.pcd", None)
 
 
+def test_pairs_before_which_a_pole_was_carried(tmp_path: Path) -> None:
+    path = written(tmp_path, "id,target,source,carried", "1,a.mcap,b.mcap,true", "2,c,d,")
+    walk, other = find_sites([path])
+    assert walk.config == RunConfig(carried=True)
+    assert other.config == RunConfig()
+
+
 def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
     path = written(tmp_path, "id,target,source,radius_m,up", "1,a,b,0.03,true", "2,c,d,,")
     table = {"id": [1, 2], "target": ["a", "c"], "source": ["b", "d"]}

@@ -10,6 +10,7 @@ import pytest
 
 from retropole.base.datatypes import Hypothesis, PointCloud
 from retropole.hypotheses import candidate_confirmation as confirming
+from retropole.hypotheses import choice
 from retropole.hypotheses.candidate_confirmation import (
     candidate_reasons,
     candidates_in,
@@ -191,7 +192,7 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
     answer, paired = confirmed
     best, *others = answer.hypotheses
     behind = best.score - 1.01 * confirming.CERTAIN_MARGIN
-    contradicted = confirming.MIN_CONTRADICTED
+    contradicted = choice.RIVAL_FREE_SPACE_VIOLATION
     for covisible, violation, is_certain in (
         (1.01, 0.99, True),
         (0.99, 0.99, False),
@@ -225,7 +226,7 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
     answer, paired = confirmed
     first, *others = answer.hypotheses
     first = settled(first) if is_settled else first
-    most, least = confirming.SUPPORT_OVERLAP, confirming.SUPPORT_COVISIBLE
+    most, least = choice.MIN_OVERLAP, choice.MIN_COVISIBLE_OVERLAP
     of_all = confirming.SUPPORT_LEAST_OVERLAP
     clear = replace(first, free_space_violation=0.99 * confirming.MAX_CERTAIN_VIOLATION)
     by_all = replace(clear, overlap=1.01 * most, covisible_overlap=0.99 * least)
@@ -258,9 +259,9 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
         free_space_violation=0.0,
     )
     assert not is_confirmed(paired, (clear, rival), 0.02)
-    little = replace(rival, overlap=0.99 * confirming.SUPPORT_OVERLAP)
-    unshared = replace(little, covisible_overlap=0.99 * confirming.SUPPORT_COVISIBLE)
-    seen_through = replace(rival, free_space_violation=1.01 * confirming.MIN_CONTRADICTED)
+    little = replace(rival, overlap=0.99 * choice.MIN_OVERLAP)
+    unshared = replace(little, covisible_overlap=0.99 * choice.MIN_COVISIBLE_OVERLAP)
+    seen_through = replace(rival, free_space_violation=1.01 * choice.RIVAL_FREE_SPACE_VIOLATION)
     for contradicted in (unshared, seen_through):
         assert is_confirmed(paired, (clear, contradicted), 0.02) is is_settled
         near = replace(contradicted, score=clear.score - 0.99 * confirming.CERTAIN_MARGIN)

@@ -17,8 +17,8 @@ from retropole.hypotheses.evidence import scenes_of
 from retropole.hypotheses.icp_refinement import registered
 from retropole.hypotheses.one_pole import (
     ANGLES,
-    CELL_ABOUT_POLE,
-    LAYERS,
+    CELL,
+    RINGS,
     SETTLES,
     SLIDE,
     matches_about,
@@ -141,11 +141,11 @@ def test_the_highest_peak_is_where_the_points_are(
     T = about._screw(np.radians(turn), slide, is_flipped)
     target, source = (about._spectrum(points) for points in (WOOD, se3.apply(se3.inverse(T), WOOD)))
     other = source if is_flipped else np.conj(source)
-    spectrum = np.sum(about.spread(target, (ANGLES, LAYERS)) * other, axis=0)
-    total = fft.irfft2(spectrum, s=(about.ANGLES, about.LAYERS))
+    spectrum = np.sum(about.spread(target, (ANGLES, RINGS)) * other, axis=0)
+    total = fft.irfft2(spectrum, s=(about.ANGLES, about.RINGS))
     found = list(about._highest(total[:, np.r_[-SLIDE : SLIDE + 1]]))
     assert abs((np.degrees(found[0][0]) - turn + 180) % 360 - 180) <= 1.0
-    assert abs(found[0][1] - slide) <= CELL_ABOUT_POLE
+    assert abs(found[0][1] - slide) <= CELL
     assert found[0][2] > 2 * found[1][2]
 
 

@@ -13,7 +13,14 @@ from retropole.base.sensors import find_sensor
 from retropole.base.systematic import Sway
 from retropole.base.uncertainty import BudgetEntry
 from retropole.base.uncertainty.purpose import USABLE, Need
-from retropole.planning.live_advice import Advice, advice_after, advise, keep_still, outcome_of
+from retropole.planning.live_advice import (
+    Advice,
+    advice_after,
+    advise,
+    another,
+    keep_still,
+    outcome_of,
+)
 from retropole.planning.live_poles import Looked, Tracked, View, word_on
 from retropole.result import ReasonDoc, ResultDoc, SwayDoc
 from tests.conftest import PoleMaker
@@ -176,18 +183,18 @@ def test_an_answer_that_is_good_enough_ends_it(answer: ResultDoc) -> None:
     )
     outcome = outcome_of(good, Need(0.02, 30.0))
     assert outcome.is_enough
-    assert advice_after(outcome, 1).code == "done"
-    assert "up to 30 m away" in advice_after(outcome, 1).words
+    assert advice_after(outcome, another(1)).code == "done"
+    assert "up to 30 m away" in advice_after(outcome, another(1)).words
     # Nothing asked for: what any answer is good for.
     assert outcome_of(good, None).need == USABLE
     poor = msgspec.structs.replace(good, covariance=np.eye(6) * 1e-6)
     outcome = outcome_of(poor, Need(0.02, 30.0))
     assert not outcome.is_enough
-    assert advice_after(outcome, 1).code == "need_not_met"
-    assert advice_after(outcome, 1).words.startswith("Placement 2")
+    assert advice_after(outcome, another(1)).code == "need_not_met"
+    assert advice_after(outcome, another(1)).words.startswith("Placement 2")
     # What no recording can show is not sent after.
     outcome = outcome_of(good, Need(0.0001, 30.0))
-    assert advice_after(outcome, 1).code == "need_too_small"
+    assert advice_after(outcome, another(1)).code == "need_too_small"
 
 
 def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:
@@ -195,7 +202,7 @@ def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:
     warned = msgspec.structs.replace(answer, status="warn", reasons=[doubt], fitness=None)
     outcome = outcome_of(warned, None)
     assert not outcome.is_enough
-    advice = advice_after(outcome, 1)
+    advice = advice_after(outcome, another(1))
     assert (advice.code, advice.is_good) == ("not_confirmed", False)
     assert "placement" in advice.words
     refused = msgspec.structs.replace(
@@ -208,7 +215,7 @@ def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:
     outcome = outcome_of(refused, None)
     assert outcome.bound is None
     assert outcome.is_spoilt
-    assert advice_after(outcome, 1).words.startswith("Refused")
+    assert advice_after(outcome, another(1)).words.startswith("Refused")
     ambiguous = msgspec.structs.replace(refused, reasons=[ReasonDoc("ambiguous", "two fit", {})])
     assert not outcome_of(ambiguous, None).is_spoilt
 

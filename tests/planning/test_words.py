@@ -162,3 +162,12 @@ def test_what_one_pole_more_brings_is_said_once() -> None:
     worse = replace(more, gain=0.5, status="refused", is_better=False)
     document = plan_document(replace(found, rehearsal=poor, more=(worse,)), RECORDINGS, None)
     assert not document.more[0].is_worth_it
+
+
+def test_a_walk_is_named_last_where_poles_will_do_and_first_where_they_will_not() -> None:
+    for need, place in ((None, slice(1, None)), (Need(1e-4, 30.0), slice(0, 1))):
+        words = plan_document(planned(), RECORDINGS, need).words
+        assert [each for each in words if "--carried" in each] == [
+            each for each in words[place] if "--carried" in each
+        ]
+        assert sum("--carried" in each for each in words) == 1

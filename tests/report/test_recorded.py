@@ -15,7 +15,8 @@ from retropole.base import se3
 from retropole.base.datatypes import Detection, Placement, RejectedCluster, Scan
 from retropole.base.reasons import Code
 from retropole.base.sensors import find_sensor
-from retropole.extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
+from retropole.extraction.acceptance_shape import MIN_POLE_RINGS
+from retropole.extraction.lines import MIN_POLE_POINTS
 from retropole.hypotheses.choice import hypothesis_name
 from retropole.report import listings, recorded
 from retropole.report.page import SHOWN, listed

@@ -8,8 +8,9 @@ from dataclasses import replace as replaced
 import pytest
 from msgspec.structs import replace
 
+from retropole.adjustment.agreement import MAX_AXES_CHI2
 from retropole.adjustment.blunders import is_poor
-from retropole.adjustment.snooping import PER_FREEDOM, POOR
+from retropole.adjustment.snooping import POOR
 from retropole.alignment.certainty import normalised
 from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
@@ -190,7 +191,7 @@ def test_what_is_suspicious_is_what_the_verdict_warns_of(
 ) -> None:
     """By the same limits; else the largest is named beside the most to expect."""
     document = document_of(made_up_site("ok"))
-    allowed = max(POOR, normalised(PER_FREEDOM * freedom, freedom))
+    allowed = max(POOR, normalised(MAX_AXES_CHI2 * freedom, freedom))
     test = replace(document.tests[0], w=w, chi2=chi2, freedom=freedom, allowed=allowed)
     others = [replace(each, w=0.5, chi2=0.25) for each in document.tests[1:] if each.w is not None]
     words = " ".join(checks_of_site(replace(document, tests=[test, *others])))

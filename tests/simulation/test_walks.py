@@ -5,7 +5,7 @@ import numpy as np
 from retropole.base.sensors import find_sensor
 from retropole.simulation import EXACT, draw_device
 from retropole.simulation.scenes import bare
-from retropole.simulation.walks import Recorder, draw_walk, record_walk
+from retropole.simulation.walks import REST, Recorder, draw_walk, record_walk
 
 RNG = np.random.default_rng
 
@@ -34,3 +34,12 @@ def test_nobody_runs_or_swings_the_pole() -> None:
     assert np.linalg.norm(walk.hand(times, 1), axis=1).max() < 2.0
     lean = np.arccos(walk.axis(times)[:, 2])
     assert 0.1 < lean.mean() < 0.6
+
+
+def test_a_pole_that_is_put_down_rests_as_often_as_said() -> None:
+    walk = draw_walk(RNG(4), 20.0, (3.0, 3.0), [np.full(3, 9.0)], stops=2)
+    for middle in (5.0, 15.0):
+        at = np.linspace(middle - 0.8 * REST / 2, middle + 0.8 * REST / 2, 50)
+        assert np.ptp(walk.hand(at), axis=0).max() < 1e-3
+        assert np.ptp(walk.lean(at), axis=0).max() < 1e-3
+    assert np.linalg.norm(walk.hand(np.array([8.0, 12.0]), 1), axis=1).min() > 0.02

@@ -14,7 +14,6 @@ from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.consistency import (
     EXPECTED,
     PEAKS,
-    SAME_SHIFT,
     Standing,
     _with_neighbours,
     best_lifts,
@@ -23,6 +22,7 @@ from retropole.surfaces.consistency import (
     contradicting_points,
     standing_in,
 )
+from retropole.surfaces.visibility import OVERLAP_DISTANCE
 
 
 def standing(pair: SimulatedPair) -> tuple[Standing, Standing]:
@@ -163,7 +163,7 @@ def test_at_the_right_pose_no_shift_is_better() -> None:
     assert gains == sorted(gains, reverse=True)
     assert gains[0] < 0.5
     steps = [np.zeros(3), *(shift.step for shift in found)]
-    assert all(np.abs(a - b).max() > SAME_SHIFT for a, b in combinations(steps, 2))
+    assert all(np.abs(a - b).max() > OVERLAP_DISTANCE for a, b in combinations(steps, 2))
 
 
 def test_a_lift_off_the_ground_is_found_in_any_frame() -> None:

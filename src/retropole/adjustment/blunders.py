@@ -26,18 +26,13 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
-from .agreement import WARN_MAHALANOBIS_SQ
+from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
 from .datum import Datum, Hanging, without_poles, without_survey
-from .descent import FEW, End, SceneTerm
+from .descent import CLOSE, FEW, End, SceneTerm
 from .refinement import distance_sq
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, find_links, without_observations
-from .snooping import PER_FREEDOM, POOR
-
-CLOSE = 0.02
-"""Patches that lie so far apart count by half, metres: twice what the range offset of a LiDAR is
-taken for where nothing is known of it, and a tenth of what a pose is off by that a moved pole makes
-wrong."""
+from .snooping import POOR
 
 PLACED_APART = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""
@@ -220,10 +215,6 @@ and more 16 came to more than 6.5, 2 to more than `POOR`, and 2 were refused bef
 MOST_BLUNDERS = 3
 """So many are left out at most."""
 
-MOST_SUSPECTS = 5
-"""So many suspects are tried by turns, the worst first."""
-
-
 SEPARABLE = chi2_limit(2)
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
 than this is not told apart: it is up to a hundred times less likely, 2 ln 100, χ² with two degrees
@@ -260,7 +251,7 @@ def significant(tests: Sequence[Test], above: float = BLUNDER) -> list[Test]:
 
 def is_poor(w: float, chi2: float, freedom: int, above: float = POOR) -> bool:
     """Whether a test with so much χ² says that something does not fit, by a limit of its w."""
-    return w > above and chi2 > PER_FREEDOM * freedom
+    return w > above and chi2 > MAX_AXES_CHI2 * freedom
 
 
 def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
@@ -429,7 +420,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                 own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
                 if own:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
-    worst = list(found.values())[:MOST_SUSPECTS]
+    worst = list(found.values())[:MOST_LEFT_OUT]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
     # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
     of_end = {end.name: end.axis for end in now.datum.surveyed.ends}

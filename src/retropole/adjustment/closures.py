@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 from ..alignment.adjustment import MAX_TRANSLATION_SIGMA
 from ..alignment.certainty import excess
 from ..alignment.network import Observation
-from ..alignment.solver import inverse_of
+from ..alignment.solver import ROUNDING, inverse_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -30,9 +30,6 @@ from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60
 """At most this many loops are closed: of 8 LiDARs that all see each other, all 56 triangles."""
-
-RIDGE = 1e-9
-"""Precision of unknowns that a pair gives no information about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,7 @@ def _edge(
     places = [part.place for part in parts] + ([] if scene is None else [scene.place])
     place = np.unique(np.concatenate(places))
     place = place[~np.isin(place, unknowns.pose(lidars[0]))]
-    information: Array = RIDGE * np.eye(len(place))
+    information: Array = ROUNDING * np.eye(len(place))
     slope = np.zeros(len(place))
     for part in parts:
         _add(information, slope, place, part.place, part.information, at.slope(part))

@@ -183,8 +183,10 @@ NARROWED = 0.4
 that independent residuals leave: a tenth of `INFORMATION_SHARE`. Stopped before, one of 30 sites
 (benchmarks/same_answers.py, number 10) ended 4 σ from where it came to rest."""
 
-SUPPORT_WIDTH = 0.01
-"""Residual that halves the support of a pair when minima are compared, metres."""
+CLOSE = 0.02
+"""Patches that lie so far apart count by half where answers are compared, metres: twice what the
+range offset of a LiDAR is taken for where nothing is known of it, and a tenth of the error that a
+moved pole makes of a pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +255,7 @@ def support_of(end: End) -> float:
     return sum(
         float(np.sum(pairs.agreement / (1.0 + square)))
         for pairs in (term.pairs for term in end.scene)
-        for square in [pairs.residuals**2 / (pairs.variance + SUPPORT_WIDTH**2)]
+        for square in [pairs.residuals**2 / (pairs.variance + CLOSE**2)]
     )
 
 

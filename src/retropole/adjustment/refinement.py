@@ -23,7 +23,6 @@ from scipy.linalg import block_diag
 
 from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import (
-    CONFIDENCE,
     Part,
     chi2_limit,
     excess,
@@ -36,13 +35,13 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
 from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
-from ..base.uncertainty import Uncertainty
+from ..base.uncertainty import SIGMAS, Uncertainty
+from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
-    POSE_SIGMAS,
     every_nth_patch,
     some_of,
     without_errors,
@@ -133,8 +132,8 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Where the uncertainty exceeds the distance of corresponding surfaces, the end of the search
-    may depend on its start. The ends are `POSE_SIGMAS` to either side.
+    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
+    at may depend on where it started. The ends are `SIGMAS` to either side.
     """
     assert poles.covariance is not None
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
@@ -142,7 +141,7 @@ def approaches_from_afar(
     widest = float(np.sqrt(max(values[-1], 0.0)))
     if widest < MIN_CORRESPONDENCE_DISTANCE:
         return []
-    step = POSE_SIGMAS * widest * vectors[:, -1] * scale
+    step = SIGMAS * widest * vectors[:, -1] * scale
     found = [
         approach(
             problem,

@@ -24,6 +24,7 @@ from ..alignment.certainty import excess, normalised
 from ..alignment.maximum import MIN_INLIER_SHARE, Sight
 from ..alignment.network import Network, Observation
 from ..alignment.posterior import JointState, Posterior, State, evaluate_lidar
+from ..alignment.solver import ROUNDING
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray, Kind, Test
@@ -139,7 +140,7 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
     by_scene = taken_up.T @ at.scene_information @ taken_up
     scatter = excess(of_parts(scene @ scene.T), of_parts(by_scene))
     size, way = np.linalg.eigh(of_parts(left + wide @ wide.T) + scatter)
-    least = LEAST_CHECKED * np.einsum("pii->pi", of_parts(moved.own)).max(axis=1)
+    least = ROUNDING * np.einsum("pii->pi", of_parts(moved.own)).max(axis=1)
     slope = together @ (moved.slope - taken_up.T @ at.remainder)
     along = np.einsum("pij,pi->pj", way, slope)
     chi2 = np.sum(along**2 / np.where(size > least[:, None], size, np.inf), axis=1)
@@ -239,13 +240,10 @@ def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""
 
-POOR, PER_FREEDOM = 5.0, MAX_AXES_CHI2
-"""Normalised residual (w) above which an observation fits poorly, if its χ² is above this for each
-degree of freedom: with many of them, small errors that are not modelled add up. `blunders.BLUNDER`
-cites what set the first; the second is the limit of a pair's poles."""
-
-LEAST_CHECKED = 1e-9
-"""Part of an error's own information below which the others do not determine it at all."""
+POOR = 5.0
+"""Normalised residual (w) above which an observation fits poorly, if its χ² is above
+`MAX_AXES_CHI2` for each degree of freedom, the limit of a pair's poles: with many of them, small
+errors that are not modelled add up. `blunders.BLUNDER` cites what set it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,8 +293,8 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
     left = error.own - error.cross.T @ taken_up
     spread = left + more
-    # Of what no observation checks only rounding is left: none of it is a test.
-    least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
+    # Of what nothing checks only rounding is left: none of it is a test.
+    least_checked = ROUNDING * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
     told = size > least_checked
     # All else follows: what the iterations left of its slope counts where little is tested.
@@ -305,7 +303,7 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     # An error ∇ moves the slope by S ∇.
     seen = (way[:, told].T @ left) / np.sqrt(size[told])[:, None]
     size, way = np.linalg.eigh(error.own)
-    whole = size > LEAST_CHECKED * size[-1]
+    whole = size > ROUNDING * size[-1]
     inverse = (way[:, whole] / size[whole]) @ way[:, whole].T
     redundancy = float(
         np.clip(np.trace(inverse @ left) / max(np.count_nonzero(whole), 1), 0.0, 1.0)
@@ -359,7 +357,7 @@ def all_tests(
             one.redundancy,
             one.minimal_detectable,
             one.external,
-            max(POOR, normalised(PER_FREEDOM * freedom, freedom, each.among)),
+            max(POOR, normalised(MAX_AXES_CHI2 * freedom, freedom, each.among)),
         )
 
 

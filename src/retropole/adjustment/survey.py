@@ -20,11 +20,8 @@ from ..base.description import Site, SurveyedPole
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
 from ..hypotheses.correspondence import match_poles
+from ..surfaces.visibility import OVERLAP_DISTANCE
 from .shared import SharedPole
-
-NEAR_SURVEYED = 0.5
-"""A surveyed end or control point lies so near what the LiDARs see of it, metres: the poses may be
-off by as much before they are adjusted, and a blunder of a decimetre is to be found, not missed."""
 
 BESIDE_END = 0.3
 """Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
@@ -97,7 +94,7 @@ def order(fit: Fit) -> tuple[float, float]:
     A truncated quadratic (Torr and Zisserman 2000): one more that is met to half a metre, with
     all others pulled along, is no more than what fits to centimetres.
     """
-    return -fit.ends * (1.0 - (fit.rms / NEAR_SURVEYED) ** 2), fit.rms
+    return -fit.ends * (1.0 - (fit.rms / OVERLAP_DISTANCE) ** 2), fit.rms
 
 
 def fixes_frame(site: Site, poles: frozenset[int], points: frozenset[int]) -> bool:
@@ -159,7 +156,7 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
         own = list(some)
         T = _onto(a[own], b[own])
         # Triangles of another shape are none of the same points.
-        if T is not None and se3.lengths(se3.apply(T, b[own]) - a[own]).max() < NEAR_SURVEYED:
+        if T is not None and se3.lengths(se3.apply(T, b[own]) - a[own]).max() < OVERLAP_DISTANCE:
             yield T
 
 
@@ -199,7 +196,7 @@ def _fit(
     for q, point in enumerate(site.points):
         for k, seen in sightings_of(site, q, origins, poses):
             gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
-            if gap < NEAR_SURVEYED:
+            if gap < OVERLAP_DISTANCE:
                 gaps.append(gap)
                 sightings.add((q, k))
     lines = sum(_is_line(site.poles[k]) for k in met)
@@ -220,7 +217,7 @@ def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | Non
         pole
         for pole in poles
         if pole.placement == each.placement
-        and farthest_beside(each, pole) < NEAR_SURVEYED
+        and farthest_beside(each, pole) < OVERLAP_DISTANCE
         and _is_between(each, pole)
     ]
     return min(near, key=lambda pole: farthest_beside(each, pole), default=None)
@@ -254,7 +251,7 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
 
 def _same(T: Array, other: Array, poles: Sequence[SharedPole]) -> bool:
     at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
-    return se3.difference_at(T, other, at).translation < NEAR_SURVEYED
+    return se3.difference_at(T, other, at).translation < OVERLAP_DISTANCE
 
 
 def transformed(pole: SharedPole, T: Array) -> SharedPole:
@@ -463,7 +460,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
     if gaps:
         values["gap_m"] = min(gaps)
         near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
-    if gaps and min(gaps) < NEAR_SURVEYED:
+    if gaps and min(gaps) < OVERLAP_DISTANCE:
         near = "what the LiDARs see there reaches beyond its surveyed ends"
     return Reason(
         "survey_unmet",

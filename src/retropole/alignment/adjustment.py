@@ -24,6 +24,7 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
+from ..extraction.lines import MIN_LINE_POINTS
 from .certainty import (
     MAX_NORMAL,
     POLES,
@@ -41,6 +42,7 @@ from .certainty import (
 )
 from .maximum import JointPriors, Sight, lines_of, maximise_joint, noise_of_start
 from .network import (
+    DEPTH_SIGMA,
     OF_SOURCE,
     Network,
     PoleFactor,
@@ -56,9 +58,9 @@ from .solver import Solution
 from .survey import NOTHING_SURVEYED, KnownPose, Surveyed
 from .unknowns import POSE
 
-RADIUS_MODEL, RADIUS_EDGE = 0.0015, 0.12
-"""1 σ of the radius that the beam model itself does not determine, metres, and as a part of the
-one given: which returns from the edge of a pole are bright enough is not known. Where intensity
+RADIUS_EDGE = 0.12
+"""1 σ of the radius that the beam model itself leaves open, as a part of the one given, beyond
+`DEPTH_SIGMA`: which returns from the edge of a pole are bright enough is not known. Where intensity
 falls with range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the returns
 alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and 3.6 σ with
 0.06; with 0.12 all of 24 diameters that were given for the radius are contradicted."""
@@ -103,7 +105,7 @@ def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> Ret
     variance = float(row[own] + passed @ passed)
     return ReturnsRadius(
         radius + float(estimate.errors[own - poses]),
-        float(np.sqrt(variance + RADIUS_MODEL**2 + (RADIUS_EDGE * radius) ** 2)),
+        float(np.sqrt(variance + DEPTH_SIGMA**2 + (RADIUS_EDGE * radius) ** 2)),
     )
 
 
@@ -176,9 +178,6 @@ RADIUS_TOLERANCE = 0.02
 
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""
-
-MIN_RETURNS_PER_POLE = 3
-"""A line through two returns gives no information about their noise."""
 
 PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
@@ -295,7 +294,7 @@ def align_beams(
     Raises
     ------
     Refusal
-        ``too_few_points`` with less than two poles, or one `by_place`, or `MIN_RETURNS_PER_POLE`
+        ``too_few_points`` with less than two poles, or one `by_place`, or `MIN_LINE_POINTS`
         returns on one;
         ``degenerate_poles`` where the poles leave the pose all but free in some direction;
         ``poor_fit`` where most returns lie on no common pole.
@@ -407,12 +406,12 @@ def align_all(
 def _check_counts(target: Beams, source: Beams, needed: int) -> None:
     counts = np.concatenate([np.bincount(one.pole) for one in (target, source)])
     poles = int(target.pole.max()) + 1
-    if poles < needed or counts.min() < MIN_RETURNS_PER_POLE:
+    if poles < needed or counts.min() < MIN_LINE_POINTS:
         raise Refusal(
             "too_few_points",
             f"{counted(poles, 'pole')} with {counted(int(counts.min()), 'return')} on the "
             f"poorest: {counted(needed, 'pole')} with "
-            f"{MIN_RETURNS_PER_POLE} each are the least; bring the poles nearer or add frames",
+            f"{MIN_LINE_POINTS} each are the least; bring the poles nearer or add frames",
             {"poles": poles, "returns": int(counts.min())},
         )
 

@@ -24,7 +24,8 @@ from scipy.special import chdtrc, chdtri, erfcinv, fdtri, ndtri
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
 from ..base.systematic import Groups
-from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
+from ..base.uncertainty import BUDGET_RANGE, BudgetEntry, Uncertainty, floor, predicted_error
+from ..base.uncertainty.purpose import CONFIDENCE
 from .network import PoleFactor
 from .solver import inverse_of
 from .unknowns import POSE
@@ -121,14 +122,11 @@ DEPTH = "depth of the poles"
 SWAY = "sway while it recorded"
 """What it calls what is left of that."""
 
-BUDGET_RANGE = 30.0
-"""Range at which shares of the budget are told, metres."""
-
 SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
 """What the LiDARs of a pair are called."""
 
-CONFIDENCE, SIGNIFICANT = 0.95, 0.99
-"""Share of the errors that stated regions hold; share of chance up to which it may be chance."""
+SIGNIFICANT = 0.99
+"""Share of chance up to which it may be chance."""
 
 
 SIGNIFICANCE = 0.001

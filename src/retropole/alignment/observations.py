@@ -11,10 +11,8 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
+from ..extraction.sensor_pattern import ORDINARY_DIVERGENCE
 from .likelihood import OUTLIER_RADIUS, closest_approach
-
-DIVERGENCE = 0.003
-"""Full angle of the beams of a sensor that is not known, rad: manufacturers state 1.5 to 8 mrad."""
 
 PASSING = 0.015
 """A beam passes next to a pole within this distance of its surface, and returns from farther behind
@@ -110,10 +108,10 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
         One LiDAR's poles, each with the cloud that it was found in. All clouds share the beam
         origin.
     sensor
-        What recorded them, and how wide its beams are; `DIVERGENCE` where it is not known.
+        What recorded them, and how wide its beams are; `ORDINARY_DIVERGENCE` where it is not known.
     """
     origin = seen[0][1].origin
-    divergence = DIVERGENCE if sensor is None else sensor.divergence
+    divergence = ORDINARY_DIVERGENCE if sensor is None else sensor.divergence
     found = [_near(pole, cloud, divergence) for pole, cloud in seen]
     ray = np.concatenate([near.returns for near in found]) - origin
     ranges = np.linalg.norm(ray, axis=1)

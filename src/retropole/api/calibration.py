@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from .inputs import (
 from .options import checked_options, with_keywords
 from .result import CalibrationResult, SiteResult
 from .site_inputs import inputs_of, read_site, repeated
+
+if TYPE_CHECKING:
+    from .carried import SeenWalk
 
 
 def calibrate(
@@ -124,6 +127,7 @@ def calibrate_with(
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
     listener: Listener = SILENT,
+    walk: Callable[[], SeenWalk] | None = None,
 ) -> CalibrationResult:
     """Calibrate as `calibrate` does, with the options of a run as the result document holds them.
 
@@ -135,6 +139,8 @@ def calibrate_with(
         The options.
     listener
         Told of each step as it starts, and of each cloud once it is read.
+    walk
+        As `carried.calibrate_walk` takes it.
 
     Raises
     ------
@@ -146,8 +152,8 @@ def calibrate_with(
     if config.carried:
         from .carried import calibrate_walk
 
-        walk, recorded = calibrate_walk(target, source, config, listener)
-        return CalibrationResult(walk, placements=recorded)
+        found, recorded = calibrate_walk(target, source, config, listener, walk)
+        return CalibrationResult(found, placements=recorded)
     start = time.perf_counter()
     pairs = read_placements(target, source, config, listener)
     inputs = [each for pair in pairs for each in pair]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from ..base.datatypes import Placement, PointCloud
@@ -16,7 +18,7 @@ from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
 from ..carried.walk import calibrate_tracks
 from ..io.fields import in_metres
-from ..io.recordings import chosen_frames, is_unix
+from ..io.recordings import Frame, chosen_frames, is_unix
 from ..io.timed import timed_frames
 from ..result import ResultDoc, RunConfig, result_document
 from ..verdict.fitness import judge
@@ -24,6 +26,7 @@ from ..verdict.statement import state_refusal
 from .inputs import (
     CloudSource,
     Input,
+    InputPair,
     Listener,
     input_documents,
     read_placements,
@@ -32,11 +35,28 @@ from .inputs import (
 )
 
 
+class SeenWalk(NamedTuple):
+    """What two LiDARs saw of the pole.
+
+    ``ahead`` is by how much each one's clock is ahead of the recorder's, s; None is not known.
+    """
+
+    tracks: tuple[Track, Track]
+    ahead: tuple[float | None, float | None]
+
+    @property
+    def between(self) -> float | None:
+        """By how much the source's clock is ahead of the target's, as the recorders say, s."""
+        target, source = self.ahead
+        return None if target is None or source is None else source - target
+
+
 def calibrate_walk(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
     listener: Listener,
+    walk: Callable[[], SeenWalk] | None = None,
 ) -> tuple[ResultDoc, tuple[Placement, ...]]:
     """Find pose and clock offset of two LiDARs before which one pole is carried.
 
@@ -46,6 +66,8 @@ def calibrate_walk(
         Recordings of several sweeps: paths, or clouds with ``frame`` and ``time``.
     config, listener
         As of `calibration.calibrate_with`.
+    walk
+        Gives what is known of the pole in these recordings; None searches them.
 
     Returns
     -------
@@ -76,13 +98,14 @@ def calibrate_walk(
             if twice is not None:
                 raise twice
             with step("extract"):
-                (of_target, first), (of_source, second) = (
-                    _track(given, radius, listener) for given in pair
-                )
+                seen = _search(pair, radius, listener) if walk is None else walk()
+            documents = [
+                structs.replace(each, threshold=track.threshold)
+                for each, track in zip(documents, seen.tracks, strict=True)
+            ]
             with step("adjust"):
-                known = None if first is None or second is None else second - first
                 sensors = pair.target.sensor, pair.source.sensor
-                found = calibrate_tracks((of_target, of_source), sensors, radius, known)
+                found = calibrate_tracks(seen.tracks, sensors, radius, seen.between)
             with step("refine"):
                 stated = state_walk(found, placement, seconds, scene=config.refine)
             calibration = judge(stated, config.need)
@@ -92,12 +115,30 @@ def calibrate_walk(
     return document, calibration.placements
 
 
+def _search(pair: InputPair, radius: float, listener: Listener) -> SeenWalk:
+    (target, first), (source, second) = (_track(each, radius, listener) for each in pair)
+    return SeenWalk((target, source), (first, second))
+
+
 def _track(given: Input, radius: float, listener: Listener) -> tuple[Track, float | None]:
     """Find the carried pole, and by how much the LiDAR's clock is ahead of the recorder's, s."""
     ahead: list[float] = []
     sweeps = _sweeps_of(given, listener, ahead)
     track = find_track(sweeps, given.sensor, threshold=given.threshold, radius=radius)
-    return track, float(np.median(ahead)) if ahead else None
+    return track, median_of(ahead)
+
+
+def ahead_of_recorder(frame: Frame) -> list[float]:
+    """By how much the clock of a timed sweep is ahead of its recorder's, s; empty if not known."""
+    assert frame.cloud.time is not None
+    if frame.stamp is None or not is_unix(frame.stamp):
+        return []
+    return [float(frame.cloud.time.min()) - frame.stamp]
+
+
+def median_of(ahead: Sequence[float]) -> float | None:
+    """Take the median over all sweeps; None of none."""
+    return float(np.median(ahead)) if ahead else None
 
 
 def _sweeps_of(given: Input, listener: Listener, ahead: list[float]) -> Iterator[PointCloud]:
@@ -113,7 +154,5 @@ def _sweeps_of(given: Input, listener: Listener, ahead: list[float]) -> Iterator
     name = f"search {recording.path.name}: sweep"
     for k, frame in enumerate(timed_frames(recording, numbers), 1):
         listener.progress(step_of(name, k, len(numbers)))
-        assert frame.cloud.time is not None
-        if frame.stamp is not None and is_unix(frame.stamp):
-            ahead.append(float(frame.cloud.time.min()) - frame.stamp)
+        ahead += ahead_of_recorder(frame)
         yield in_metres(frame.cloud, given.how.unit)

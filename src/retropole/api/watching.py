@@ -32,7 +32,15 @@ from ..io.live import Source as Source
 from ..io.live import names_of as names_of
 from ..io.live import open_sources as open_sources
 from ..planning.comparison import against_plan
-from ..planning.live_advice import Advice, Outcome, advice_after, advise, keep_still, outcome_of
+from ..planning.live_advice import (
+    Advice,
+    Outcome,
+    advice_after,
+    advise,
+    another,
+    keep_still,
+    outcome_of,
+)
 from ..planning.live_poles import (
     SWEEPS,
     Capture,
@@ -269,12 +277,12 @@ class Watch:
             self._note(f"{self._wish.names[k]}: {words}")
         if taken.is_of_another_frame:
             self._capture = None
-        elif taken.searched is not None and self._capture is not None:
-            self._capture = self._capture.with_frame(k, taken.searched)
+        elif taken.frame is not None and self._capture is not None:
+            self._capture = self._capture.with_frame(k, taken.frame)
 
     def _next(self, now: float) -> Advice:
         """Say what is to be done; keep sweeps while all is good, and work out the answer."""
-        placements = len(self._used)
+        again = another(len(self._used))
         if self.checked is not None:
             return Advice(
                 self.checked.status, checked_words(self.checked), self.checked.status == "same"
@@ -284,14 +292,14 @@ class Watch:
         if self._work is not None:
             return WORKING_OUT if self._no_room is None else self._no_room[0]
         if self._outcome is not None and self._outcome.is_enough:
-            return advice_after(self._outcome, placements)
+            return advice_after(self._outcome, again)
         advice = self._seen(now)
         capture, ended = self._capture, any(each.source.has_ended for each in self._lidars)
         if ended:
             if capture is None or not capture.count:
                 self.is_over = True
                 if self._outcome is not None:
-                    return advice_after(self._outcome, placements)
+                    return advice_after(self._outcome, again)
                 return Advice("ended", "The recordings have ended before anything was kept.")
         elif not advice.is_good:
             if capture is not None:
@@ -301,7 +309,7 @@ class Watch:
         elif capture is None:
             kept, outcome = self._kept, self._outcome
             if kept and outcome and not is_elsewhere(kept, self._tracks, now):
-                return advice_after(outcome, placements)
+                return advice_after(outcome, again)
             self._capture = capture = begun(self._tracks, now)
         assert capture is not None
         if self._trial is None and capture.count and self._wish.stored is None:

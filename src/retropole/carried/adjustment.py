@@ -70,6 +70,9 @@ FASTER = 1.6
 """Power to which a change of the noise is raised: it comes to rest in half of the steps (EM comes
 there slowly where the data leave much of the motion open)."""
 
+SHORT = 1.0
+"""Steps of the clock are sought at times so far from each other, s."""
+
 HELD = 1e-6
 """The offset of all is held to so much, s, where each window has its own."""
 
@@ -114,12 +117,16 @@ class Adjusted:
         across an angle, rad.
     clock_windows
         (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
-        relative to that of all, and its 1 σ, s.
+        beside that of all, and its 1 σ, s.
+    clock_step
+        (3,) when a step of the offset is likeliest, s, the step and its 1 σ, s.
     random, parts
         (6, 6) of `covariance` from the scatter of the returns and the motion of the pole, and what
         each systematic error adds.
     converged, cost
         Whether steps came to rest; the sum of the robust losses with the priors.
+    frame, state, border
+        The knots, the unknowns about the start of the beams, and the covariance of the border.
     """
 
     T_target_source: Array
@@ -137,11 +144,15 @@ class Adjusted:
     T_walk_target: Array
     spread: Array
     clock_windows: Array
+    clock_step: Array
     random: Array
     parts: tuple[Part, ...]
     off_along: Array
     converged: bool
     cost: float
+    frame: Frame
+    state: State
+    border: Array
 
     @property
     def left_out(self) -> float:
@@ -228,12 +239,15 @@ def adjust(
         at,
         frame.T_walk_target,
         spread,
-        _clock_windows(frame, state, system, weights, motion, draws),
+        *_clock(frame, state, system, weights, motion, draws),
         step.covariance[POSE, POSE] - systematic,
         parts,
         sigma * system.residuals[:, 0],
         converged,
         float(cost),
+        frame,
+        state,
+        step.covariance,
     )
 
 
@@ -248,11 +262,8 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
     """
     T = T_target @ found.T_target_source @ se3.inverse(T_source)
-    R = T_target[:3, :3]
-    # Errors are those of another origin of the source, on other axes.
     J = np.eye(7)
-    J[:3, :3] = J[3:6, 3:6] = R
-    J[3:6, :3] = -se3.hat(T[:3, 3] - (T_target @ found.T_target_source)[:3, 3]) @ R
+    J[:6, :6] = steps_in_recordings(found, T_target, T_source)
     wide = np.eye(12)
     wide[6:, 6:] = J[:6, :6]
     return replace(
@@ -263,6 +274,18 @@ def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted
         parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
         T_walk_target=found.T_walk_target @ se3.inverse(T_target),
     )
+
+
+def steps_in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Array:
+    """Give (6, 6) that takes errors ``[φ, δ]`` of a pose to the frames of `in_recordings`.
+
+    They are those of another origin of the source, on other axes.
+    """
+    whose = T_target @ found.T_target_source
+    R, J = T_target[:3, :3], np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = R
+    J[3:, :3] = -se3.hat((whose @ se3.inverse(T_source))[:3, 3] - whose[:3, 3]) @ R
+    return J
 
 
 def _weights(residuals: Array) -> Array:
@@ -281,7 +304,9 @@ def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Ar
     for lidar in (0, 1):
         own = system.lidar == lidar
         w, sigma = weights[own], system.sigma[own]
-        left = (w * (1 - np.minimum(leverage[own], 0.95))).sum(axis=0)
+        # Rows that leave the same open across are one, each a part of it.
+        share = np.stack([np.ones(len(w)), 1 / frame.seen[lidar].rows.sharing], axis=1)
+        left = (w * (share - np.minimum(leverage[own], 0.95 * share))).sum(axis=0)
         known = np.isfinite(sigma[:, 1])
         off = np.where(known[:, None], sigma, 0.0) * system.residuals[own]
         stated = system.stated[own]
@@ -312,24 +337,15 @@ def _solve(
     """One step, the covariance of the border, and the noise of the motion that follows."""
     w = weights.reshape(-1)
     r = system.residuals.reshape(-1)
-    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
-    normal = (weighted.T @ system.by_coefs).tocoo()
-    band = curvature_band(frame.count, noise)
-    lower = normal.row >= normal.col
-    row, column = normal.row[lower], normal.col[lower]
-    np.add.at(band, (row - column, column), normal.data[lower])
-    side = np.asarray((weighted.T @ system.by_border).todense())
-    corner = np.asarray(
-        (system.by_border.multiply(w[:, None]).T @ system.by_border).todense()
-    ) + np.diag(frame.prior**-2)
+    weighted, factor, side, corner = _normal(frame, system, w, noise)
+    corner += np.diag(frame.prior**-2)
     held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
     second = curvature(state.coefs) * KNOT / noise
     pull = np.zeros_like(state.coefs)
-    for k, factor in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
-        pull[k : len(pull) - 2 + k] += factor * second
+    for k, part in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
+        pull[k : len(pull) - 2 + k] += part * second
     g_coefs = weighted.T @ r + pull.ravel()
     g_border = system.by_border.T @ (w * r) + held
-    factor = cholesky_banded(band, lower=True)
     solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
     schur = corner - side.T @ solved[:, :-1]
     covariance = np.linalg.inv(schur)
@@ -350,6 +366,27 @@ def _solve(
     return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
 
 
+def _normal(
+    frame: Frame, system: System, w: Array, noise: Array
+) -> tuple[csr_array, Array, Array, Array]:
+    """Weighted rows by the splines, the Cholesky factor of the splines' band, side and corner."""
+    weighted = system.by_coefs.multiply(w[:, None]).tocsr()
+    normal = (weighted.T @ system.by_coefs).tocoo()
+    band = curvature_band(frame.count, noise)
+    lower = normal.row >= normal.col
+    row, column = normal.row[lower], normal.col[lower]
+    np.add.at(band, (row - column, column), normal.data[lower])
+    side = np.asarray((weighted.T @ system.by_border).todense())
+    corner = np.asarray((system.by_border.multiply(w[:, None]).T @ system.by_border).todense())
+    return weighted, cholesky_banded(band, lower=True), side, corner
+
+
+def information_of(frame: Frame, system: System, weights: Array, noise: Array) -> Array:
+    """What residuals with weights (2 N,) say of the border, its prior left out: (C, C)."""
+    _, factor, side, corner = _normal(frame, system, weights, noise)
+    return np.asarray(corner - side.T @ cho_solve_banded((factor, True), side))
+
+
 def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
     """What each error adds to the pose: where what is known of it is off by 1 σ, so is the pose."""
     at = CLOCK + 1
@@ -363,38 +400,80 @@ def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
             at += count
 
 
-def _clock_windows(
+def _offsets(
     frame: Frame,
     state: State,
     system: System,
     weights: Array,
     motion: Array,
     draws: Array,
-) -> Array:
-    """Give each window a separate offset: (K, 3) its middle, the offset and its 1 σ, s."""
-    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
-    counted = (weights > 0).all(axis=1)
-    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
-    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
-    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
-    place[system.lidar == 0] = -1
-    if len(number) < 2:
-        return np.zeros((0, 3))
-    windows = np.zeros((*system.residuals.shape, len(number)))
-    for k, own in enumerate(number):
-        windows[place == own, :, k] = system.offset_slopes[place == own]
-    wider = csr_array(hstack([system.by_border, windows.reshape(-1, len(number))]))
-    prior = np.r_[frame.prior, np.ones(len(number))]
+    place: IntArray,
+) -> tuple[Array, Array]:
+    """Give the source's rows with each place (N,), from 0 on, an offset of their own.
+
+    Returns the offsets (K,) beside that of all, s, and their covariance (K, K).
+    """
+    number = int(place.max()) + 1
+    own = np.flatnonzero((system.lidar == 1) & (place >= 0))
+    at = (2 * own[:, None] + [0, 1]).ravel(), np.repeat(place[own], 2)
+    slopes = system.offset_slopes[own].ravel()
+    windows = csr_array((slopes, at), shape=(system.residuals.size, number))
+    wider = csr_array(hstack([system.by_border, windows]))
+    prior = np.r_[frame.prior, np.ones(number)]
     prior[OFFSET] = HELD
     step = _solve(
         replace(frame, prior=prior),
-        state._replace(border=np.r_[state.border, np.zeros(len(number))]),
+        state._replace(border=np.r_[state.border, np.zeros(number)]),
         system._replace(by_border=wider),
         weights,
         motion,
         draws,
     )
     of_windows = slice(len(frame.prior), None)
-    sigma = np.sqrt(np.diag(step.covariance)[of_windows])
+    return step.border[of_windows], step.covariance[of_windows, of_windows]
+
+
+def _clock(
+    frame: Frame,
+    state: State,
+    system: System,
+    weights: Array,
+    motion: Array,
+    draws: Array,
+) -> tuple[Array, Array]:
+    """Where the clocks' offset changes: `Adjusted.clock_windows` and `Adjusted.clock_step`.
+
+    A step at t is tested against a steady offset by all of the walk: with offsets b of short
+    windows, their covariance C and h = 1 from t on, its best estimate is::
+
+        hᵀ P b / hᵀ P h,    P = C⁻¹ − C⁻¹ 1 1ᵀ C⁻¹ / (1ᵀ C⁻¹ 1),
+
+    with the variance 1 / hᵀ P h. The likeliest t is taken.
+    """
+    known = frame, state, system, weights, motion, draws
+    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
+    counted = (weights > 0).all(axis=1)
+    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
+    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
+    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
+    if len(number) < 2:
+        return np.zeros((0, 3)), np.zeros(3)
+    own = np.full(place.max() + 1, -1)
+    own[number] = np.arange(len(number))
+    offset, covariance = _offsets(*known, own[place])
     middle = frame.first + WINDOW * (number + 0.5)
-    return np.stack([middle, step.border[of_windows], sigma], axis=1)
+    windows = np.stack([middle, offset, np.sqrt(np.diag(covariance))], axis=1)
+
+    times = system.times[system.lidar == 1]
+    first = float(times.min())
+    offset, covariance = _offsets(
+        *known, np.maximum((system.times - first) / SHORT, 0.0).astype(np.int64)
+    )
+    P = np.linalg.inv(covariance)
+    P -= np.outer(P.sum(axis=1), P.sum(axis=0)) / P.sum()
+    after = np.triu(np.ones(P.shape))[1:]
+    precision = np.einsum("ki,ij,kj->k", after, P, after)
+    score = after @ P @ offset
+    k = int(np.argmax(score**2 / precision))
+    step = score[k] / precision[k], precision[k] ** -0.5
+    return windows, np.array([first + SHORT * (k + 1), *step])

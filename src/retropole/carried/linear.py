@@ -104,7 +104,7 @@ def frame_of(
     count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
     bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
     for each in seen:
-        band = np.unique(_bands(each.rows))
+        band = np.unique(ring_bands(each.rows))
         s = each.sizes
         bands.append(band)
         prior.append(
@@ -128,7 +128,7 @@ def frame_of(
     )  # fmt: skip
 
 
-def _bands(rows: Rows) -> IntArray:
+def ring_bands(rows: Rows) -> IntArray:
     """(N,) whose errors each row shares: its ring's, or where there are none, its elevation's."""
     if rows.rings[0] >= 0:
         return rows.rings
@@ -256,7 +256,7 @@ class _Linear(NamedTuple):
 def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     """Linearise the rows of the target (0) or the source (1)."""
     rows = frame.seen[lidar].rows
-    band = np.searchsorted(frame.bands[lidar], _bands(rows))
+    band = np.searchsorted(frame.bands[lidar], ring_bands(rows))
     errors, first = _errors_of(frame, state, lidar)
     count = len(frame.bands[lidar])
     own = errors[DEVICE:].reshape(3, count)[:, band]
@@ -298,8 +298,10 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
 
     b = np.stack([b1, b2], axis=1)
+    common = np.sqrt(rows.sharing)
+    ranging = rows.range_noise * sideways / np.sqrt(rows.hits)
     stated = np.stack(
-        [rows.range_noise * sideways / np.sqrt(rows.hits), left.sigma * np.sqrt(rows.sharing)],
+        [np.hypot(ranging, left.depth_sigma * common), left.sigma * common],
         axis=1,
     )
     sigma = np.stack(

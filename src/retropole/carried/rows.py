@@ -7,7 +7,14 @@ the axis within::
     w = min(R − (k−1)s/2, (k+1)s/2 − R)
 
 of their middle, R being the radius of the pole with the beam, so that its standard deviation is
-w/√3. Rings whose beams have one azimuth leave the same uncertainty: they count as one.
+w/√3. Rings whose beams have one azimuth leave the same open: they count as one, and so do sweeps in
+which the pole rests.
+
+Where rings are not known, each return is a row. Those of one passage of the beams over a half of
+the pole, from y₁ to y₂ across it, need the axis within ``w = R − (y₂ − y₁)/2`` of their middle,
+however many they are: a column of returns has one azimuth. They are moved to that middle, and
+count as one across the pole. How deep hits lie is as open as where they are across: what the depth
+of the cylinder varies by within ± w is theirs in common.
 """
 
 from __future__ import annotations
@@ -37,8 +44,18 @@ WIDEST = 0.015
 """No beam is wider, rad."""
 
 SAME_AZIMUTH = 0.3
-"""Neighbouring rings whose middles differ by less than this part of a step leave the same
-uncertainty."""
+"""Rings and sweeps whose middles differ by less than this part of a step leave the same open."""
+
+PASSAGE = 0.002
+"""Returns follow each other by less, s, while beams pass over a pole: columns of spinning LiDARs
+are 0.05 to 0.2 ms apart, and a carried pole moves by 3 mm."""
+
+SEEN_WIDTH = 0.9
+"""Of single returns, so large a share lies no wider than the pole with the beam (chosen: others are
+of passages whose line is off)."""
+
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(6)
+"""Where the depth is taken within what is open, for its variance, and with which weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +66,15 @@ class Rows:
     ----------
     directions, ranges, times
         (N, 3) unit vectors, (N,) metres and (N,) s: means of each ring's hits.
-    hits, span, step
-        (N,) how many, the angle from the first to the last, and between two, rad.
+    hits, step
+        (N,) how many, and the angle between two, rad; infinite where each return is a row.
+    span, aside
+        (N,) of the returns that leave the same open the angle from first to last, and how far each
+        row was moved to their middle, rad; 0 where rings are known.
     rings, sweep
         (N,) ring, −1 where none are numbered, and place of the sweep in the track.
     sharing
-        (N,) how many rings leave the same uncertainty across the pole.
+        (N,) how many rows leave the same open across the pole.
     divergence
         Full angle of the beams as the widths of the pole show it, rad.
     range_noise
@@ -65,8 +85,9 @@ class Rows:
     ranges: Array
     times: Array
     hits: Array
-    span: Array
     step: float
+    span: Array
+    aside: Array
     rings: IntArray
     sweep: IntArray
     sharing: Array
@@ -91,12 +112,7 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     ranges = np.linalg.norm(track.xyz, axis=1)
     rays = track.xyz / ranges[:, None]
     if track.rings[0] < 0 or (sensor is not None and sensor.pattern == "rosette"):
-        some = track.is_whole
-        one = np.ones(np.count_nonzero(some))
-        return Rows(
-            rays[some], ranges[some], track.stamps[some], one, 0 * one, np.inf,
-            -1 + 0 * track.rings[some], track.sweep[some], one, wide, noise,
-        )  # fmt: skip
+        return _single(track, rays, ranges, radius, wide, noise)
     middle = np.arctan2(track.points[:, 1], track.points[:, 0])[track.sweep]
     azimuth = _wrapped(np.arctan2(rays[:, 1], rays[:, 0]) - middle)
     order = np.lexsort((azimuth, track.rings, track.sweep))
@@ -122,12 +138,16 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     # Across the end of the tape of a pole that leans, a ring hits a part of its width.
     of_sweep = sweep[first]
     sound &= np.r_[False, np.diff(of_sweep) == 0] & np.r_[np.diff(of_sweep) == 0, False]
-    own, of_ring = mean(azimuth), ring[first]
-    beside = (np.diff(of_sweep) == 0) & (np.diff(of_ring) <= 2)
-    beside &= np.abs(np.diff(own)) < SAME_AZIMUTH * step
-    beside &= np.diff(hits) == 0
-    run = np.cumsum(np.r_[True, ~beside])
-    sharing = np.bincount(run)[run].astype(float)
+    own, of_ring = np.arctan2(direction[:, 1], direction[:, 0]), ring[first]
+    sharing = np.ones(len(own))
+    # From ring to ring within a sweep, and from sweep to sweep within a ring.
+    for major, minor in ((of_sweep, of_ring), (of_ring, of_sweep)):
+        by = np.lexsort((minor, major))
+        beside = (np.diff(major[by]) == 0) & (np.diff(minor[by]) <= 2)
+        beside &= np.abs(_wrapped(np.diff(own[by]))) < SAME_AZIMUTH * step
+        beside &= np.diff(hits[by]) == 0
+        run = np.cumsum(np.r_[True, ~beside])
+        sharing[by] *= np.bincount(run)[run]
     away = mean(ranges)
     # Across a pole that leans, an azimuth moves less than sideways.
     east = np.stack([-direction[:, 1], direction[:, 0], 0 * away], axis=1)
@@ -138,8 +158,43 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     if np.count_nonzero(several) > 50:
         wide = float(np.clip(np.mean((width - 2 * radius)[sound] / away[sound]), 0.0, WIDEST))
     return Rows(
-        direction[sound], away[sound], mean(stamp)[sound], hits[sound], span[sound], step,
-        of_ring[sound], of_sweep[sound], sharing[sound], wide, noise,
+        direction[sound], away[sound], mean(stamp)[sound], hits[sound], step, 0 * away[sound],
+        0 * away[sound], of_ring[sound], of_sweep[sound], sharing[sound], wide, noise,
+    )  # fmt: skip
+
+
+def _single(
+    track: Track, rays: Array, ranges: Array, radius: float, wide: float, noise: float
+) -> Rows:
+    """Make a row of each return, moved to the middle of those that leave the same open."""
+    order = np.lexsort((track.stamps, track.sweep))
+    order = order[track.is_whole[order]]
+    rays, ranges, sweep = rays[order], ranges[order], track.sweep[order]
+    n, stamps = track.directions[sweep], track.stamps[order]
+    across = np.cross(n, rays)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    off = track.xyz[order] - track.points[sweep]
+    y, z = np.einsum("ni,ni->n", off, across), np.einsum("ni,ni->n", off, n)
+    follows = (np.diff(sweep) == 0) & (np.diff(stamps) < PASSAGE)
+    passage = np.cumsum(np.r_[False, ~follows])
+    low, high = np.full(passage[-1] + 1, np.inf), np.full(passage[-1] + 1, -np.inf)
+    np.minimum.at(low, passage, z)
+    np.maximum.at(high, passage, z)
+    # Of a line, two ends are all that returns leave open.
+    half = np.unique(2 * passage + (z > (low + high)[passage] / 2), return_inverse=True)[1]
+    low, high = np.full(half.max() + 1, np.inf), np.full(half.max() + 1, -np.inf)
+    np.minimum.at(low, half, y)
+    np.maximum.at(high, half, y)
+    aside = (y - (low + high)[half] / 2) / ranges
+    seen = (high - low)[half]
+    # Where tape glows, returns reach farther than beams are wide.
+    widest = float(np.quantile((seen - 2 * radius) / ranges, SEEN_WIDTH))
+    wide = float(np.clip(widest, wide, max(wide, WIDEST)))
+    moved = rays - aside[:, None] * across
+    moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+    return Rows(
+        moved, ranges, stamps, np.ones(len(ranges)), np.inf, seen / ranges,
+        aside, np.full(len(ranges), -1), sweep, np.bincount(half)[half].astype(float), wide, noise,
     )  # fmt: skip
 
 
@@ -148,13 +203,14 @@ def _wrapped(angle: Array) -> Array:
 
 
 class Open(NamedTuple):
-    """Depth of each row before the axis, and 1 σ of its middle across the pole, (N,) metres.
+    """Depth of each row before the axis, and 1 σ of it and of its middle across, (N,) metres.
 
-    σ is infinite where hits are missing. ``beyond`` is the share of each row's hits whose middle
-    passes next to the pole: only an edge of the beam, or a glow, hit it.
+    σ across is infinite where hits are missing. ``beyond`` is the share of each row's hits whose
+    middle passes beside the pole: only an edge of the beam, or a glow, met it.
     """
 
     depth: Array
+    depth_sigma: Array
     sigma: Array
     beyond: Array
 
@@ -174,23 +230,35 @@ def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> O
         Logarithm of how much wider than taken beams are.
     """
     reach = radius + 0.5 * rows.divergence * np.exp(wider) * rows.ranges
-    single = not np.isfinite(rows.step)
-    step = 2 * reach if single else rows.step * across
-    span = np.zeros_like(reach) if single else (rows.hits - 1) * step
-    whole = np.minimum(reach - span / 2, span / 2 + step - reach)
-    half = reach if single else np.clip(whole, NARROWEST * step, reach)
+    if np.isfinite(rows.step):
+        step, middle = rows.step * across, 0.0 * reach
+        span = (rows.hits - 1) * step
+        whole = np.minimum(reach - span / 2, span / 2 + step - reach)
+        half = np.clip(whole, NARROWEST * step, reach)
+        missing = span / 2 + step - reach < -TOO_FEW * step
+    else:
+        step, middle = 0.0 * reach, rows.aside * rows.ranges
+        span = 0.0 * reach
+        whole = reach - rows.span * rows.ranges / 2
+        half = np.clip(whole, NARROWEST * reach, reach)
+        missing = whole < -TOO_FEW * reach
     depth, beyond = np.zeros_like(reach), np.zeros_like(reach)
+    at_nodes = np.zeros((len(NODES), len(reach)))
     number = np.arange(int(rows.hits.max(initial=1)))
     for k in number:
         there = k < rows.hits
-        place = k * step - span / 2
+        place = middle + k * step - span / 2
         mean = (_area(place + half, radius) - _area(place - half, radius)) / (2 * half)
         inside = np.clip(place + half, -radius, radius) - np.clip(place - half, -radius, radius)
         depth += np.where(there, mean, 0.0)
         beyond += np.where(there, 1 - inside / (2 * half), 0.0)
-    missing = span / 2 + step - reach < -TOO_FEW * step
+        off = np.clip(place + NODES[:, None] * half, -radius, radius)
+        at_nodes += np.where(there, np.sqrt(radius**2 - off**2), 0.0)
+    at_nodes /= rows.hits
+    mean = NODE_WEIGHTS @ at_nodes / 2
+    varied = np.maximum(NODE_WEIGHTS @ at_nodes**2 / 2 - mean**2, 0.0)
     sigma = np.where(missing, np.inf, half / np.sqrt(3))
-    return Open(depth / rows.hits, sigma, beyond / rows.hits)
+    return Open(depth / rows.hits, np.sqrt(varied), sigma, beyond / rows.hits)
 
 
 def _area(y: Array, radius: float) -> Array:

@@ -20,9 +20,8 @@ from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCl
 from ..base.errors import Refusal
 from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, threshold_for
-from ..extraction.acceptance_shape import MIN_POLE_POINTS
 from ..extraction.line_search import near_box
-from ..extraction.lines import LINK, clusters
+from ..extraction.lines import LINK, MIN_POLE_POINTS, clusters
 from ..extraction.poles import extract_poles
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
@@ -87,6 +86,8 @@ class Track:
     T_recording_beams
         (4, 4) from the frame of the points above, where beams start at the origin and turn about
         the z axis, to that of the recording.
+    threshold
+        Intensity from which a return counted as retro-reflective.
     """
 
     times: Array
@@ -100,6 +101,7 @@ class Track:
     sweeps: int
     crowded: float
     T_recording_beams: Array = field(default_factory=lambda: np.eye(4))
+    threshold: float | None = None
 
 
 class Beams(NamedTuple):
@@ -139,11 +141,47 @@ def find_track(
         ``no_times`` where points have no times, and ``no_walk`` where no pole that moves is seen
         in `MIN_SWEEPS`.
     """
-    found: list[Found] = []
-    chosen: Threshold | None = None
-    beams: Beams | None = None
-    count = 0
-    for count, cloud in enumerate(sweeps, start=1):
+    search = Search(sensor, threshold=threshold, radius=radius)
+    for cloud in sweeps:
+        search.add(cloud)
+    return search.track()
+
+
+class Search:
+    """The search for the carried pole in a recording that grows: each sweep is searched once.
+
+    Parameters
+    ----------
+    sensor, threshold, radius
+        As `find_track` takes them.
+
+    Attributes
+    ----------
+    sweeps
+        How many were searched.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor | None = None,
+        *,
+        threshold: float | None = None,
+        radius: float = DEFAULT_RADIUS,
+    ) -> None:
+        self.sweeps = 0
+        self._sensor, self._threshold, self._radius = sensor, threshold, radius
+        self._found: list[Found] = []
+        self._chosen: Threshold | None = None
+        self._beams: Beams | None = None
+
+    def add(self, cloud: PointCloud) -> list[Found]:
+        """Search the next sweep, and give what may be the pole in it.
+
+        Raises
+        ------
+        Refusal
+            ``no_times``.
+        """
         if cloud.time is None or cloud.intensity is None:
             missing = "times" if cloud.time is None else "intensities"
             raise Refusal(
@@ -152,26 +190,45 @@ def find_track(
                 "moves, each return must say when; record with a time for each point",
                 {"points": len(cloud)},
             )
-        beams = beams or beams_of(cloud, sensor)
-        cloud = about_beams(cloud, beams)
+        self._beams = self._beams or beams_of(cloud, self._sensor)
+        cloud = about_beams(cloud, self._beams)
         assert cloud.intensity is not None
         ranges = lengths(cloud.xyz)
-        if chosen is None:
-            chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
-        found += _poles_in(cloud, ranges, chosen, sensor, radius, count - 1)
-    moving = _not_standing(found, count)
-    chain = _longest_way(moving)
-    if len(chain) < MIN_SWEEPS:
-        raise Refusal(
-            "no_walk",
-            f"a pole that moves was found in {len(chain)} of {count} sweeps, {MIN_SWEEPS} are "
-            "needed: carry the pole 3 to 8 m from the LiDARs, where both see most of it",
-            {"sweeps": count, "found": len(chain), "standing": len(found) - len(moving)},
-        )
-    per_sweep = np.bincount([each.sweep for each in moving])
-    assert beams is not None
-    crowded = float(np.mean(per_sweep[per_sweep > 0] > 1))
-    return _track_of(chain, count, crowded, beams.T_recording_beams)
+        if self._chosen is None:
+            self._chosen = threshold_for(cloud.intensity, ranges, self._sensor, self._threshold)
+        found = _poles_in(cloud, ranges, self._chosen, self._sensor, self._radius, self.sweeps)
+        self.sweeps += 1
+        self._found += found
+        return found
+
+    def track(self) -> Track:
+        """Find the carried pole in all sweeps so far.
+
+        Raises
+        ------
+        Refusal
+            ``no_walk``.
+        """
+        moving = _not_standing(self._found, self.sweeps)
+        chain = _longest_way(moving)
+        if len(chain) < MIN_SWEEPS:
+            raise Refusal(
+                "no_walk",
+                f"a pole that moves was found in {len(chain)} of {self.sweeps} sweeps, "
+                f"{MIN_SWEEPS} are needed: carry the pole 3 to 8 m from the LiDARs, where both see "
+                "most of it",
+                {
+                    "sweeps": self.sweeps,
+                    "found": len(chain),
+                    "standing": len(self._found) - len(moving),
+                },
+            )
+        per_sweep = np.bincount([each.sweep for each in moving])
+        assert self._beams is not None
+        assert self._chosen is not None
+        crowded = float(np.mean(per_sweep[per_sweep > 0] > 1))
+        track = _track_of(chain, self.sweeps, crowded, self._beams.T_recording_beams)
+        return replace(track, threshold=self._chosen.value)
 
 
 def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:

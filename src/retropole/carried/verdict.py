@@ -32,9 +32,10 @@ MAX_MOTION = 3.0, 3.0
 """Largest noise of the acceleration of a place, m²/s³, and of the lean, 1/s³, that a person gives
 a pole: people have 0.2 and 0.1, two poles that are taken for one 6 and more."""
 
-MAX_JUMP, JUMP_SIGMAS = 0.003, 5.0
-"""The clocks' offset in a window, and from before it to after, differs by no more, s, or by no more
-σ: so all steps of 50 ms were found, and half of those of 20 ms (tuning seeds 0 to 5)."""
+MAX_JUMP, JUMP_SIGMAS, STEP_SIGMAS = 0.003, 5.0, 4.2
+"""The clocks' offset in a window of 5 s differs by no more, s, or by no more σ; and so does a
+lasting step at the time when it is likeliest, by the last. Of steady clocks, 0.1 % of walks have a
+larger one by chance: the largest of all times is then that of a Brownian bridge (Andrews 1993)."""
 
 MAX_ERROR, AT = 0.25, 30.0
 """1 σ of where a point lands at a range, metres, beyond which a walk is no answer."""
@@ -152,14 +153,11 @@ def window_rms(best: Adjusted) -> float:
 
 def _check_clock(best: Adjusted) -> None:
     """Refuse clocks whose offset changes within the walk by more than they drift."""
-    _, offset, sigma = best.clock_windows.T
-    # Each window alone, and all before one against it and all that follow: a lasting step.
-    w, moment = np.cumsum(sigma**-2.0), np.cumsum(offset * sigma**-2.0)
-    late = (moment[-1:] - moment[:-1]) / (w[-1:] - w[:-1])
-    steps = late - moment[:-1] / w[:-1]
-    sure = np.sqrt(1 / w[:-1] + 1 / (w[-1:] - w[:-1]))
-    found = np.stack([np.r_[offset, steps], np.r_[sigma, sure]], axis=1)
-    jumps = (np.abs(found[:, 0]) > MAX_JUMP) & (np.abs(found[:, 0]) > JUMP_SIGMAS * found[:, 1])
+    step = best.clock_step[1:]
+    found, most = best.clock_windows[:, 1:], JUMP_SIGMAS
+    if abs(step[0]) > STEP_SIGMAS * step[1]:
+        found, most = step[None], STEP_SIGMAS
+    jumps = (np.abs(found[:, 0]) > MAX_JUMP) & (np.abs(found[:, 0]) > most * found[:, 1])
     if jumps.any():
         jump, off = found[int(np.argmax(np.abs(found[:, 0]) * jumps))]
         raise Refusal(

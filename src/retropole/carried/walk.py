@@ -114,6 +114,34 @@ def calibrate_tracks(
     Refusal
         As `calibrate_walk`.
     """
+    return taken(solve_tracks(tracks, sensors, radius, ahead))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What fits two tracks: a solution for each start, about the start of the beams.
+
+    ``ahead`` is by how much the source's clock was taken to be ahead, s; offsets are beside it.
+    """
+
+    tracks: tuple[Track, Track]
+    ahead: float
+    solutions: tuple[Adjusted, ...]
+
+
+def solve_tracks(
+    tracks: tuple[Track, Track],
+    sensors: tuple[Sensor | None, Sensor | None],
+    radius: float,
+    ahead: float | None = None,
+) -> Solved:
+    """Adjust the walk from each start, as `calibrate_tracks` does before it judges.
+
+    Raises
+    ------
+    Refusal
+        ``two_walks`` and ``no_common_walk``.
+    """
     check_tracks(tracks)
     if ahead is None:
         ahead = apart(*tracks)
@@ -132,17 +160,29 @@ def calibrate_tracks(
         Seen(rows_of(track, sensor, radius), sizes_of(sensor))
         for track, sensor in zip(both, sensors, strict=True)
     )
-    best = chosen([adjust(start, both, (target, source), radius) for start in starts])
-    best = in_recordings(best, *(track.T_recording_beams for track in tracks))
+    solutions = [adjust(start, both, (target, source), radius) for start in starts]
+    return Solved(tracks, ahead, tuple(solutions))
+
+
+def taken(solved: Solved) -> WalkCalibration:
+    """Take the solution that is the answer, in the frames of the recordings.
+
+    Raises
+    ------
+    Refusal
+        As `verdict.chosen`.
+    """
+    best = chosen(solved.solutions)
+    best = in_recordings(best, *(track.T_recording_beams for track in solved.tracks))
     covariance = best.covariance[:6, :6] + floor()
     return WalkCalibration(
         best.T_target_source,
         covariance,
-        best.offset + ahead,
+        best.offset + solved.ahead,
         float(np.sqrt(best.covariance[6, 6])),
         best.drift,
         best.middle,
-        tracks,
+        solved.tracks,
         best,
     )
 

@@ -72,6 +72,7 @@ class Stopped(Event):
 @run_options("radius_m", SENSORS[0])
 @run_option(SENSORS[1], more=True)
 @run_options("need_m", "at_m", *WANTED)
+@run_options("carried")
 @more_option(
     "--sweeps", type=Whole(3, 100), default=15, help="Sweeps of each LiDAR kept of a placement."
 )
@@ -133,6 +134,9 @@ def watch(
     is met (--need-cm and --at-m). Else it says what to do for another placement. The folder gets
     the recordings (MCAP), the result, its report, and a certificate where the poles allow one.
 
+    With --carried, one person walks with one pole: the command shows the way and says how to go on,
+    and ends by itself.
+
     \b
     Sources:
       SOURCES
@@ -149,6 +153,7 @@ def watch(
       retropole watch velodyne:2368 velodyne:2369 --from 192.168.1.201 --from 192.168.1.202
       retropole watch hesai:2368 hesai:2369 --angles front.csv --angles rear.csv
       retropole watch replay:drive.bag:/front replay:drive.bag:/rear
+      retropole watch ros2:/front/points ros2:/rear/points --carried --need-cm 3 --at-m 30
       retropole watch ros2:/front/points ros2:/rear/points --check retropole-out
 
     \b
@@ -163,11 +168,16 @@ def watch(
     from ..api.checking import read_stored
     from ..api.plan_checking import load_plan
     from ..api.watching import Source, Watch, Wish, check_publishing, names_of, open_sources
+    from ..api.watching_walk import WalkWatch
     from ..report.text import legible
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+    if options["carried"] and (plan is not None or stored is not None):
+        raise click.UsageError(
+            "--plan and --check are of LiDARs and poles that stand, not --carried"
+        )
     texts = target, source
     first, second = names or names_of(texts, ("target", "source"))
     if first == second:
@@ -199,7 +209,7 @@ def watch(
             )
         if not sources:
             return stopped.code or EXIT_INTERRUPTED
-        made = Watch(sources, wish, out)
+        made = (WalkWatch if options["carried"] else Watch)(sources, wish, out)
         stack.callback(lambda: _told(made.finish(), quiet))
         if not no_page:
             server = _served(lambda: latest[0], port, listen=listen)

@@ -137,7 +137,7 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict
     metadata = {"verdict": verdict} if verdict else {}
     with cloud_stream(file, frames, metadata, transforms, first) as write:
         for when, topic, cloud in sorted(clouds, key=itemgetter(0)):
-            write(topic, when, _points(cloud))
+            write(topic, when, records_of_sweep(cloud))
     return file.getvalue()
 
 
@@ -264,7 +264,7 @@ def _cloud_message(points: NDArray[Any], frame: str, when: int, store: Any) -> A
     )
 
 
-def _points(cloud: PointCloud) -> NDArray[Any]:
+def records_of_sweep(cloud: PointCloud) -> NDArray[Any]:
     """Make a record of each point, in the names that the readers know."""
     xyz = _smallest_floats(cloud.xyz)
     columns: dict[str, NDArray[Any]] = dict(zip("xyz", xyz.T, strict=True))

@@ -15,11 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.quantities import counted
 from ..base.reasons import Code
 from ..io.beams import elevations
-from .lines import MIN_LINE_POINTS, WIDTH_IN_RMS, Line
-
-MIN_POLE_POINTS = 6
-"""Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
-steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
+from .lines import MIN_LINE_POINTS, MIN_POLE_POINTS, WIDTH_IN_RMS, Line
 
 MIN_POLE_RINGS = MIN_LINE_POINTS
 """Fewest rings that hit a pole: one for each point that a line needs."""
@@ -57,14 +53,10 @@ FEW_POLE_POINTS = 10
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
-MAX_FEW_RMS = 0.035
-"""Largest scatter of the returns of a line with few points about it, metres. Sensitivity at 0.0245:
-no effect; at 0.049: 1 more false."""
-
-MAX_RING_EXTENT = 0.15
-"""Points of one ring lie no farther from each other along a pole, metres. A ring that crosses a
-pole of width w leaning sideways by θ leaves w · tan θ: 0.15 m for 12 cm at 51°, or for 4 cm at
-75°. Sensitivity from 0.105 to 0.21: no effect."""
+MAX_SURE_RMS = 0.03
+"""Largest scatter of the returns of a confirmed pole about their line, metres, and of a
+line with few points: 12 mm of a cylinder
+of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
 
 ONE_BEAM_ELEVATION = float(np.radians(0.1))
 """Returns whose elevations span less than this, rad, come from one beam: less than the finest ring
@@ -117,7 +109,7 @@ def shape_failure(
         return Failure("too_wide", reason)
     if line.rms > MAX_RMS + line.thicker or is_long_and_thick:
         return Failure("too_wide", f"{size}, more than any post")
-    if line.rms > line.with_beams(MAX_FEW_RMS) and count < FEW_POLE_POINTS:
+    if line.rms > line.with_beams(MAX_SURE_RMS) and count < FEW_POLE_POINTS:
         reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
         return Failure("too_wide", reason)
     along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings
@@ -128,12 +120,13 @@ def shape_failure(
 
 
 def _runs_along_rings(cloud: PointCloud, line: Line) -> bool:
-    """Whether each ring leaves its points along the line rather than across it."""
+    """Whether each ring leaves its points along the line, farther than the line's tube is wide to
+    either side, rather than across it."""
     assert cloud.ring is not None
     _, member, counts = np.unique(cloud.ring[line.index], return_inverse=True, return_counts=True)
     along = line.along[np.lexsort((line.along, member))]
     last = np.cumsum(counts) - 1
-    return float(np.median(along[last] - along[last + 1 - counts])) > MAX_RING_EXTENT
+    return float(np.median(along[last] - along[last + 1 - counts])) > line.tube
 
 
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:

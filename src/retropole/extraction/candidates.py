@@ -18,13 +18,13 @@ from ..base.se3 import lengths
 from ..base.sensors import Sensor, Threshold, lower_thresholds
 from ..io.beams import with_trusted_rings
 from ..io.scan_lines import with_rings
-from .acceptance_shape import MIN_POLE_POINTS, Failure
+from .acceptance_shape import Failure
 from .certainty import too_thick_for_radius
 from .line_search import MAX_POLES, Sought, find_lines, near_box, parts_of
-from .lines import LINK, MANY, MIN_LINE_POINTS, SEARCH_ROOM, TUBE, clusters
+from .lines import LINK, MANY, MIN_LINE_POINTS, MIN_POLE_POINTS, SEARCH_ROOM, TUBE, clusters
 from .poles import extract_poles, is_too_low, pole_on
 from .sensor_pattern import beams_by
-from .surroundings import Surroundings, along_the_sweeps, in_single_file
+from .surroundings import Surroundings, along_the_sweeps
 
 MIN_CANDIDATE_LENGTH = 0.16
 """Smallest extent of a candidate pole along its line, metres: three rings of a 16-beam sensor, 2°
@@ -106,11 +106,7 @@ def _failure_of(around: Surroundings, radius: float) -> Failure | None:
         hit = np.unique(cloud.ring[around.near[around.on_line]])
         if np.ptp(rings) > np.count_nonzero((hit >= rings[0]) & (hit <= rings[-1])):
             return Failure("too_few_rows", f"hit by {len(hit)} of {np.ptp(rings) + 1} rings")
-    return (
-        too_thick_for_radius(cloud, line, radius)
-        or along_the_sweeps(around)
-        or in_single_file(around)
-    )
+    return too_thick_for_radius(cloud, line, radius) or along_the_sweeps(around)
 
 
 def with_dimmer_candidates(

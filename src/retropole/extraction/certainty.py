@@ -9,13 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.datatypes import PointCloud
-from .acceptance_shape import Failure
+from .acceptance_shape import MAX_SURE_RMS, Failure
 from .lines import HALF, RING_GAP, Line, distance_and_place
 from .surroundings import piece_of, worn_by_a_body
-
-MAX_SURE_RMS = 0.03
-"""Largest scatter of the returns of a confirmed pole about their line, metres: 12 mm of a cylinder
-of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
 
 MAX_GAP_STEPS = 3.5
 """A gap no longer than this many steps from ring to ring is none: two rings missed, since a return

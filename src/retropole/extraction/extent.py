@@ -15,7 +15,7 @@ from ..base.errors import Refusal
 from ..base.se3 import FARTHEST, lengths
 from ..io.beams import RING_SAMPLE, with_beam_origin, with_trusted_rings
 from ..io.coordinates import oddity_of
-from .acceptance_shape import MIN_POLE_POINTS
+from .lines import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0
 """No pose is given about an origin that is farther from the points, metres. One that is known to

@@ -19,7 +19,6 @@ from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
     MIN_LENGTH,
-    MIN_POLE_POINTS,
     THICK_RMS,
     Failure,
     shape_failure,
@@ -27,7 +26,10 @@ from .acceptance_shape import (
 from .lines import (
     HALF,
     MANY,
+    MAX_BESIDE,
     MIN_LINE_POINTS,
+    MIN_POLE_POINTS,
+    MOST,
     SEARCH_ROOM,
     Line,
     clusters,
@@ -41,19 +43,10 @@ from .odds import log_odds
 from .sensor_pattern import NEAR_POLES_END, Beams
 from .surroundings import SHORT_LENGTH, Surroundings, surroundings_of
 
-SURFACE_LINK = 0.4
-"""Points of a large cluster that are on no surface are grouped again with this step, metres: a
-third of `LINK`, so that stray points on bright ground do not connect. Sensitivity at 0.28: 7 fewer
-false; at 0.56: 3 fewer false."""
-
 MAX_POLES = 8
 """Poles removed from one group at most, and candidates that are kept of a cloud, the most probable
 ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
 effect."""
-
-ENOUGH_SHARE = 0.9
-"""A pole with so much of a group's points is taken without trying the other proposals. Sensitivity
-from 0.86 to 0.93: no effect."""
 
 
 class Sought(NamedTuple):
@@ -106,7 +99,7 @@ def parts_of(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Fail
         return [cluster], None
     flat = on_surface(cloud.xyz[cluster])
     rest = cluster[~flat]
-    parts = [rest[group] for group in clusters(cloud.xyz[rest], SURFACE_LINK)]
+    parts = [rest[group] for group in clusters(cloud.xyz[rest], MAX_BESIDE)]
     share = np.count_nonzero(flat) / len(cluster)
     if share <= HALF:
         return parts, None
@@ -173,8 +166,6 @@ def find_lines(
                 first = first or each
             elif best is None or each.log_odds > best.log_odds:
                 best = each
-                if len(each.line.index) >= ENOUGH_SHARE * len(left):
-                    break
         if best is None:
             return found, _failure_of_all(cloud, left, first)
         found.append(best)
@@ -270,7 +261,7 @@ def _failure_of_all(cloud: PointCloud, left: IntArray, first: Judged | None) -> 
         nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
         return Failure("too_short", nothing)
     line, failure = first.line, first.failure
-    if len(line.index) >= ENOUGH_SHARE * len(left):
+    if len(line.index) >= MOST * len(left):
         return failure
     centre, axes = principal_axes(cloud.xyz[left])
     extent = np.ptp((cloud.xyz[left] - centre) @ axes, axis=0)

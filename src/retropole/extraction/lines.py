@@ -20,23 +20,27 @@ from scipy.spatial import cKDTree
 from ..base.datatypes import DEFAULT_RADIUS, Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
-from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter, returns_per_ring
+from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter
 
 LINK = 1.2
 """Points with no longer step between them are one cluster, metres. Longer than two ring spacings of
 a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring divides no pole.
 Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
+MAX_BESIDE = 0.35
+"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
+of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
+5 of them recorded posts, 16 fewer false."""
+
 MANY = 400
-"""Of more points than this, some stand for all: here one for each occupied `CLUSTER_CELL`, in a
+"""Of more points than this, some stand for all: here one for each occupied `SEARCH_ROOM`, in a
 search for lines every second, third … It bounds their pairs: 400 points have 80,000, a bright
 ground of 5,000 points 12 million. Larger clusters are searched without the bright surfaces in them.
 Sensitivity at 280: 1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
 
-CLUSTER_CELL = 0.04
-"""Side of such a cell, metres: a third of the narrowest width distinguished here, the 0.12 m
-radius of a tube about a pole of 2 cm. Sensitivity at 0.028: 5 fewer false; at 0.056: 5 fewer
-false."""
+MIN_POLE_POINTS = 6
+"""Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
+steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
 
 PATCH_RADIUS = 0.3
 """Radius of the neighbourhood that distinguishes a surface from a line, metres: wider than the 0.12
@@ -49,10 +53,6 @@ metres. Points spread over a disc of 0.3 m have 0.15, over the half of one at an
 a pole no more than `MAX_RMS`, 0.06. Sensitivity at 0.063: 1 more found, 5 fewer false; at 0.126: 4
 fewer false."""
 
-PATCH_POINTS = 8
-"""A neighbourhood with fewer points gives no information: rings can be farther from each other
-than it is wide. Sensitivity from 6 to 11: no effect; without it, 1 more false in a recording."""
-
 
 def clusters(xyz: Array, link: float) -> list[IntArray]:
     """Group points that chains of steps no longer than ``link`` connect.
@@ -62,7 +62,7 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
     xyz
         (N, 3) points, metres.
     link
-        Longest step, metres; between cells of `CLUSTER_CELL` where the points are many.
+        Longest step, metres; between cells of `SEARCH_ROOM` where the points are many.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def on_surface(xyz: Array) -> BoolArray:
     mean = sums[:, 1:4] / count
     scatter = (sums[:, 4:] / count).reshape(-1, 3, 3) - np.einsum("ni,nj->nij", mean, mean)
     across = np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 1], 0.0))
-    return np.asarray(((across > PATCH_WIDTH) & (count[:, 0] >= PATCH_POINTS))[member])
+    return np.asarray(((across > PATCH_WIDTH) & (count[:, 0] >= MIN_POLE_POINTS))[member])
 
 
 def _cells(xyz: Array) -> tuple[Array, IntArray]:
@@ -115,7 +115,7 @@ def _cells(xyz: Array) -> tuple[Array, IntArray]:
     if len(xyz) <= MANY:
         return xyz, np.arange(len(xyz))
     member: IntArray = np.zeros(len(xyz), dtype=np.int64)
-    for column in ((xyz - xyz.min(axis=0)) // CLUSTER_CELL).T:
+    for column in ((xyz - xyz.min(axis=0)) // SEARCH_ROOM).T:
         # Axis by axis: np.unique over rows would sort them as text, ten times slower.
         _, places = np.unique(column, return_inverse=True)
         _, member = np.unique(member * len(xyz) + places, return_inverse=True)
@@ -212,8 +212,6 @@ class Line:
         What beams wider than ordinary ones add to the scatter of the returns, metres.
     thicker
         What a radius above the usual one adds to it, metres.
-    returns_per_ring
-        How many returns each ring can leave on a pole there; infinite where it is not known.
     """
 
     index: IntArray
@@ -226,7 +224,6 @@ class Line:
     tube: float
     beam_scatter: float = 0.0
     thicker: float = 0.0
-    returns_per_ring: float = np.inf
 
     def with_beams(self, limit: float) -> float:
         """Give the largest scatter, metres, that a limit allows with beams of this width.
@@ -467,7 +464,6 @@ def _line_of(
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
         thicker=RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0),
-        returns_per_ring=returns_per_ring(away, radius, beams),
     )
 
 

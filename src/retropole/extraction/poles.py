@@ -32,13 +32,13 @@ from ..base.se3 import lengths
 from ..base.sensors import Sensor, threshold_for
 from ..io.beams import MAX_RING_SPREAD, ring_spread, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
-from .acceptance_shape import MIN_LENGTH, MIN_POLE_POINTS, Failure
+from .acceptance_shape import MIN_LENGTH, Failure
 from .certainty import doubt_of
 from .extent import check_coordinates
 from .line_search import Judged, Sought, find_lines, left_over, near_box, parts_of
-from .lines import HALF, LINK, PROPOSALS, TUBE, clusters
+from .lines import HALF, LINK, MAX_BESIDE, MIN_POLE_POINTS, PROPOSALS, TUBE, clusters
 from .sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS, Beams, beams_by, check_sensor
-from .surroundings import MAX_BESIDE, surroundings_failure
+from .surroundings import surroundings_failure
 
 MAX_BRIGHT = 20_000
 """More points than this, and more than half of the cloud, are not tape; time and memory grow faster

@@ -52,14 +52,13 @@ NEAR_POLES_END = 8.0
 
 @dataclass(frozen=True)
 class Beams:
-    """What is known of the beams that met a line: full angle and step of the sweep, rad, and 1 σ of
-    the ranges, metres.
+    """What is known of the beams that met a line: full angle, rad, and 1 σ of the ranges,
+    metres.
 
     Zero where it is not known: nothing is then granted for it.
     """
 
     divergence: float = 0.0
-    step: float = 0.0
     noise: float = 0.0
 
 
@@ -67,12 +66,8 @@ UNKNOWN = Beams()
 
 
 def beams_by(sensor: Sensor | None) -> Beams:
-    """The beams of a sensor; None if it is not known."""
-    return (
-        UNKNOWN
-        if sensor is None
-        else Beams(sensor.divergence, sensor.azimuth_step, sensor.range_noise)
-    )
+    """The beams of a sensor; None where it is not known."""
+    return UNKNOWN if sensor is None else Beams(sensor.divergence, sensor.range_noise)
 
 
 def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
@@ -95,16 +90,6 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
     wide = RMS_PER_RADIUS**2 * max(seen**2 - ordinary**2, 0.0)
     noisy = beams.noise**2 - ORDINARY_NOISE**2 if beams.noise > NOISY else 0.0
     return float(np.sqrt(wide + noisy))
-
-
-def returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
-    """How many returns one ring can leave on a pole; parameters as for `beam_scatter`.
-
-    Infinite where the step is not known.
-    """
-    if beams.step == 0 or distance == 0:
-        return np.inf
-    return 2 * _seen_radius(distance, radius, beams.divergence) / (distance * beams.step)
 
 
 def _seen_radius(distance: float, radius: float, divergence: float) -> float:

@@ -24,7 +24,6 @@ from ..base.se3 import lengths, principal_axes
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
-    MAX_RING_EXTENT,
     MIN_LENGTH,
     THICK_RMS,
     Failure,
@@ -35,6 +34,7 @@ from .lines import (
     HALF,
     LITTLE,
     MANY,
+    MAX_BESIDE,
     MIN_LINE_POINTS,
     MOST,
     SEARCH_ROOM,
@@ -50,25 +50,17 @@ MIN_CROSSING_ANGLE = float(np.radians(4.0))
 """Smallest angle between two poles that cross, rad. The other edge of a plate is parallel. In 150
 clouds of poles that cross at 3 to 25° the same are found with 2° and 4°; with 8°, 20 are lost."""
 
-PLANE_DISTANCE = 0.05
-"""Points no farther from a plane are on it, metres: 5 σ of 10 mm, the range noise of most sensors
-of the table. Sensitivity at 0.035: 6 fewer false; at 0.07: 6 more false."""
+MAX_CLOSE = 0.09
+"""Clutter nearer to a line than this, metres, is not a wall behind it. Sensitivity at 0.063: no
+effect; at 0.126: 2 fewer false."""
 
 PLANE_MEDIANS = 1.5
 """Distances from the plane, in medians of all, that are kept for the next round. Sensitivity at
 1.05: 2 fewer false; at 2.1: no effect."""
 
-MIN_WALL_GAP = 0.08
-"""A wall at this distance from the line, metres, is not one that the line lies on. A stripe is on
-its wall. Sensitivity at 0.056: 2 more found; at 0.112: no effect."""
-
-NEIGHBOUR_REACH = 0.3
-"""Neighbours are looked for among points no farther than this from a sample first, metres; all are
-asked where one has none there: the answer is the same."""
-
-SWEEP_NEIGHBOURS, FEWEST_AROUND = 8, 16
-"""Nearest neighbours of each return that tell the direction of the sweep; fewer returns than the
-second say nothing: without that, 2 poles of an OS1 are lost in clouds without rings."""
+SWEEP_NEIGHBOURS = 8
+"""Nearest neighbours of each return that show the direction of the sweep. Fewer returns than twice
+as many show nothing: without that, 2 poles of an OS1 are lost in clouds without rings."""
 
 MAX_SWEEP_SHARE = 0.78
 """Largest share of the direction of the line in the squared steps to these neighbours: ½ on a
@@ -120,10 +112,10 @@ def is_wall_behind(beside: Array, own: Array) -> bool:
         centre, axes = principal_axes(beside[kept])
         normal = axes[:, 0]
         distance = np.abs((beside - centre) @ normal)
-        kept = distance <= max(PLANE_DISTANCE, PLANE_MEDIANS * float(np.median(distance)))
+        kept = distance <= max(SEARCH_ROOM, PLANE_MEDIANS * float(np.median(distance)))
     gap = float(np.quantile(np.abs((own - centre) @ normal), MOST))
-    share = float(np.mean(distance <= PLANE_DISTANCE))
-    return share >= MOST and gap >= MIN_WALL_GAP
+    share = float(np.mean(distance <= SEARCH_ROOM))
+    return share >= MOST and gap >= MAX_CLOSE
 
 
 def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
@@ -143,7 +135,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
         The line itself.
     """
     others = np.setdiff1d(near, line.index, assume_unique=True)
-    if len(others) < FEWEST_AROUND:
+    if len(others) < 2 * SWEEP_NEIGHBOURS:
         return False
     points = xyz[others]
     # A sample that does not depend on the order of the points: those nearest to the line.
@@ -151,9 +143,9 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
     order = np.argsort(distance, kind="stable")[:MANY]
     sample = points[order]
     # Of a dense cloud few points are so near to the sample that they can be its neighbours.
-    around = points[distance <= distance[order[-1]] + NEIGHBOUR_REACH]
+    around = points[distance <= distance[order[-1]] + MAX_BESIDE]
     away, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
-    if away.max() > NEIGHBOUR_REACH:
+    if away.max() > MAX_BESIDE:
         around = points
         _, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
     span = around[neighbour[:, 1:]] - sample[:, None]
@@ -164,11 +156,6 @@ SHORT_LENGTH = 0.8
 """A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
 of lamps are. It is the least length of tape that the advice in `reasons` asks for. Sensitivity at
 0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
-
-MAX_BESIDE = 0.35
-"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
-of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
-5 of them recorded posts, 16 fewer false."""
 
 PIECES = 8
 """Pieces that a line is cut into, to see along how much of it other returns are beside it.
@@ -352,14 +339,6 @@ EDGE_QUANTILE = 0.9
 bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
 post without tape one in ten does by chance."""
 
-MAX_CLOSE = 0.09
-"""Clutter nearer to a line than this, metres, is not a wall behind it. Sensitivity at 0.063: no
-effect; at 0.126: 2 fewer false."""
-
-SEVERAL_ON_A_RING = 2.0
-"""Where the step and the width of the beams are known, and a ring can leave fewer returns than this
-on a pole, single file says nothing: a PandarQT does from 3 m on."""
-
 
 def surroundings_failure(around: Surroundings) -> Failure | None:
     """Say what a line is part of; None where it stands free.
@@ -374,7 +353,6 @@ def surroundings_failure(around: Surroundings) -> Failure | None:
         or untaped_between(around)
         or _clutter_of_any_kind(around)
         or along_the_sweeps(around)
-        or in_single_file(around)
         or _goes_on_without_tape(around)
     )
 
@@ -460,22 +438,6 @@ def along_the_sweeps(around: Surroundings) -> Failure | None:
         return None
     reason = f"{len(line.index)} points in the direction in which the beams sweep"
     return Failure("along_a_beam", reason)
-
-
-def in_single_file(around: Surroundings) -> Failure | None:
-    """A short pole seen by rings this close together has several points on each."""
-    line, count = around.line, len(around.line.index)
-    if not around.is_short or around.cloud.ring is not None:
-        return None
-    if line.returns_per_ring < SEVERAL_ON_A_RING:
-        return None
-    if line.step >= MAX_RING_EXTENT or line.rings <= MOST * count:
-        return None
-    return Failure(
-        "along_a_beam",
-        f"{count} points in single file, {100 * line.step:.0f} cm apart along {line.length:.2f} m: "
-        "as one beam leaves them on a plate",
-    )
 
 
 def _goes_on_without_tape(around: Surroundings) -> Failure | None:

@@ -28,7 +28,7 @@ OPTIONS = (
     *("radius_m", "radius_sigma_m", "sensor_target", "sensor_source"),
     *("threshold_target", "threshold_source", "target_topic", "source_topic"),
     *("unit", "unit_source", "intensity", "intensity_source"),
-    *("max_points", "poles", "up", "hypothesis"),
+    *("max_points", "carried", "poles", "up", "hypothesis"),
     *("trust_poles", "deceiving_share", "need_m", "at_m", "mast_sway_deg"),
 )
 """Options of a pair that a list may have as columns: those of `RunConfig`."""

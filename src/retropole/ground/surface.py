@@ -16,8 +16,8 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.systematic import Sizes
-from ..surfaces.averaging import averaged
-from ..surfaces.consistency import DEPTH_TOLERANCE, MAX_TILT, VOXEL, ground_plane
+from ..surfaces.averaging import DEPTH_TOLERANCE, averaged
+from ..surfaces.consistency import MAX_TILT, VOXEL, ground_plane
 from ..surfaces.registration import voxel_downsample
 from .steps import CELL, Level, at_steps, is_around, levels, plane_of_cells
 

@@ -16,12 +16,13 @@ from ..alignment.likelihood import closest_approach
 from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, Hypothesis, Match, Placement, Pole, Scan
 from ..base.sensors import Threshold
+from ..extraction.lines import MIN_POLE_POINTS
 from .choice import is_as_possible
-from .correspondence import MOVED
+from .correspondence import SAME_POSE_DISTANCE
 
-ABSENT = 0.0025
+ABSENT = np.exp(-float(MIN_POLE_POINTS))
 """A pole is absent where so few bright returns, or fewer, have at most this probability: none where
-six are to be expected, as many as a pole needs (`extraction.acceptance_shape`)."""
+as many are expected as a pole needs."""
 
 
 def without_absent(
@@ -76,8 +77,9 @@ def absent(placement: Placement, match: Match) -> int:
 def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     """Whether a LiDAR looks through a pole that ``T`` (4, 4) moves into its frame.
 
-    Of the beams that pass within `MOVED` of the pole, and that nothing before it stops, the share
-    ``r / MOVED`` hits a pole of radius r. Those without any return are not known, nor counted.
+    Of the beams that pass within `SAME_POSE_DISTANCE` of the pole, and that nothing before it
+    stops, the share ``r / SAME_POSE_DISTANCE`` meets a pole of radius r. Those without any return
+    are not known, nor counted.
     """
     cloud, found = seer.cloud, seer.detection
     if found is None or cloud.intensity is None:
@@ -88,14 +90,14 @@ def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     point, axis = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
     toward = point - cloud.origin
     # Those that pass the middle of the pole farther away pass all of it.
-    room = MOVED + pole.length / 2
+    room = SAME_POSE_DISTANCE + pole.length / 2
     some = np.flatnonzero(toward @ toward - (beams @ toward) ** 2 <= room**2)
     by, ranges = closest_approach(cloud.origin, beams[some], point, axis), ranges[some]
     t, along = by.ranges, by.ranges * (beams[some] @ axis) - toward @ axis
-    is_near = (np.abs(by.lateral_offset) <= MOVED) & (np.abs(along) <= pole.length / 2)
-    reaches = is_near & (t > 0) & (ranges >= t - MOVED)
-    expected = np.count_nonzero(reaches) * DEFAULT_RADIUS / MOVED
+    is_near = (np.abs(by.lateral_offset) <= SAME_POSE_DISTANCE) & (np.abs(along) <= pole.length / 2)
+    reaches = is_near & (t > 0) & (ranges >= t - SAME_POSE_DISTANCE)
+    expected = np.count_nonzero(reaches) * DEFAULT_RADIUS / SAME_POSE_DISTANCE
     threshold = Threshold(found.threshold, found.threshold_source, found.threshold_least)
     is_bright = cloud.intensity[some] >= threshold.at(ranges)
-    seen = np.count_nonzero(reaches & is_bright & (ranges <= t + MOVED))
+    seen = np.count_nonzero(reaches & is_bright & (ranges <= t + SAME_POSE_DISTANCE))
     return bool(pdtr(seen, expected) <= ABSENT)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from string import ascii_lowercase
 from typing import Protocol
 
 import numpy as np
@@ -18,12 +19,12 @@ from ..base.datatypes import Array, Calibration, Hypothesis, Placement
 from ..base.errors import Reason, Refusal, UsageError
 from ..surfaces.consistency import ground_normal
 from ..surfaces.static import check_static
-from .candidate_confirmation import counts_candidates
 from .placements import (
     Choice,
     Chosen,
     PairedPlacement,
     PlacementHypotheses,
+    counts_candidates,
     find_recurring,
     rank_joint_hypotheses,
 )
@@ -54,13 +55,10 @@ SAME_VERTICAL = np.radians(10.0)
 """The grounds that the two LiDARs see are one where their normals differ by less, rad: a plane that
 one of them takes for the ground by mistake is seldom so in the other's cloud, too."""
 
-LETTERS = 26
-"""So many hypotheses are named by letters, those after them by ``h`` and a number."""
-
 
 def hypothesis_name(k: int) -> str:
     """Name the k-th hypothesis: a, b, c, … (Xue et al. 2019, Fig. 4)."""
-    return chr(ord("a") + k) if k < LETTERS else f"h{k}"
+    return ascii_lowercase[k : k + 1] or f"h{k}"
 
 
 def is_hypothesis_name(text: object) -> bool:

@@ -28,7 +28,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..extraction.certainty import MAX_SURE_RMS
+from ..extraction.acceptance_shape import MAX_SURE_RMS
 from .placements import Share
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
@@ -205,9 +205,6 @@ def exact_rms(
 EXTENSION_RMS = 3 * EXACT_RMS
 """Distance within which further poles fall into place under a match of two, metres."""
 
-MOVED = 0.5
-"""Poles that a match leaves out are one that moved where less lies between them, metres."""
-
 MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
 """Two poles of a match are one only if they lean against each other by less, rad, and if less lies
 between them along the line, metres: two lines far apart along themselves are two posts."""
@@ -312,7 +309,7 @@ def left_out(
         return []
     T, found = match.T_target_source, []
     others = [target[i] for i in rest_target], [source[j] for j in rest_source]
-    for i, j in extended(*others, T, MOVED):
+    for i, j in extended(*others, T, SAME_POSE_DISTANCE):
         pole, other = others[0][i], others[1][j]
         offset = se3.apply(T, other.inner_point) - pole.inner_point
         distance = float(np.linalg.norm(np.cross(offset, pole.direction)))

@@ -24,27 +24,32 @@ from scipy import fft
 
 from ..base import se3
 from ..base.datatypes import Array, Match, Placement, PointCloud, Pole, Scan, kept
+from ..base.uncertainty import SIGMAS
+from ..extraction.acceptance_shape import MAX_LENGTH
 from ..surfaces.averaging import averaged
-from ..surfaces.consistency import Standing, is_ground_on_ground
+from ..surfaces.consistency import HALF_SIDE, Standing, is_ground_on_ground
 from ..surfaces.registration import voxel_downsample
 from ..surfaces.visibility import SCORING_VOXEL
 from .candidate_confirmation import FACING_SIDES
 from .correspondence import EXTENSION_RMS, extended, same_pose
 from .icp_refinement import prepared, registered
-from .prior import MAX_SIGMAS, PosePrior
+from .prior import PosePrior
 
-CELL_ABOUT_POLE, ANGLES = 0.5, 360
-"""Depth and height of a cell, metres, and cells about the pole: 0.5 m wide at 30 m."""
+CELL = 0.5
+"""Side of a cell, metres. Points up to `HALF_SIDE` from a pole, or from their LiDAR, count."""
 
-RINGS, LAYERS = 80, 64
-"""Cells away from the pole, 40 m, and along it, of which `SLIDE` at either end stay empty."""
+ANGLES = 360
+"""Cells about the pole: 0.5 m wide at 30 m."""
 
-SLIDE = 8
-"""Slides that are tried, in cells: 4 m. The middles of what two LiDARs see of one pole lie no
-further apart than it is long."""
+RINGS = int(HALF_SIDE / CELL)
+"""Cells away from the pole, and along it, of which `SLIDE` at either end stay empty."""
 
-PEAKS_APART = 10, 2
-"""Peaks nearer to each other than this are one, in cells of angle and of slide."""
+SLIDE = int(MAX_LENGTH / CELL)
+"""Slides that are tried, in cells. The middles of what two LiDARs see of one pole lie no farther
+apart than it is long."""
+
+POSES_APART = np.radians(8.0), 1.2
+"""Peaks nearer to each other than this are one, rad and m."""
 
 MOST_POLES, MOST_SETTLED = 4, 6
 """Number of poles of each LiDAR that are aligned with the other's, the best supported first; and
@@ -183,11 +188,11 @@ def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> I
     for scan, seen in zip((target, source), standing, strict=True):
         frames.append([frame_about(p.point, p.direction) for p in scan.poles[:MOST_POLES]])
         spectra.append([_spectrum(se3.apply(frame, seen.points)) for frame in frames[-1]])
-    for i, near in enumerate(spread(each, (ANGLES, LAYERS)) for each in spectra[0]):
+    for i, near in enumerate(spread(each, (ANGLES, RINGS)) for each in spectra[0]):
         for j, is_flipped in product(range(len(spectra[1])), (False, True)):
             # Upside down, angle and height run in the opposite direction.
             other = spectra[1][j] if is_flipped else np.conj(spectra[1][j])
-            total = fft.irfft2(np.einsum("rak,rak->ak", near, other), s=(ANGLES, LAYERS))
+            total = fft.irfft2(np.einsum("rak,rak->ak", near, other), s=(ANGLES, RINGS))
             for turn, slide, height in _highest(total[:, np.r_[-SLIDE : SLIDE + 1]]):
                 T = se3.inverse(frames[0][i]) @ _screw(turn, slide, is_flipped) @ frames[1][j]
                 yield Peak((i, j), is_flipped, T, height)
@@ -209,14 +214,14 @@ def _screw(turn: float, slide: float, is_flipped: bool) -> Array:
 def _spectrum(points: Array) -> NDArray[np.complex64]:
     """Sort points (N, 3) about a pole into cells, and transform them over angle and height."""
     away = np.hypot(points[:, 0], points[:, 1])
-    ring = (away / CELL_ABOUT_POLE).astype(np.intp)
+    ring = (away / CELL).astype(np.intp)
     angle = np.round(np.arctan2(points[:, 1], points[:, 0]) * (ANGLES / (2 * np.pi)))
-    layer = np.round(points[:, 2] / CELL_ABOUT_POLE).astype(np.intp)
-    kept = (ring > 0) & (ring < RINGS) & (np.abs(layer) < LAYERS // 2 - SLIDE)
-    grid = np.zeros((RINGS, ANGLES, LAYERS), dtype=np.float32)
-    grid[ring[kept], angle[kept].astype(np.intp) % ANGLES, layer[kept] % LAYERS] = 1.0
+    layer = np.round(points[:, 2] / CELL).astype(np.intp)
+    kept = (ring > 0) & (ring < RINGS) & (np.abs(layer) < RINGS // 2 - SLIDE)
+    grid = np.zeros((RINGS, ANGLES, RINGS), dtype=np.float32)
+    grid[ring[kept], angle[kept].astype(np.intp) % ANGLES, layer[kept] % RINGS] = 1.0
     # Near the pole cells are narrow, and one thing fills many.
-    width = (np.arange(RINGS) + 0.5) * CELL_ABOUT_POLE * (2 * np.pi / ANGLES)
+    width = (np.arange(RINGS) + 0.5) * CELL * (2 * np.pi / ANGLES)
     grid *= np.sqrt(np.minimum(width / SCORING_VOXEL, 1.0, dtype=np.float32))[:, None, None]
     return np.asarray(fft.rfft2(grid))
 
@@ -247,26 +252,24 @@ def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]
         height = float(total[k, m])
         if height <= 0:
             return
-        yield 2 * np.pi * float(k) / ANGLES, CELL_ABOUT_POLE * float(m - SLIDE), height
-        turns = np.arange(k - PEAKS_APART[0], k + PEAKS_APART[0] + 1) % ANGLES
-        total[turns, max(m - PEAKS_APART[1], 0) : m + PEAKS_APART[1] + 1] = 0.0
+        yield 2 * np.pi * float(k) / ANGLES, CELL * float(m - SLIDE), height
+        about, along = int(POSES_APART[0] / (2 * np.pi) * ANGLES), int(POSES_APART[1] / CELL)
+        turns = np.arange(k - about, k + about + 1) % ANGLES
+        total[turns, max(m - along, 0) : m + along + 1] = 0.0
 
 
-CELL, TURNS = 0.5, 240
-"""Side of a cell, metres, and rotations that are tried: 1.5° apart, 0.8 m at `REACH`."""
+TURNS = 240
+"""Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
 
-CELLS, REACH = 256, 32.0
-"""Cells along a side, and how far from its LiDAR a point counts, metres. LiDARs up to
-``CELLS * CELL - 2 * REACH`` apart see no point near one that lies there only since FFTs wrap."""
+CELLS = RINGS * 4
+"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point beside one
+that lies there only since FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
 """Limits of the layers, metres above the ground: thin where cars, fences and people are."""
 
 PER_TURN = 3
 """Shifts that are looked at for each rotation, where most cells coincide."""
-
-POSES_APART = np.radians(8.0), 1.2
-"""Peaks nearer to each other than this are one, rad and m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,9 +343,9 @@ def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[
     over = [*half, *np.conj(half)]
     # Shifts of more than half of the cells are those in the opposite direction.
     shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
-    reach = MAX_SIGMAS * prior.distance_sigma + POSES_APART[1]
+    reach = SIGMAS * prior.distance_sigma + POSES_APART[1]
     near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)
-    turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / MAX_SIGMAS)
+    turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / SIGMAS)
     found = []
     for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
         R = _about_z(turn)
@@ -388,7 +391,7 @@ def _level(standing: Standing) -> Array:
 def _cells(points: Array) -> NDArray[np.float32]:
     """Sort points (N, 3) above the ground into cells (H, `CELLS`, `CELLS`), about (0, 0)."""
     layer = np.searchsorted(HEIGHTS, points[:, 2]) - 1
-    kept = (np.hypot(points[:, 0], points[:, 1]) < REACH) & (layer >= 0)
+    kept = (np.hypot(points[:, 0], points[:, 1]) < HALF_SIDE) & (layer >= 0)
     kept &= layer < len(HEIGHTS) - 1
     x, y = np.round(points[kept, :2].T / CELL).astype(np.intp)
     cells = np.zeros((len(HEIGHTS) - 1, CELLS, CELLS), dtype=np.float32)

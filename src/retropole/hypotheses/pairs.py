@@ -17,19 +17,11 @@ from ..base.datatypes import Array, Hypothesis, Match
 from ..base.errors import Reason, Refusal
 from ..surfaces.scans import why_few_poles
 from ..surfaces.visibility import OVERLAP_DISTANCE, View, compare_views
-from .choice import MIN_OVERLAP, check_overlap, is_as_possible
+from .candidate_confirmation import MAX_CONFIRMED_VIOLATION
+from .choice import LEAST_OVERLAP, MIN_OVERLAP, check_overlap, is_as_possible
 from .correspondence import match_poles
 from .placements import AGREE_ANGLE, AGREE_DISTANCE
 from .scans import SiteScans, Views
-
-MAX_CONFLICTING_IN_LOOPS = 0.06
-"""Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
-closed with it. On bare ground the right one, 0.3° off, had up to 0.046 more than one that lays the
-scenes next to each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
-
-LEAST_TOLD = 0.1
-"""Overlap of the best hypothesis below which the scenes show different places."""
-
 
 SPARSE, SPARSE_ERROR = 8, 0.03
 """First one in this many of the points is compared, and all of them where the first may be off by
@@ -223,7 +215,7 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
 
     Scenes that do not overlap distinguish no poses.
     """
-    return (_is_possible if best.overlap < LEAST_TOLD else is_as_possible)(each, best)
+    return (_is_possible if best.overlap < LEAST_OVERLAP else is_as_possible)(each, best)
 
 
 def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
@@ -239,6 +231,6 @@ def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
     uncontradicted = (
-        each.free_space_violation <= best.free_space_violation + MAX_CONFLICTING_IN_LOOPS
+        each.free_space_violation <= best.free_space_violation + MAX_CONFIRMED_VIOLATION
     )
     return uncontradicted and each.score >= best.score - MIN_OVERLAP

@@ -10,9 +10,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Match
 from ..base.errors import Refusal, UsageError
-
-MAX_SIGMAS = 3.0
-"""A hypothesis that lies further from the prior, in 1 σ of it, is left out."""
+from ..base.uncertainty import SIGMAS
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class PosePrior:
 
     def allows(self, T: Array) -> bool:
         """Whether a pose (4, 4) agrees with the prior."""
-        return self.misfit(T) <= MAX_SIGMAS
+        return self.misfit(T) <= SIGMAS
 
 
 def pose_prior(
@@ -101,6 +99,6 @@ def agreeing_with_prior(matches: Sequence[Match], prior: PosePrior | None) -> li
             f"of {count} {'hypothesis' if count == 1 else 'hypotheses'} that fit the poles none "
             f"agrees with the given {of}: the nearest is {apart} away, {least:.1f} times its sigma;"
             f" check its {check}, or leave it out",
-            {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": count},
+            {"sigmas": least, "allowed": SIGMAS, "hypotheses": count},
         )
     return kept

@@ -19,8 +19,9 @@ from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
 from .absence import without_absent
 from .by_place import STAND_TWO, choose_by_place, confirmed_by_place, has_rival
-from .candidate_confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed, poles_agree
+from .candidate_confirmation import is_confirmed, poles_agree
 from .choice import choose_best
+from .evidence import REDUNDANT_POLES
 from .one_pole import MOST_POLES
 from .placements import (
     Chosen,
@@ -29,6 +30,7 @@ from .placements import (
     PlacementMatches,
     Share,
     Tried,
+    counts_candidates,
     with_what_was_tried,
 )
 from .prior import PosePrior, agreeing_with_prior
@@ -300,7 +302,7 @@ def _without_one(
     placements: Sequence[Placement], paired: Sequence[PairedPlacement]
 ) -> Iterator[Sequence[Placement]]:
     """A placement without one pair's candidate poles; of several none, where no chance recurs."""
-    if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < CONFIRMED_COUNT:
+    if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < REDUNDANT_POLES:
         return
     for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
         whole = placements[0]

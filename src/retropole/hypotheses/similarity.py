@@ -37,20 +37,18 @@ from ..surfaces.visibility import (
     view_of,
 )
 from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs, match_poles, pair_starts
-from .evidence import MIN_TOTAL
+from .evidence import BETTER, MIN_TOTAL
+from .icp_refinement import MOST_REFINED
+from .one_pole import MOST_POLES
 
 SAME_FACTOR = 0.05
 """Ratios of distances nearer to each other than this, as a part of them, are one factor: the scene
 refines it."""
 
-CHANGES_TRIED, POLES_TRIED = 3, 6
-"""Rigid poses, the best scored first, and factors, the most frequent first, that are fitted; poles
-of each cloud, the best supported first, that are matched under a change."""
-
-CLEARLY_BETTER, AS_MANY = 1.15, 0.95
+CLEARLY_BETTER = 1.15
 """So many times more fits under a change than under a rigid motion: the ratio of the points that
 lie on the other cloud's surfaces, times that of the voxels that agree, less those that conflict.
-Neither ratio is less than the second: 2 % of scale are
+Neither ratio is less than 1 by more than the factor `BETTER`: 2 % of scale are
 within the tolerance of the depth. Of three mirrored clouds that were answered off bare ground
 (benchmarks/deception.py, seeds below 120) the product was 1.18 in a street of plain fronts, and 1.7
 and more in the others."""
@@ -100,7 +98,7 @@ class Found:
         by_voxels = self.voxels / max(rigid.voxels, 1)
         is_changed = self.factor < 0 or abs(np.log(self.factor)) > LEAST_CHANGE
         is_more = by_support * by_voxels >= CLEARLY_BETTER
-        return bool(is_changed and is_more and min(by_support, by_voxels) >= AS_MANY)
+        return bool(is_changed and is_more and BETTER * min(by_support, by_voxels) >= 1.0)
 
     @property
     def voxels(self) -> int:
@@ -147,7 +145,7 @@ def changed_pole(pole: Pole, factor: float) -> Pole:
 
 
 def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
-    """Find by which factors the source's poles may be scaled, `CHANGES_TRIED` most frequent."""
+    """Find by which factors the source's poles may be scaled, `MOST_REFINED` most frequent."""
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
@@ -161,7 +159,7 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
     for k in np.argsort(-near.sum(axis=1), kind="stable"):
         if all(abs(ratios[k] - other) >= SAME_FACTOR for other in found):
             found.append(float(np.median(ratios[near[k]])))
-    return [float(np.exp(each)) for each in found[:CHANGES_TRIED]]
+    return [float(np.exp(each)) for each in found[:MOST_REFINED]]
 
 
 def find_change(placement: Placement, rigid: Sequence[Array]) -> tuple[Found, Found | None] | None:
@@ -218,7 +216,7 @@ def _better(
         for found in _fitted(scene, change, starts):
             if found.is_confirmed:
                 if rivals is None:
-                    rivals = _fitted(scene, 1.0, rigid, CHANGES_TRIED, is_rigid=True)
+                    rivals = _fitted(scene, 1.0, rigid, MOST_REFINED, is_rigid=True)
                 nearest = _counterparts(scene, found)
                 rivals += _fitted(scene, 1.0, nearest, len(nearest), is_rigid=True)
                 if all(found.is_better(rival) for rival in rivals):
@@ -243,9 +241,9 @@ def _standing(cloud: PointCloud) -> Standing:
 
 def _matches(placement: Placement, change: float) -> list[Array]:
     """Poses (4, 4) under which the poles fit exactly, those of the source once changed."""
-    source = [changed_pole(pole, change) for pole in placement.source.poles[:POLES_TRIED]]
+    source = [changed_pole(pole, change) for pole in placement.source.poles[:MOST_POLES]]
     try:
-        matches = match_poles(placement.target.poles[:POLES_TRIED], source)
+        matches = match_poles(placement.target.poles[:MOST_POLES], source)
     except Refusal:
         return []
     return [match.T_target_source for match in matches if match.exact]

@@ -60,25 +60,49 @@ def timed_frames(recording: Recording, numbers: range) -> Iterator[Frame]:
     """
     coming = (frame for frame in recording.read(numbers) if len(frame.cloud))
     first = list(islice(coming, LOOKED_AT))
-    runs_on = _runs_on(first)
-    stamps = [None if runs_on else stamp_of(frame) for frame in first]
-    period = _period(first, stamps)
-    before = -np.inf
+    timing = Timing(first, str(recording.path))
     for frame in chain(first, coming):
-        cloud, stamp = frame.cloud, None if runs_on else stamp_of(frame)
-        if not runs_on:
-            if stamp is None or stamp <= before:
-                raise _no_times(cloud, recording, stamp)
-            before = stamp
-            within = times_by_azimuth(cloud, period) if cloud.time is None else cloud.time
+        yield timing.timed(frame)
+
+
+class Timing:
+    """How the points of one LiDAR's sweeps get their times, as its first sweeps show it.
+
+    Parameters
+    ----------
+    first
+        Some frames with points, `LOOKED_AT` where there are so many.
+    name
+        What messages call the recording.
+    """
+
+    def __init__(self, first: Sequence[Frame], name: str) -> None:
+        self._name, self._runs_on, self._before = name, _runs_on(first), -np.inf
+        stamps = [None if self._runs_on else stamp_of(frame) for frame in first]
+        self._period = _period(first, stamps)
+
+    def timed(self, frame: Frame) -> Frame:
+        """Give the next frame a time for each point, as `timed_frames` says.
+
+        Raises
+        ------
+        Refusal
+            ``no_times``, with what is missing.
+        """
+        cloud, stamp = frame.cloud, None if self._runs_on else stamp_of(frame)
+        if not self._runs_on:
+            if stamp is None or stamp <= self._before:
+                raise _no_times(cloud, self._name, stamp)
+            self._before = stamp
+            within = times_by_azimuth(cloud, self._period) if cloud.time is None else cloud.time
             if within is None:
-                raise _no_times(cloud, recording, stamp)
+                raise _no_times(cloud, self._name, stamp)
             begin = float(within.min())
             stamp -= begin if abs(begin) > LONGEST else 0.0
             cloud = replace(cloud, time=stamp + within)
         elif cloud.time is None:
-            raise _no_times(cloud, recording, None)
-        yield replace(frame, cloud=cloud)
+            raise _no_times(cloud, self._name, None)
+        return replace(frame, cloud=cloud)
 
 
 def _runs_on(frames: Sequence[Frame]) -> bool:
@@ -167,7 +191,7 @@ def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
     return times
 
 
-def _no_times(cloud: PointCloud, recording: Recording, stamp: float | None) -> Refusal:
+def _no_times(cloud: PointCloud, name: str, stamp: float | None) -> Refusal:
     if stamp is None:
         what = "its sweeps have no times, neither in them nor in the names of their files"
         if cloud.time is not None:
@@ -181,6 +205,6 @@ def _no_times(cloud: PointCloud, recording: Recording, stamp: float | None) -> R
         what = "a sweep has the time of the one before, or an earlier one"
     return Refusal(
         "no_times",
-        f"{cloud.source or recording.path}: {what}; record with a time for each point",
+        f"{cloud.source or name}: {what}; record with a time for each point",
         {"points": len(cloud)},
     )

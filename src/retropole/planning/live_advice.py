@@ -16,8 +16,9 @@ from ..base.quantities import at_most, counted
 from ..base.reasons import explain, plain
 from ..base.uncertainty import floor
 from ..base.uncertainty.purpose import USABLE, Need, displacement_bound, fitness
+from ..extraction.acceptance_shape import MIN_POLE_RINGS
 from ..result import ResultDoc
-from ..verdict import FEW_POINTS, FEW_RINGS, WEAK_ANGLE
+from ..verdict import FEW_POINTS, WEAK_ANGLE
 from .live_poles import Looked, View, angle_between, hidden_by, is_same_pair, present
 
 BEST_REACH = 6.0
@@ -193,7 +194,7 @@ def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
         )
     what = f"{sees}. The other, {away:.1f} m away, has {counted(len(pole.xyz), 'return')} on "
     what += counted(pole.rings, "ring")
-    if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
+    if len(pole.xyz) < FEW_POINTS or pole.rings <= MIN_POLE_RINGS:
         return Advice("too_far", f"{what}: stand it {_nearer(pole, name)}.")
     why = next(w for each, w in zip(looked.doubtful, looked.why, strict=True) if each is pole)
     return Advice(
@@ -205,7 +206,7 @@ def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
 def _nearer(pole: Pole, name: str) -> str:
     """How much nearer a pole has to be for rings and returns enough."""
     away = float(np.linalg.norm(pole.point))
-    share = min(pole.rings / (FEW_RINGS + 2), math.sqrt(len(pole.xyz) / (1.5 * FEW_POINTS)))
+    share = min(pole.rings / (MIN_POLE_RINGS + 2), math.sqrt(len(pole.xyz) / (1.5 * FEW_POINTS)))
     to = max(min(away * share, max(BEST_REACH, 0.7 * away)), min(NEAREST, 0.7 * away))
     return f"{away - to:.1f} m nearer to {name}"
 
@@ -249,7 +250,7 @@ def _weak(view: View, now: float) -> Iterator[Advice]:
     if len(here) < 2:
         return
     pole = here[1].pole
-    if len(pole.xyz) < FEW_POINTS or pole.rings <= FEW_RINGS:
+    if len(pole.xyz) < FEW_POINTS or pole.rings <= MIN_POLE_RINGS:
         assert view.looked is not None
         before = hidden_by(view.looked.cloud, here[1].rest)
         if before:
@@ -314,15 +315,15 @@ def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
     return Outcome(document, asked, fit.probability, fit.bound_m)
 
 
-def advice_after(outcome: Outcome, placements: int) -> Advice:
-    """Say what to do next, after so many placements.
+def advice_after(outcome: Outcome, again: str) -> Advice:
+    """Say what to do next, after an answer.
 
     Parameters
     ----------
     outcome
-        Of all of them.
-    placements
-        How many were recorded.
+        Of all that was recorded.
+    again
+        What is to be recorded where that is not enough.
     """
     document = outcome.document
     if outcome.is_enough:
@@ -337,8 +338,8 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
             )
         return Advice(
             "need_not_met",
-            f"Placement {placements + 1}: stand the poles elsewhere, on another side. So far "
-            f"{_so_far(outcome)}; needed is {outcome.need.words}, {100 * ENOUGH:g} % sure.",
+            f"{again} So far {_so_far(outcome)}; needed is {outcome.need.words}, "
+            f"{100 * ENOUGH:g} % sure.",
         )
     reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")
     if reason.code == "radius_differs" and document.radius is not None:
@@ -352,6 +353,11 @@ def advice_after(outcome: Outcome, placements: int) -> Advice:
     title = explained.title if explained else reason.message
     verdict = "Refused" if document.status == "refused" else "A warning"
     return Advice(reason.code, f"{verdict}: {title.lower()}. {remedy_of(reason.code)}".strip())
+
+
+def another(placements: int) -> str:
+    """Say what to record after a number of placements of standing poles."""
+    return f"Placement {placements + 1}: stand the poles elsewhere, on another side."
 
 
 def _so_far(outcome: Outcome) -> str:

@@ -15,13 +15,14 @@ from ..base.errors import ReadError, Refusal, quoting
 from ..base.quantities import counted
 from ..base.se3 import lengths
 from ..base.sensors import Sensor
+from ..extraction.acceptance_shape import MIN_POLE_RINGS
 from ..extraction.candidates import with_candidates, with_dimmer_candidates
 from ..extraction.poles import extract_poles
 from ..hypotheses.correspondence import line_pair, widest_angle
 from ..io import Frame
 from ..io.live import Source
 from ..result.watching import LidarNow, PoleNow
-from ..verdict import FEW_POINTS, FEW_RINGS
+from ..verdict import FEW_POINTS
 
 AT_EDGE = 0.5
 """A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
@@ -304,7 +305,7 @@ def word_on(track: Tracked, now: float) -> str:
         return "moving" if track.has_moved else "new"
     if len(track.pole.xyz) < FEW_POINTS:
         return "few returns"
-    return "few rings" if track.pole.rings <= FEW_RINGS else ""
+    return "few rings" if track.pole.rings <= MIN_POLE_RINGS else ""
 
 
 class Origin(NamedTuple):
@@ -356,16 +357,16 @@ class Watched:
 
 
 class Taken(NamedTuple):
-    """What came from a LiDAR: a sweep that was searched, or None; what to report of it; whether
-    it is of another frame than those before."""
+    """What came of a LiDAR: a sweep that is of use, or None; what is to be said of it; whether it
+    is of another frame than those before."""
 
-    searched: Frame | None = None
+    frame: Frame | None = None
     said: tuple[str, ...] = ()
     is_of_another_frame: bool = False
 
 
 def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
-    """Take the newest sweep of a LiDAR, and search it.
+    """Take the newest sweep of a LiDAR, and search it for standing poles.
 
     Parameters
     ----------
@@ -378,6 +379,21 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     busy
         Search but rarely.
     """
+    taken, now, view = receive(lidar, clock), clock(), lidar.view
+    if taken.frame is None:
+        return taken
+    # While the answer is worked out, both share the time.
+    if busy and view.looked is not None and now - view.looked.at < 0.8:
+        return taken._replace(frame=None)
+    cloud = lidar.together(taken.frame.cloud)
+    looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
+    tracks = follow(view.tracks, looked)
+    lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
+    return taken
+
+
+def receive(lidar: Watched, clock: Callable[[], float]) -> Taken:
+    """Take the newest sweep of a LiDAR, with returns and from where those before came."""
     view = lidar.view
     try:
         frame = lidar.source.newest(0.05)
@@ -401,16 +417,9 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
         lidar.view = replace(view, fault=fault)
         return Taken(None, tuple(said), is_other)
     lidar.came.append((now, frame.number))
-    # While the answer is worked out, both share the time.
-    if busy and view.looked is not None and now - view.looked.at < 0.8:
-        return Taken(None, tuple(said), is_other)
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
         return Taken(None, tuple(said), is_other)
-    cloud = lidar.together(frame.cloud)
-    looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
-    tracks = follow(view.tracks, looked)
-    lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
     return Taken(frame, tuple(said), is_other)
 
 

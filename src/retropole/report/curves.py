@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.quantities import MILLIMETRES_BELOW, error, round_below
-from ..base.uncertainty import predicted_error
+from ..base.uncertainty import BUDGET_RANGE, predicted_error
 from ..base.uncertainty.purpose import CONFIDENCE, Need, displacement_bounds
 from ..result import SwayDoc, chance_wrong
 from ..result.site import LIDARS
-from .listings import BUDGET_RANGE, worst_lidar
+from .listings import worst_lidar
 from .page import EMPTY, Html, fill, join
 from .subject import Subject
 from .svg import Chart, picture, round_numbers, round_step

@@ -11,8 +11,9 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.quantities import counted
 from ..base.reasons import plain
+from ..base.uncertainty import SIGMAS
 from ..hypotheses.choice import hypothesis_name
-from ..hypotheses.prior import MAX_SIGMAS, PosePrior
+from ..hypotheses.prior import PosePrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ReasonDoc, ResultDoc
 from . import listings
 from .listings import number, numbers
@@ -79,13 +80,13 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
     """
     config, poses = result.config, [each.T_target_source for _, each in named]
     sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
-    reach = f"{math.degrees(MAX_SIGMAS * sigma):.0f}°"
+    reach = f"{math.degrees(SIGMAS * sigma):.0f}°"
     if not config.up and config.prior_rpy_deg is None:
         upright = PosePrior(None, sigma)
         left = [name for (name, _), T in zip(named, poses, strict=True) if upright.allows(T)]
         if len(left) == 1:
             yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
-    if config.prior_rpy_deg is None and _least_turn(poses) > 2 * MAX_SIGMAS * sigma:
+    if config.prior_rpy_deg is None and _least_turn(poses) > 2 * SIGMAS * sigma:
         instead = " instead of `--up`" if config.up else ""
         known = f"if you know the angles to within {reach}"
         yield f"`--prior-rpy-deg R P Y`{instead}, {known}, leaves one"

@@ -15,7 +15,13 @@ from ..base.carried import CarriedWalk
 from ..base.clocks import NOTICED, is_set, words_of
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
-from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
+from ..base.uncertainty import (
+    BUDGET_RANGE,
+    ErrorAtRange,
+    Uncertainty,
+    predicted_error,
+    source_words,
+)
 from ..hypotheses.choice import hypothesis_name
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc, TestDoc
 from ..result.contents import RejectedDoc
@@ -27,9 +33,6 @@ POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
 REJECTED_COLUMNS = "mark; code; reason; points; x, m; y, m; z, m"
 
 DEGREES = 180 / np.pi
-
-BUDGET_RANGE = 30.0
-"""Range at which the shares of the budget are stated, metres."""
 
 UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
@@ -254,7 +257,7 @@ def tests(site: SiteDoc) -> Listing:
         for test in sorted(site.tests, key=lambda each: -abs(each.w or 0.0))
     ]
     names = (
-        "observation; kind; |w|; expected up to; χ²; freedom; redundancy; smallest error found; "
+        "observation; kind; |w|; limit; χ²; freedom; redundancy; smallest error found; "
         "effect at 30 m"
     )
     return Listing("Tests, the largest |w| first", columns(names), rows, (1,))

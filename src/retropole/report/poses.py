@@ -11,7 +11,7 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import RetropoleError
 from ..base.quantities import UNKNOWN, Unit, counted, error, percent, value
-from ..base.uncertainty import RANGES, Uncertainty
+from ..base.uncertainty import BUDGET_RANGE, RANGES, Uncertainty
 from ..export import FORMATS, TREE_FORMATS, export_lines
 from ..export.documents import found_in_result
 from ..export.transform import NO_LIDARS
@@ -21,7 +21,6 @@ from ..result.site import LIDARS, LidarDoc, SiteDoc
 from . import listings
 from .curves import ErrorCurve, curve_figure
 from .listings import (
-    BUDGET_RANGE,
     Listing,
     checks_of_site,
     columns,

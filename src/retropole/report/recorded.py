@@ -14,7 +14,8 @@ from ..base import se3
 from ..base.datatypes import Array, Pole, RejectedCluster, Scan
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain
-from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
+from ..extraction.acceptance_shape import MIN_POLE_RINGS
+from ..extraction.lines import MIN_POLE_POINTS
 from ..result import ResultDoc
 from ..result.site import LIDARS, FoundDoc
 from . import listings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.progress_bar import ProgressBar
@@ -14,7 +15,10 @@ from rich.text import Text
 from ..base.errors import printable
 from ..base.quantities import at_most
 from ..base.uncertainty.purpose import whole_percent
-from ..result.watching import LidarNow, WatchDoc
+from ..result.watching import ChartNow, LidarNow, WalkNow, WatchDoc
+
+COLUMNS, ROWS = 64, 18
+"""Of the way of a pole that is carried."""
 
 
 def drawn(said: WatchDoc) -> RenderableType:
@@ -35,6 +39,8 @@ def drawn(said: WatchDoc) -> RenderableType:
 def _below(said: WatchDoc) -> Iterator[RenderableType]:
     if said.wanted:
         yield ProgressBar(said.wanted, min(said.captured, said.wanted), width=60)
+    if said.walk is not None:
+        yield from _walk(said.walk)
     yield _table(said.lidars)
     for lidar in said.lidars:
         if lidar.skipped:
@@ -52,6 +58,45 @@ def _below(said: WatchDoc) -> Iterator[RenderableType]:
     yield Text("; ".join(words))
     for line in said.words[-6:]:
         yield Text(printable(line), style="dim")
+
+
+def _walk(walk: WalkNow) -> Iterator[RenderableType]:
+    """Draw the way of the pole from above, and how the error falls."""
+    for chart in walk.charts:
+        yield _from_above(chart)
+    if walk.bounds:
+        falls = ", ".join(at_most(bound) for _, bound in walk.bounds[-5:])
+        yield Text(
+            f"both saw the pole for {walk.seconds:.0f} s; no point up to {walk.at_m:g} m away is "
+            f"off by more than {falls}, 95 % sure"
+        )
+
+
+def _from_above(chart: ChartNow) -> Text:
+    """Draw a chart in characters, which are twice as high as wide: LiDARs as L, ways as dots."""
+    ways = [np.reshape(path, (-1, 2)) for path in chart.paths]
+    low, high = (
+        each(np.concatenate([np.reshape(chart.lidars, (-1, 2)), *ways]), axis=0)
+        for each in (np.min, np.max)
+    )
+    scale = min((COLUMNS - 1) / 2, ROWS - 1) / max(float((high - low).max()), 1.0)
+    cells: dict[tuple[int, int], tuple[str, str]] = {}
+    for k, (lidar, way) in enumerate(zip(chart.lidars, ways, strict=True)):
+        marks = [(point, "·") for point in way] + [(np.array(lidar), "L")]
+        if len(way):
+            marks.append((way[-1], "o"))
+        for point, mark in marks:
+            across, up = np.round((point - low) * scale * [2, 1]).astype(int).tolist()
+            cells[up, across] = mark, ("cyan", "magenta")[k % 2]
+    text = Text()
+    height, width = (max(own) for own in zip(*cells, strict=True))
+    for up in range(height, -1, -1):
+        for across in range(width + 1):
+            text.append(*cells.get((up, across), (" ", "")))
+        text.append("\n")
+    for k, name in enumerate(chart.names):
+        text.append(printable(f"L {name}  "), ("cyan", "magenta")[k % 2])
+    return text.append(f"· way of the pole, o now; 1 m is {2 * scale:.1f} columns")
 
 
 def _table(lidars: list[LidarNow]) -> Table:

@@ -9,14 +9,18 @@ from typing import Literal
 
 import msgspec
 
-from ..base.bounded import Count, Share, Size, Text
+from ..base.bounded import Count, Number, Share, Size, Text
 from ..base.uncertainty import ErrorAtRange
 from ..base.uncertainty.purpose import Need
 
 WATCH_SCHEMA: Literal["retropole/watch/1"] = "retropole/watch/1"
 
-Phase = Literal["waiting", "placing", "capturing", "calibrating", "done"]
-"""No sweeps yet; something is to be done first; sweeps are kept; the answer is worked out; over."""
+Phase = Literal["waiting", "placing", "capturing", "walking", "calibrating", "done"]
+"""No sweeps yet; something is to be done first; sweeps are kept; of a pole that is carried; the
+answer is worked out; over."""
+
+Points = list[tuple[Number, Number]]
+"""Seen from above, metres."""
 
 
 class PoleNow(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,6 +75,42 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
     skipped: Text = ""
 
 
+class ChartNow(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the pole was carried, from above, in the frame of the first LiDAR in it.
+
+    Attributes
+    ----------
+    names, lidars, paths
+        Of each LiDAR: its name, where it is, and where it saw the pole.
+    """
+
+    names: list[Text]
+    lidars: Points
+    paths: list[Points]
+
+
+class WalkNow(msgspec.Struct, frozen=True, kw_only=True):
+    """A walk with one pole, as far as it is solved.
+
+    Attributes
+    ----------
+    seconds
+        How long both LiDARs saw the pole.
+    charts
+        One of both LiDARs where their pose is known, else one for each.
+    at_m
+        Range of the need.
+    bounds
+        What no point up to there is off by more than, with 95 % probability, after each solution:
+        how long the walk was, s, and metres.
+    """
+
+    seconds: Size
+    charts: list[ChartNow]
+    at_m: Size
+    bounds: Points
+
+
 class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What is seen now, and the one next thing to do.
 
@@ -95,6 +135,8 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
         Verdict of the answer; None before there is one.
     words
         What happened, the newest last.
+    walk
+        Of a pole that is carried; None before the pole was seen for long enough.
     """
 
     schema: Literal["retropole/watch/1"] = WATCH_SCHEMA
@@ -114,3 +156,4 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
     probability: Share | None = None
     status: Text | None = None
     words: list[Text] = []
+    walk: WalkNow | None = None

@@ -42,6 +42,9 @@ GAIT_KNOT, TREMOR = 0.15, 0.003
 """A hand is unsteady by this amount, metres and as a slope, from knot to knot, s: with both, the
 noise of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
 
+REST, EASE = 2.0, 0.5
+"""A stop takes so long, s, and so long the pole comes to rest and starts again."""
+
 REACH = 0.35
 """The middle of the body is so far from the pole, metres: an arm that is bent."""
 
@@ -115,6 +118,7 @@ def draw_walk(
     radius: float = PAPER_RADIUS,
     lean: float = float(np.radians(14.0)),
     wears_vest: bool = False,
+    stops: int = 0,
 ) -> Walk:
     """Draw a walk between random places, with a pole that leans to and fro.
 
@@ -134,6 +138,8 @@ def draw_walk(
         1 σ of the lean in each of two directions, rad.
     wears_vest
         Whether the person wears a bright band.
+    stops
+        How many times the pole is put down for a while, spread over the walk.
     """
     places: list[Array] = []
     at = [0.0]
@@ -159,9 +165,17 @@ def draw_walk(
     swing = GAIT * np.sin(beat) + unsteady[:, :3]
     lean_to = _no_faster(turns, slopes, LEAN_RATE)(fine) + unsteady[:, 3:]
     steady = np.arange(0.0, seconds + 4.0, 2.0)
+    held, leant = CubicSpline(fine, hand(fine) + swing), CubicSpline(fine, lean_to)
+    if stops:
+        # What moves is as far as it would be without the stops so far.
+        knots = np.arange(0.0, seconds + 1.0, GAIT_KNOT / 3)
+        rests = seconds * (np.arange(stops) + 0.5) / stops
+        away = np.abs(knots[:, None] - rests).min(axis=1)
+        gone = np.cumsum(np.clip((away - REST / 2) / EASE, 0.0, 1.0)) * GAIT_KNOT / 3
+        held, leant = CubicSpline(knots, held(gone)), CubicSpline(knots, leant(gone))
     return Walk(
-        CubicSpline(fine, hand(fine) + swing),
-        CubicSpline(fine, lean_to),
+        held,
+        leant,
         CubicSpline(steady, np.cumsum(rng.normal(0, 0.6, len(steady))) + rng.uniform(0, 6)),
         seconds,
         (radius, float(rng.uniform(1.8, 2.3))),
@@ -241,6 +255,7 @@ def simulate_walk(
     lean: float = float(np.radians(14.0)),
     people: int = 1,
     wears_vest: bool = False,
+    stops: int = 0,
 ) -> SimulatedWalk:
     """Draw a place, two LiDARs and a walk.
 
@@ -266,6 +281,8 @@ def simulate_walk(
         How many carry a pole.
     wears_vest
         Whether they wear a bright band.
+    stops
+        As in `draw_walk`.
     """
     models = [find_sensor(name) for name in sensors]
     place = SURROUNDINGS[scene](rng)
@@ -274,7 +291,16 @@ def simulate_walk(
         poses = [_draw_pose(model, rng) for model in models]
         at = [pose[:3, 3] for pose in poses]
         walks = tuple(
-            draw_walk(rng, seconds, clear, at, radius=radius, lean=lean, wears_vest=wears_vest)
+            draw_walk(
+                rng,
+                seconds,
+                clear,
+                at,
+                radius=radius,
+                lean=lean,
+                wears_vest=wears_vest,
+                stops=stops,
+            )
             for _ in range(people)
         )
         in_view = all(_is_in_view(walks[0], *each) for each in zip(models, poses, strict=True))

@@ -26,18 +26,26 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
-from .averaging import averaged
+from ..extraction.lines import FIT_ROUNDS
+from .averaging import DEPTH_TOLERANCE, averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
-from .visibility import OWN_VEHICLE, SCORING_VOXEL, RangeImage, cells_of, range_image, tree_of
+from .visibility import (
+    OVERLAP_DISTANCE,
+    OWN_VEHICLE,
+    SCORING_VOXEL,
+    RangeImage,
+    cells_of,
+    range_image,
+    tree_of,
+)
 
 VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
-metres."""
+metres. Depths agree within no more than the second."""
 
-DEPTH_TOLERANCE, RELATIVE_TOLERANCE = 0.15, 0.02
-"""Depths agree within this, metres, and this part of the range, together not more than the side of
-a voxel."""
+RELATIVE_TOLERANCE = 0.02
+"""Depths agree within `DEPTH_TOLERANCE` and this part of the range."""
 
 PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""
@@ -52,9 +60,9 @@ CLEARANCE = 0.3
 """What lies so near the ground, metres, belongs to it, and `RELATIVE_TOLERANCE` of its range more:
 it is cambered. What lies so near a pole is left out: poles agree with any pose that they give."""
 
-GROUND_TRIALS, GROUND_ROUNDS = 300, 3
+GROUND_TRIALS = 300
 """Planes through three points that are tried for the ground, of one for each of the points that
-vote, and how often the best is fitted to the points near it."""
+vote."""
 
 MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 """LiDARs are tilted by less, as a rule, rad; of a steeper plane every vote counts this much."""
@@ -64,9 +72,6 @@ OTHER_GROUND = np.radians(10.0)
 
 MOVABLE = 2.5
 """What is no higher above the ground may have driven off since a map was made, metres: a van."""
-
-MIN_AREA = 0.1
-"""Least area that the three points span, twice, m²: fewer than three span no plane."""
 
 
 class Line(Protocol):
@@ -216,18 +221,18 @@ def _ground(
     a, b, c = (sample[rng.integers(len(sample), size=SAMPLE)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     area = se3.lengths(normals)
-    normals /= np.maximum(area, MIN_AREA)[:, None]
+    normals /= np.maximum(area, VOXEL**2)[:, None]
     is_level = np.abs(normals @ axis) > np.cos(max_tilt)
-    tried = np.argsort(~(is_level & (area > MIN_AREA)), kind="stable")[:GROUND_TRIALS]
+    tried = np.argsort(~(is_level & (area > VOXEL**2)), kind="stable")[:GROUND_TRIALS]
     a, normals, area, is_level = (each[tried] for each in (a, normals, area, is_level))
     # In single precision, which is exact to a hundredth of a millimetre, in half the time.
     level, across = sample.astype(np.float32), normals.astype(np.float32)
     height = level @ across.T - np.einsum("ij,ij->i", a, normals).astype(np.float32)
     votes = np.count_nonzero(np.abs(height) < DEPTH_TOLERANCE, axis=0)
-    votes = np.where(area > MIN_AREA, votes, -1)
+    votes = np.where(area > VOXEL**2, votes, -1)
     best = int(np.argmax(np.where(is_level, votes, LEVEL_VOTES * votes)))
     middle, up = a[best], normals[best]
-    for _ in range(GROUND_ROUNDS):
+    for _ in range(FIT_ROUNDS):
         near = sample[np.abs((sample - middle) @ up) < DEPTH_TOLERANCE]
         if len(near) < 3:
             break
@@ -318,17 +323,14 @@ def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
 
 
-SHIFT_CELL, LAYER = SCORING_VOXEL, 0.75
+LAYER = 0.75
 """Side and height of a cell, metres; where heights are compared, the height and the side."""
 
 LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
-SAME_SHIFT = 0.5
-"""Shifts up to this are the same pose, metres."""
-
 PEAKS = 4
-"""Number of shifts that are found, farther from each other than `SAME_SHIFT`: where most cells
+"""So many shifts are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
 coincide need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
@@ -370,7 +372,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     """
     if not len(target) or not len(source):
         return []
-    axes, cells, shape = _cells(target, source, up, T, np.array([SHIFT_CELL, SHIFT_CELL, LAYER]))
+    axes, cells, shape = _cells(target, source, up, T, np.array([*[SCORING_VOXEL] * 2, LAYER]))
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
     spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
@@ -381,7 +383,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
             spectrum += fft.rfft2(grids[0] / 2) * np.conj(fft.rfft2(grids[1]))
     total = fft.irfft2(spectrum, s=fast)
     # The shifts about the pose as it is, from one end to the other.
-    reach = int(LARGEST_SHIFT / SHIFT_CELL)
+    reach = int(LARGEST_SHIFT / SCORING_VOXEL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     return _peaks(total, axes[:2])
 
@@ -394,8 +396,8 @@ def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]
     """
     if not len(target) or not len(source):
         return []
-    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, SHIFT_CELL]))
-    reach = int(LARGEST_SHIFT / SHIFT_CELL)
+    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, SCORING_VOXEL]))
+    reach = int(LARGEST_SHIFT / SCORING_VOXEL)
     # Room above and below for what is lifted.
     occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)
     occupied[a[:, 0], a[:, 1], a[:, 2] + reach] = True
@@ -427,19 +429,19 @@ def _cells(
 def _peaks(total: NDArray[np.float32], axes: Array) -> list[Shift]:
     """The best shifts along some axes (rows), of the cells that coincide at each."""
     place = (
-        np.moveaxis(np.indices(total.shape), 0, -1) - int(LARGEST_SHIFT / SHIFT_CELL)
-    ) * SHIFT_CELL
+        np.moveaxis(np.indices(total.shape), 0, -1) - int(LARGEST_SHIFT / SCORING_VOXEL)
+    ) * SCORING_VOXEL
     apart = np.abs(place).max(axis=-1)
-    here = max(float(total[apart <= SHIFT_CELL].max()), 1.0)
-    left = np.where(apart > SAME_SHIFT, total, -1.0)
+    here = max(float(total[apart <= SCORING_VOXEL].max()), 1.0)
+    left = np.where(apart > OVERLAP_DISTANCE, total, -1.0)
     found = []
     for _ in range(PEAKS):
         best = np.unravel_index(int(np.argmax(left)), left.shape)
         if left[best] <= 0:
             break
-        at = place[best] + SHIFT_CELL * _beside_peak(total, best)
+        at = place[best] + SCORING_VOXEL * _beside_peak(total, best)
         found.append(Shift(at @ axes, float(left[best]) / here))
-        left[np.abs(place - place[best]).max(axis=-1) <= SAME_SHIFT] = -1.0
+        left[np.abs(place - place[best]).max(axis=-1) <= OVERLAP_DISTANCE] = -1.0
     return found
 
 

@@ -18,7 +18,8 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RADIUS, RING, Layout
-from .patches import Patches, selected
+from ..base.uncertainty import SIGMAS
+from .patches import SPAN, Patches, selected
 
 GEMAN_HALF = 0.6120
 """The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half."""
@@ -27,12 +28,10 @@ START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
 """Where the search for the scale begins, about the square of the mean: its place for normal ones,
 logarithms."""
 
-LOG_ROUNDING = 1e-7
-"""Step of a logarithm at which its place is found: the next of Newton's is its square."""
-
 LEAST_SCATTER = 1e-6
 """Least that values are found to scatter by, and their variance in common, as a part of what is
-predicted: less is rounding."""
+predicted: less is rounding. And step of a logarithm at which its place is found: the next of
+Newton's is its square."""
 
 
 MOST_HALVINGS = 100
@@ -118,7 +117,7 @@ def _root(
         new = x - value / slope if slope < 0.0 else np.inf
         if not low <= new <= high:
             new = 0.5 * (low + high)
-        if abs(new - x) < LOG_ROUNDING:
+        if abs(new - x) < LEAST_SCATTER:
             return new
         x = new
     return x
@@ -129,15 +128,7 @@ MAX_NORMAL_ANGLE = np.radians(35.0)
 
 MIN_CORRESPONDENCE_DISTANCE, MAX_CORRESPONDENCE_DISTANCE = 0.10, 1.5
 """Distance across the surface within which patches correspond: the first, metres, beyond
-`POSE_SIGMAS` of the pose, and the second at most."""
-
-POSE_SIGMAS = 3.0
-"""So many σ of the pose at a patch are added to the correspondence distance."""
-
-SPAN = 0.5
-"""Patches as far from each other along their surface may be one surface, metres, or as far as the
-wider of them reaches to its side: where rings are far from each other, so are the patches of both
-LiDARs. How well the one's normal predicts where the other lies is counted."""
+`SIGMAS` of the pose, and the second at most."""
 
 BLENDED = 4
 """Nearest patches of the target that make its surface; the next one beyond has no weight left."""
@@ -349,9 +340,7 @@ def pair_patches(
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
     # Where a pose is all but free, rounding may leave less than none.
     spread = np.sqrt(np.maximum(np.einsum("mik,mik->m", lever @ covariance, lever), 0.0))
-    limit = np.minimum(
-        MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
-    )
+    limit = np.minimum(MIN_CORRESPONDENCE_DISTANCE + SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE)
     own = np.maximum(np.maximum(limit, SPAN), source.extent)
     distance, near = sets.tree.query(
         moved, k=BLENDED + 1, distance_upper_bound=2.0 * float(own.max())

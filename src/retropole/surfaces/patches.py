@@ -61,9 +61,14 @@ ROUGHNESS = 0.04
 cambered road, a kerb, the top of a wall. Before, a robot between walls was off by 13.6 cm with 3.6
 stated, and now by 6.1 with 5.0 (benchmarks/sites.py, robot, seed 1008, poles placed twice)."""
 
-CONFIRMING, CONFIRMING_REACH = 12, 0.5
-"""Number of nearest patches that may confirm a patch of two lines, within its own width or this
-distance, metres. One confirms it that continues its plane, …"""
+SPAN = 0.5
+"""Patches as far from each other along their surface may be one surface, metres, or as far as the
+wider of them reaches to its side: where rings are far apart, so are the patches of both LiDARs. How
+well the normal of the one predicts where the other lies is counted."""
+
+CONFIRMING = 12
+"""Number of nearest patches that may confirm a patch of two lines. One confirms it that continues
+its plane, …"""
 
 BEYOND_RINGS = float(np.radians(0.1))
 """… where its beams reach so much higher or lower, rad: other rings, …"""
@@ -308,7 +313,7 @@ def _doubted(patches: Patches) -> Patches:
     )
     parallel = np.abs(np.einsum("mi,mki->mk", own, other)) > np.cos(CONFIRMING_ANGLE)
     beyond = (patches.elevations[near] - patches.elevations[doubtful][:, None]) * [-1.0, 1.0]
-    reach = np.maximum(2.0 * patches.extent[doubtful], CONFIRMING_REACH)[:, None]
+    reach = np.maximum(2.0 * patches.extent[doubtful], SPAN)[:, None]
     confirms = (distance < reach) & parallel & (beyond > BEYOND_RINGS).any(axis=2)
     confirms &= off < CONFIRMING_OFF[0] + CONFIRMING_OFF[1] * distance
     doubtful = doubtful[~confirms.any(axis=1)]

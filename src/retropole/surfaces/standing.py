@@ -16,13 +16,10 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
 from .registration import MIN_CLOUD_POINTS, Surface, register, surface_of
-from .visibility import View, compare_views
+from .visibility import ICP_CORRESPONDENCE_DISTANCE, View, compare_views
 
 SAME_PLACE = 0.5
 """Least share of points that two recordings of one LiDAR have in common where it stood still."""
-
-CORRESPONDING = 1.0
-"""Largest distance of corresponding points where two recordings are registered, metres."""
 
 TURNED, PUSHED = float(np.radians(0.5)), 0.1
 """A LiDAR moved that turned or was pushed by more, rad and m. A mast sways by up to 0.1°. 207 pairs
@@ -124,7 +121,11 @@ def _moved_between(
         return still
     try:
         found = register(
-            one, other, np.eye(4), method="GICP", max_correspondence_distance=CORRESPONDING
+            one,
+            other,
+            np.eye(4),
+            method="GICP",
+            max_correspondence_distance=ICP_CORRESPONDENCE_DISTANCE,
         )
     except Refusal:
         return still

@@ -25,6 +25,7 @@ from ..base.datatypes import (
     kept,
 )
 from ..base.errors import Reason, Refusal
+from ..extraction.lines import MIN_POLE_POINTS
 from ..io.recordings import time_of_recording
 from .registration import SAMPLE, Registration, Surface, prepare, register, surface_of
 from .sweeps import numbered, order_of
@@ -194,14 +195,8 @@ MIN_FRAMES = 3
 """With fewer frames what moved is unknown: a majority needs three. Whether a LiDAR turned follows
 from the first and the last third of the frames."""
 
-MIN_RETURNS_PER_RUN = 5
-"""Returns on a pole that a run of frames needs to locate the pole."""
-
 RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""
-
-DRIFT_SIGMAS = 5.0
-"""A pole moved if it strays by the usual radius of a pole, and by this many times the noise."""
 
 MAX_TURN = np.radians(0.3)
 """A LiDAR moved if it turned by more while it recorded. The first and the last frames of 72 LiDARs
@@ -217,12 +212,12 @@ MISMATCH = 0.5
 larger by more. Of Mid-360 that were bumped by 0.5° they do within 0.1, of HAP and Mid-360 on open
 ground that were not they are 3 to 12 times as large in all (`sweeps.py --pairs`, seeds to 5)."""
 
-TURN_SIGMAS = 5.0
-"""A turn must also exceed this multiple of its own σ. Single sweeps of a LiDAR that does not repeat
-its pattern show other points of the same surfaces: of 96 still Mid-360 recordings the turn was up
-to 0.48°, and at most 3.6 σ; of VLP-16 and XT32 that were turned by 0.35 and 0.5° it was 16 σ and
-more (streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ are exceeded by chance
-once in a thousand times (Student's t)."""
+MOVED_SIGMAS = 5.0
+"""A turn must also exceed this multiple of its own σ, and a pole stray by as much. Single sweeps of
+a LiDAR that does not repeat its pattern show other points of the same surfaces: of 96 still Mid-360
+recordings the turn was up to 0.48°, and 3.6 σ at most; of VLP-16 and XT32 that were turned by 0.35
+and 0.5° it was 16 σ and more (streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ
+are exceeded by chance once in a thousand times (Student's t)."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
@@ -298,7 +293,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
 def turned_by(cloud: PointCloud) -> float:
     """How far a LiDAR turned from the first frames to the last, rad; 0 if that is not known.
 
-    A turn of more than `MAX_TURN` is known where it is also more than `TURN_SIGMAS` of its noise.
+    A turn of more than `MAX_TURN` is known where it is also more than `MOVED_SIGMAS` of its noise.
     """
     if cloud.frame is None:
         return 0.0
@@ -316,7 +311,7 @@ def turned_by(cloud: PointCloud) -> float:
         if not moved.converged:
             return 0.0
         turn = se3.rotation_angle(moved.T_target_source[:3, :3])
-        if turn > MAX_TURN and turn < TURN_SIGMAS * _turn_sigma(first, last, cloud.origin, moved):
+        if turn > MAX_TURN and turn < MOVED_SIGMAS * _turn_sigma(first, last, cloud.origin, moved):
             return 0.0
         if turn > MAX_TURN and cloud.ring is None and not _adds_up(moved, cloud, frames, part):
             return 0.0
@@ -397,7 +392,7 @@ def pole_drift(pole: Pole, frame: IntArray) -> Drift:
     -------
     Drift
         Of the run that lies farthest from the mean; zero and infinite where no two runs have
-        `MIN_RETURNS_PER_RUN`.
+        `MIN_POLE_POINTS`.
     """
     offset = pole.xyz - pole.point
     across = offset - (offset @ pole.direction)[:, None] * pole.direction
@@ -406,7 +401,7 @@ def pole_drift(pole: Pole, frame: IntArray) -> Drift:
     sizes: list[int] = []
     for run in runs:
         own = np.isin(frame, run)
-        if np.count_nonzero(own) >= MIN_RETURNS_PER_RUN:
+        if np.count_nonzero(own) >= MIN_POLE_POINTS:
             means.append(np.median(across[own], axis=0))
             sizes.append(int(np.count_nonzero(own)))
     if len(means) < 2:
@@ -446,7 +441,7 @@ def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
         return
     for k, pole in enumerate(poles):
         distance, sigma = pole_drift(pole, cloud.frame[pole.index])
-        if distance > DEFAULT_RADIUS and distance > DRIFT_SIGMAS * sigma:
+        if distance > DEFAULT_RADIUS and distance > MOVED_SIGMAS * sigma:
             raise Refusal(
                 "moving_pole",
                 f"pole {name[0].upper()}{k} of the {name} strays by {100 * distance:.1f} cm "

@@ -28,6 +28,7 @@ import numpy as np
 from ..alignment.certainty import root_of
 from ..base.datatypes import Array, PointCloud
 from ..base.systematic import Sway, stated_sway
+from ..base.uncertainty import MAD_TO_SIGMA
 from .static import MAX_TURN, MIN_FRAMES, turned_by
 from .sweeps import Observed, Timed, numbered, observe, timed, without
 
@@ -281,9 +282,6 @@ anew, so many times at most, or until it changes by less, rad."""
 GROUPS = 50
 """Of sweeps, by which the noise of the motion is judged."""
 
-MEDIAN_SQUARE = 0.4549
-"""Median of χ² with one degree of freedom."""
-
 STORED = 200
 """Values of the motion that are kept to be drawn."""
 
@@ -389,7 +387,7 @@ def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
     value, way = np.linalg.eigh(left[:size, :size])
     told = value > 1e-6 * value[-1]
     square = (way.T @ rest)[told] ** 2 / value[told]
-    return max(1.0, float(np.median(square)) / MEDIAN_SQUARE)
+    return max(1.0, MAD_TO_SIGMA**2 * float(np.median(square)))
 
 
 class Velocity(NamedTuple):

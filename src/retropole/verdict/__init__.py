@@ -15,6 +15,7 @@ from ..base.errors import Reason
 from ..base.sensors import Sensor
 from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
+from ..extraction.acceptance_shape import MAX_SURE_RMS, MIN_POLE_RINGS
 from ..extraction.sensor_pattern import sensor_doubt
 from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
 from ..hypotheses.candidate_confirmation import candidate_reasons
@@ -30,12 +31,8 @@ WEAK_ANGLE = np.radians(15.0)
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
 
-FEW_RINGS = 3
-"""Rings on a pole up to which its direction is weak."""
-
-NOISE_RATIO, ANY_NOISE = 3.0, 0.03
-"""Returns on poles scatter no more than this many times the noise that the manufacturer states,
-or, of a sensor not known, than this, metres."""
+NOISE_RATIO = 3.0
+"""Returns on poles scatter no more than this many times the noise that the manufacturer states."""
 
 WEAK_SIGMA = 0.05
 """1 σ of the poles' place above which a direction is called weak, metres."""
@@ -218,7 +215,7 @@ def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
             "nearer or record more frames",
             {"lidar": lidar, "points": points},
         )
-    elif rings <= FEW_RINGS:
+    elif rings <= MIN_POLE_RINGS:
         yield Reason(
             "few_rings",
             f"a pole is met by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
@@ -237,8 +234,8 @@ def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Rea
     noise
         1 σ of its returns along the beam, metres.
     """
-    expected = ANY_NOISE if sensor is None else sensor.range_noise
-    allowed = ANY_NOISE if sensor is None else NOISE_RATIO * sensor.range_noise
+    expected = MAX_SURE_RMS if sensor is None else sensor.range_noise
+    allowed = MAX_SURE_RMS if sensor is None else NOISE_RATIO * sensor.range_noise
     if noise > allowed:
         yield Reason(
             "noisy_poles",

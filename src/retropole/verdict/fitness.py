@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from ..alignment.certainty import BUDGET_RANGE, FLOOR
+from ..alignment.certainty import FLOOR
 from ..base import quantities
 from ..base.datatypes import Calibration
 from ..base.errors import Reason
 from ..base.reasons import remedy
-from ..base.uncertainty import floor, source_words
+from ..base.uncertainty import BUDGET_RANGE, floor, source_words
 from ..base.uncertainty.purpose import (
     USABLE,
     Fitness,

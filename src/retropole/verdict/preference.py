@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..adjustment.descent import CLOSE
 from ..adjustment.refinement import Refinement
 from ..alignment.adjustment import BeamAlignment
 from ..base import se3
@@ -14,14 +15,7 @@ from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import error
 from ..surfaces.patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
-from ..surfaces.patches import Patches, selected, surface_patches
-
-SURFACE_REACH = 0.5
-"""A patch belongs to the surface of a patch of the other cloud so near, metres."""
-
-HALF_COUNTED = 0.03
-"""Distance across the surface at which a patch counts for half, metres: that of a movement that
-matters. Nothing counts for more than one, however far it is off."""
+from ..surfaces.patches import SPAN, Patches, selected, surface_patches
 
 NEAR_POLES = 10.0
 """Surfaces so near to a pole count for `check_near_poles`, metres: what poles say of the pose is
@@ -112,13 +106,13 @@ def preferences(
 
 def _losses(target: Patches, tree: cKDTree, source: Patches, T: Array) -> Array:
     moved = se3.apply(T, source.centres)
-    distance, near = tree.query(moved, distance_upper_bound=SURFACE_REACH)
+    distance, near = tree.query(moved, distance_upper_bound=SPAN)
     met = np.isfinite(distance)
     at = np.where(met, near, 0)
     cosine = np.abs(np.einsum("mi,mi->m", source.normals @ T[:3, :3].T, target.normals[at]))
     across = np.einsum("mi,mi->m", moved - target.centres[at], target.normals[at])
     return np.where(
-        met & (cosine > np.cos(MAX_NORMAL_ANGLE)), across**2 / (across**2 + HALF_COUNTED**2), 1.0
+        met & (cosine > np.cos(MAX_NORMAL_ANGLE)), across**2 / (across**2 + CLOSE**2), 1.0
     )
 
 

@@ -15,8 +15,14 @@ from ..se3 import Array
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
 
+SIGMAS = 3.0
+"""Whatever is further off, in units of its own 1 σ, is left out: once in 370 times by chance."""
+
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
+
+BUDGET_RANGE = 30.0
+"""Range at which the shares of the budget are stated, metres."""
 
 LEVER = 10.0
 """Distance at which a rotation is counted next to a translation in the condition number, metres."""

@@ -44,7 +44,8 @@
   function toneOf(doc) {
     if (doc.phase === "done") return VERDICTS[Object.hasOwn(VERDICTS, doc.status) ? doc.status : "refused"];
     if (!doc.is_good) return ["todo", "todo", "To do"];
-    return ["good", "good", doc.phase === "capturing" ? "Good, keep still" : "Good"];
+    const words = { capturing: "Good, keep still", walking: "Go on" };
+    return ["good", "good", words[doc.phase] || "Good"];
   }
   function put(node, text) {
     // A screen reader says again what is set again.
@@ -110,7 +111,65 @@
     return facts;
   }
 
+  // --- a walk ---
+
+  const WIDE = 480, EDGE = 36;
+  function drawn(tag, kind, attributes, text) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    if (kind) made.setAttribute("class", kind);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, String(value));
+    if (text) made.textContent = text;
+    return made;
+  }
+  function picture(high, label, ...parts) {
+    const made = drawn("svg", "", { viewBox: `0 0 ${WIDE} ${high}`, role: "img", "aria-label": label });
+    made.append(...parts);
+    return made;
+  }
+  const lineOf = (points) => points.map((point) => point.map((v) => v.toFixed(1)).join(",")).join(" ");
+  /** The way of the pole and the LiDARs, x to the right and y up. */
+  function aboveOf(chart) {
+    const all = [...chart.lidars, ...chart.paths.flat()];
+    const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((k) => all.reduce((v, p) => most(v, p[k]), all[0][k])));
+    const span = [0, 1].map((k) => Math.max(high[k] - low[k], 1));
+    const scale = Math.min((WIDE - 2 * EDGE) / span[0], 420 / span[1]), tall = span[1] * scale + 2 * EDGE + 20;
+    const at = ([x, y]) => [EDGE + (x - low[0]) * scale, EDGE + (high[1] - y) * scale];
+    const parts = chart.names.flatMap((name, k) => {
+      const path = chart.paths[k].map(at), [x, y] = at(chart.lidars[k]), last = path[path.length - 1];
+      const marks = [drawn("polyline", `lidar-${k}`, { points: lineOf(path) }), drawn("rect", `lidar-${k}`, { x: x - 7, y: y - 7, width: 14, height: 14 })];
+      if (last) marks.push(drawn("circle", `lidar-${k} here`, { cx: last[0], cy: last[1], r: 8 }));
+      const left = x > WIDE / 2;
+      marks.push(drawn("text", "", { x: left ? x - 14 : x + 14, y: y + 5, "text-anchor": left ? "end" : "start" }, name));
+      return marks;
+    });
+    const metre = [1, 2, 5, 10, 20, 50].find((m) => m * scale > 60) || 100;
+    parts.push(drawn("line", "axis", { x1: EDGE, x2: EDGE + metre * scale, y1: tall - 14, y2: tall - 14 }), drawn("text", "", { x: EDGE, y: tall - 20 }, `${metre} m`));
+    return picture(tall, `Where ${chart.names.join(" and ")} saw the pole; the circle is where it was seen last`, ...parts);
+  }
+  /** What no point is off by more than, against how long the walk was, with the need. */
+  function fallOf(walk, need) {
+    const most = Math.min(Math.max(...walk.bounds.map((b) => b[1]), need), 10 * need), last = Math.max(walk.bounds[walk.bounds.length - 1][0], 10);
+    const at = ([seconds, bound]) => [EDGE + seconds / last * (WIDE - 2 * EDGE), 30 + 130 * (1 - Math.min(bound / most, 1))];
+    const line = (kind, from, to) => drawn("polyline", kind, { points: lineOf([from, to].map(at)) });
+    return picture(190, `Largest error up to ${plain(walk.at_m)} m away as the walk goes on`,
+      line("axis", [0, 0], [last, 0]), line("need", [0, need], [last, need]),
+      drawn("polyline", "lidar-0", { points: lineOf(walk.bounds.map(at)) }),
+      drawn("text", "", { x: EDGE, y: 20 }, `no point is off by more than ${length(walk.bounds[walk.bounds.length - 1][1])}, 95 % sure; dashed: needed`),
+      drawn("text", "", { x: EDGE, y: 180 }, "0 s"), drawn("text", "", { x: WIDE - EDGE, y: 180, "text-anchor": "end" }, `${Math.round(last)} s`));
+  }
+  function showWalk(doc) {
+    $("walk").hidden = !doc.walk;
+    if (!doc.walk) return;
+    lay("charts", doc.walk, () => {
+      const parts = doc.walk.charts.map(aboveOf);
+      if (doc.walk.bounds.length) parts.push(fallOf(doc.walk, doc.need.within_m));
+      parts.push(make("p", "numbers", `Both saw the pole for ${Math.round(doc.walk.seconds)} s.`));
+      return parts;
+    });
+  }
+
   function showRest(doc) {
+    showWalk(doc);
     const isCapturing = doc.phase === "capturing" && doc.wanted > 0;
     $("progress").hidden = !isCapturing;
     if (isCapturing) {
