@@ -132,8 +132,8 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
-    at may depend on where it started. The ends are `SIGMAS` to either side.
+    Where the uncertainty exceeds the distance of corresponding surfaces, the end of the search
+    may depend on its start. The ends are `SIGMAS` to either side.
     """
     assert poles.covariance is not None
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]

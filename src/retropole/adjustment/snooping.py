@@ -293,7 +293,7 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
     left = error.own - error.cross.T @ taken_up
     spread = left + more
-    # Of what nothing checks only rounding is left: none of it is a test.
+    # Of what no observation checks only rounding is left: none of it is a test.
     least_checked = ROUNDING * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
     told = size > least_checked

@@ -117,7 +117,7 @@ class Adjusted:
         across an angle, rad.
     clock_windows
         (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
-        beside that of all, and its 1 σ, s.
+        relative to that of all, and its 1 σ, s.
     clock_step
         (3,) when a step of the offset is likeliest, s, the step and its 1 σ, s.
     random, parts
@@ -409,9 +409,9 @@ def _offsets(
     draws: Array,
     place: IntArray,
 ) -> tuple[Array, Array]:
-    """Give the source's rows with each place (N,), from 0 on, an offset of their own.
+    """Give the source's rows with each place (N,), from 0 on, a separate offset.
 
-    Returns the offsets (K,) beside that of all, s, and their covariance (K, K).
+    Returns the offsets (K,) relative to that of all, s, and their covariance (K, K).
     """
     number = int(place.max()) + 1
     own = np.flatnonzero((system.lidar == 1) & (place >= 0))

@@ -7,8 +7,8 @@ the axis within::
     w = min(R − (k−1)s/2, (k+1)s/2 − R)
 
 of their middle, R being the radius of the pole with the beam, so that its standard deviation is
-w/√3. Rings whose beams have one azimuth leave the same open: they count as one, and so do sweeps in
-which the pole rests.
+w/√3. Rings whose beams have one azimuth leave the same uncertainty: they count as one, and so do
+sweeps in which the pole rests.
 
 Where rings are not known, each return is a row. Those of one passage of the beams over a half of
 the pole, from y₁ to y₂ across it, need the axis within ``w = R − (y₂ − y₁)/2`` of their middle,
@@ -44,7 +44,8 @@ WIDEST = 0.015
 """No beam is wider, rad."""
 
 SAME_AZIMUTH = 0.3
-"""Rings and sweeps whose middles differ by less than this part of a step leave the same open."""
+"""Rings and sweeps whose middles differ by less than this part of a step leave the same
+uncertainty."""
 
 PASSAGE = 0.002
 """Returns follow each other by less, s, while beams pass over a pole: columns of spinning LiDARs
@@ -74,7 +75,7 @@ class Rows:
     rings, sweep
         (N,) ring, −1 where none are numbered, and place of the sweep in the track.
     sharing
-        (N,) how many rows leave the same open across the pole.
+        (N,) how many rows leave the same uncertainty across the pole.
     divergence
         Full angle of the beams as the widths of the pole show it, rad.
     range_noise
@@ -206,7 +207,7 @@ class Open(NamedTuple):
     """Depth of each row before the axis, and 1 σ of it and of its middle across, (N,) metres.
 
     σ across is infinite where hits are missing. ``beyond`` is the share of each row's hits whose
-    middle passes beside the pole: only an edge of the beam, or a glow, met it.
+    middle passes next to the pole: only an edge of the beam, or a glow, hit it.
     """
 
     depth: Array

@@ -66,7 +66,7 @@ UNKNOWN = Beams()
 
 
 def beams_by(sensor: Sensor | None) -> Beams:
-    """The beams of a sensor; None where it is not known."""
+    """The beams of a sensor; None if it is not known."""
     return UNKNOWN if sensor is None else Beams(sensor.divergence, sensor.range_noise)
 
 

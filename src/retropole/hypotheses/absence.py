@@ -78,7 +78,7 @@ def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     """Whether a LiDAR looks through a pole that ``T`` (4, 4) moves into its frame.
 
     Of the beams that pass within `SAME_POSE_DISTANCE` of the pole, and that nothing before it
-    stops, the share ``r / SAME_POSE_DISTANCE`` meets a pole of radius r. Those without any return
+    stops, the share ``r / SAME_POSE_DISTANCE`` hits a pole of radius r. Those without any return
     are not known, nor counted.
     """
     cloud, found = seer.cloud, seer.detection

@@ -262,7 +262,7 @@ TURNS = 240
 """Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
 
 CELLS = RINGS * 4
-"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point beside one
+"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point near one
 that lies there only since FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])

@@ -357,7 +357,7 @@ class Watched:
 
 
 class Taken(NamedTuple):
-    """What came of a LiDAR: a sweep that is of use, or None; what is to be said of it; whether it
+    """What came from a LiDAR: a sweep that is of use, or None; what to report of it; whether it
     is of another frame than those before."""
 
     frame: Frame | None = None

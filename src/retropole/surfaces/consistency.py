@@ -330,7 +330,7 @@ LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
 PEAKS = 4
-"""So many shifts are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
+"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
 coincide need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
