@@ -330,8 +330,8 @@ LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
 PEAKS = 4
-"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
-coincide need not be where most of the scene agrees."""
+"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most
+cells coincide need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
 """Cells so far about the middle of the source's points are compared, metres."""
