@@ -61,8 +61,8 @@ from .unknowns import POSE
 RADIUS_EDGE = 0.12
 """1 σ of the radius that the beam model itself does not determine, as a part of the one given,
 beyond `DEPTH_SIGMA`: which returns from the edge of a pole are bright enough is not known. Where
-intensity falls with range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the
-returns alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and
+intensity falls with range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py)
+the returns alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and
 3.6 σ with 0.06; with 0.12 all of 24 diameters that were given for the radius are contradicted."""
 
 
