@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import ast
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -30,6 +31,9 @@ from retropole.result.options import OPTIONS, PAIRS
 DOCS = Path(__file__).parent
 HELP_WIDTH = 92
 """Of the help of commands, characters."""
+
+SHARED = 3
+"""Commands that have an option, from which on the page lists it once."""
 
 
 def table(head: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> str:
@@ -54,7 +58,7 @@ def reason_entries() -> str:
 
 
 def command_entries() -> str:
-    """Every command's whole help, as the installed command line prints it."""
+    """Every command's whole help, but options of several commands once."""
     top = click.Context(cli, info_name="retropole", **cli.context_settings)
     commands: list[tuple[str, click.Context]] = []
     for name, command in sorted(cli.commands.items()):
@@ -64,25 +68,55 @@ def command_entries() -> str:
         for sub in sorted(inner):
             below = click.Context(inner[sub], parent=context, info_name=sub, show_default=True)
             commands.append((f"{name} {sub}", below))
-    parts = []
-    for name, context in commands:
+    for _, context in commands:
         context.terminal_width = HELP_WIDTH
         context.meta[HELP_ALL] = True
-        parts.append(f"## {name}\n\n```text\n{context.command.get_help(context)}\n```\n\n")
-    return "".join(parts)
+
+    def record(context: click.Context, option: click.Parameter) -> tuple[str, str] | None:
+        return option.get_help_record(context) if isinstance(option, click.Option) else None
+
+    found = Counter(record(context, each) for _, context in commands for each in options(context))
+    shared: dict[str, tuple[str, str]] = {}
+    for one, n in found.most_common():
+        if one and n >= SHARED:
+            shared.setdefault(one[0], one)
+    parts = []
+    for name, context in commands:
+        left_out = [
+            each
+            for each in options(context)
+            if (one := record(context, each)) and one in shared.values()
+        ]
+        names = ", ".join(f"`{each.opts[-1]}`" for each in left_out if "help" not in each.name)
+        also = f"Common options: {names}.\n\n" if names else ""
+        for each in left_out:
+            each.hidden = True
+        text = context.command.get_help(context)
+        for each in left_out:
+            each.hidden = False
+        parts.append(f"## {name}\n\n```text\n{text}\n```\n\n{also}")
+    form = click.HelpFormatter(width=HELP_WIDTH)
+    form.write_dl(sorted(shared.values()))
+    return f"## Common options\n\n```text\n{form.getvalue()}```\n\n{''.join(parts)}"
+
+
+def options(context: click.Context) -> list[click.Option]:
+    """Options of a command, with that of its help."""
+    every = context.command.get_params(context)
+    return [each for each in every if isinstance(each, click.Option)]
 
 
 def option_rows() -> str:
-    """Every field of the options of a run, with the option and its help."""
+    """Every field of the options of a run, with the option."""
     both = {field: f"--{pair.name}" for pair in PAIRS.values() for field in pair[1:3]}
 
     def rows() -> Iterator[tuple[str, ...]]:
-        for field, option in OPTIONS.items():
+        for field in OPTIONS:
             name = both.get(field) or NAMES.get(field) or typed(field)
             default = f"`{getattr(DEFAULT_CONFIG, field)!r}`"
-            yield f"`{field}`", default, f"`{name}`", option.help.partition("  [")[0]
+            yield f"`{field}`", default, f"`{name}`"
 
-    return table(("field", "default", "option", "its help"), rows())
+    return table(("field", "default", "option"), rows())
 
 
 def first_line(path: Path) -> str:

@@ -69,9 +69,9 @@ class Options:
     radius, radius_sigma
         Radius of the poles and its 1 σ, metres; a radius that is not known exactly is estimated.
     sensors
-        What the target and the source LiDAR are; None where not known.
+        What the target and the source LiDAR are; None if not known.
     thresholds
-        Intensity from which a return counts as retro-reflective, in each cloud; None asks the
+        Intensity from which a return is treated as retro-reflective, in each cloud; None asks the
         sensor, or else the cloud itself.
     poles
         Exact number of poles that both LiDARs see; None takes any number from one up. Without any,
@@ -81,7 +81,7 @@ class Options:
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
     by_hand
-        Name of the hypothesis to take in the list that the same run gives without it; None lets the
+        Name of the hypothesis to include the list that the same run gives without it; None lets the
         scene choose. Whatever it is, the scene may still conflict with it, and the verdict is no
         more than ``warn``.
     trust_poles
@@ -92,7 +92,7 @@ class Options:
     candidates
         Whether to try the candidate poles where the confirmed ones give no answer.
     need
-        How accurate the answer must be, which the verdict answers; None only asks for usable.
+        How accurate the answer must be, which the verdict answers; None only requires usable.
     mast_sway
         1 σ of the angle that the masts of both LiDARs are said to sway by, rad; None only takes
         what the sweeps of a recording show.
@@ -144,7 +144,7 @@ def calibrate(
     Raises
     ------
     UsageError
-        Where no hypothesis that fits the poles has the name `Options.by_hand`, and where neither
+        If no hypothesis that fits the poles has the name `Options.by_hand`, and where neither
         poles nor the scene may give the pose.
     """
     seconds: dict[str, float] = {}
@@ -332,9 +332,9 @@ def calibrate_site(
                 patches = patches_of(scans)
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
-                # Rough poses may be off by more than poles of few returns lie apart, and returns
-                # that lie beside a pole under them pull no more; what of a survey they did not meet
-                # may be met now.
+                # Rough poses may be off by more than poles of few returns differ, and returns
+                # that lie next to a pole under them pull no more; what of a survey they did not
+                # meet may be met now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
@@ -345,7 +345,7 @@ def calibrate_site(
                     datum = find_datum(site, scans.origins, poses, again, hanging)
                     adjusted = adjust(recorded, datum)
             with step("test"):
-                # Whatever is refused from here on, a radius that the returns deny may be why.
+                # Whatever is refused from here on, a radius that the returns contradict may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 unchecked = list(check_poles_of_hanging(recorded, adjusted))
@@ -372,7 +372,7 @@ def calibrate_two(
     Returns
     -------
     SiteCalibration or None
-        None where no placement shows both, and where one of them does not show one place in all.
+        None if no placement shows both, and if one of them does not show one place in all.
     """
     if site.reference == 1:
         other = replace(site, lidars=site.lidars[::-1], reference=0)

@@ -116,7 +116,7 @@ def test_no_intensity_and_one_for_all(tmp_path: Path, cloud: PointCloud) -> None
     assert said is not None
     assert (said.threshold, said.retro_points, sum(said.counts)) == (None, 0, len(cloud))
     for name in ("none.pcd", "same.pcd"):
-        assert "tape cannot be told" in describe_info(describe(tmp_path / name))
+        assert "tape cannot be distinguished" in describe_info(describe(tmp_path / name))
 
 
 @pytest.mark.parametrize("name", [name for name, own in SENSORS.items() if own.rings])

@@ -84,7 +84,7 @@ def test_a_heap_far_from_the_origin_is_in_the_frame_of_a_map(
     assert "a LAS file does not say where the LiDAR stood" not in odd.words
     of_las = oddity_of(replace(cloud, source="survey.LAZ"))
     assert of_las is not None
-    assert "a LAS file does not say where the LiDAR stood, so beams have no origin" in of_las.words
+    assert "a LAS file does not say where the LiDAR was, so beams have no origin" in of_las.words
 
 
 def test_what_is_narrow_and_in_millimetres_is_no_map() -> None:

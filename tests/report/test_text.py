@@ -165,8 +165,8 @@ def test_what_was_left_out_to_bound_the_time_is_for_those_who_ask() -> None:
     result = replace(made_up("refused", 500).result, reasons=[reason])
     assert "to bound the time" not in describe_result(result, []).lower()
     whole = " ".join(describe_result(result, [], verbose=True).split())
-    words = "To bound the time, the 200 most alike of 229 pairs of possible poles were laid on each"
-    assert f"{words} other, the best 16 of 310 ways of pairing possible poles were tried" in whole
+    words = "To bound the time, the 200 most similar of 229 pairs of possible poles were matched,"
+    assert f"{words} the best 16 of 310 ways of pairing possible poles were tried" in whole
     assert "registered" not in whole
 
 

@@ -39,11 +39,11 @@ class LidarPose:
         (6, 6) over ``[φ, δ]``, rad and m, axes of the site: ``R_true = Exp(φ) R``, ``t_true = t +
         δ``; zero for the LiDAR whose frame is the site's.
     budget
-        Every source of error of this pose, the largest first; whose it is stands in its name.
+        Every source of error of this pose, the largest first; its name says whose it is.
     predicted_error
         At several ranges.
     fitness
-        Whether it is as accurate as was asked for.
+        Whether it is as accurate as was requested.
     """
 
     lidar: int
@@ -80,7 +80,7 @@ class SitePole(
     seen_by
         Indices of the LiDARs.
     surveyed
-        Index in `Site.poles`; None where it was not surveyed.
+        Index in `Site.poles`; None if it was not surveyed.
     sigma, direction_sigma
         1 σ of the axis across itself at `point`, metres, and of its direction, rad, where they are
         largest; None in documents of earlier versions.
@@ -108,15 +108,15 @@ class PairCheck:
     shared_poles
         How many poles of all placements both see.
     standing
-        How many hypotheses the pair alone leaves standing: 0 where it has none, and is linked
-        through others; 1 where it decides by itself.
+        How many hypotheses the data of the pair alone do not rule out: 0 if there is none and
+        the pair is linked through others; 1 if it decides by itself.
     patches
-        How many pairs of surface patches the adjustment took from them; 0 where none.
+        How many pairs of surface patches the adjustment took from them; 0 if none.
     w
-        Largest normalised residual (Baarda's w) of what the two share; None where nothing is
+        Largest normalised residual (Baarda's w) of what the two share; None if nothing is
         tested.
     refusal
-        Why the pair alone has no answer; None where it has.
+        Why the pair alone has no answer; None if it has.
     """
 
     lidars: tuple[int, int]
@@ -161,7 +161,7 @@ class WithoutPlacement(
     placement
         Its index.
     rotation, translation
-        Largest change of a pose relative to the reference, rad and m; None where the others give
+        Largest change of a pose relative to the reference, rad and m; None if the others give
         none.
     lidar
         Index of the LiDAR that changes so.
@@ -186,7 +186,7 @@ class SiteCalibration:
     datum
         What fixes the frame, in words.
     scans
-        For each LiDAR, what was found in each placement, in the frame of its clouds; None where it
+        For each LiDAR, what was found in each placement, in the frame of its clouds; None if it
         recorded none.
     lidars
         Poses of all LiDARs, in the order of `Site.lidars`; empty when refused.

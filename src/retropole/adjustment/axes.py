@@ -73,7 +73,7 @@ def find_axes(
     seen
         Its poles, each with the cloud that it was found in; all clouds share the beam origin.
     sensor
-        What it is, and so the sizes of its errors; None where not known.
+        What it is, and so the sizes of its errors; None if not known.
     radius, radius_sigma
         Of the poles, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it.
     """
@@ -96,7 +96,7 @@ def find_axes(
     precision = prior_precision(groups, sigma)
     whole = information.copy()
     whole[np.arange(count), np.arange(count)] += precision
-    # Axes and errors together: what the returns show of an error is taken out of the axes.
+    # Axes and errors together: what the returns show of an error is removed from the axes.
     rows = np.linalg.inv(whole)[count:]
     step = np.r_[np.zeros(SHARED), rows @ gradient[kept]]
     passed = rows[:, :count] * precision * sigma[groups.label]

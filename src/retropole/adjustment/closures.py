@@ -29,7 +29,7 @@ from .descent import End, SceneTerm
 from .solved import Solved, labels_of_places, moved_by, places_of
 
 MOST_LOOPS = 60
-"""So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""
+"""At most this many loops are closed: of 8 LiDARs that all see each other, all 56 triangles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def _edge(
     end: End,
     count: int,
 ) -> _Edge | None:
-    """Solve one pair with the first LiDAR held; None where it leaves its pose open."""
+    """Solve one pair with the first LiDAR held; None if its pose is not determined."""
     scene = None if seen is None else seen[0]
     unknowns = at.network.unknowns
     parts = [at.network.observations[k] for k in sources]

@@ -1,4 +1,4 @@
-"""Where the frame of a site is: laid on what was surveyed, levelled, or that of a LiDAR.
+"""Where the frame of a site is: aligned with what was surveyed, levelled, or that of a LiDAR.
 
 Surveyed poles are matched to those that the LiDARs see as the poles of one more LiDAR would be;
 control points are known by name.
@@ -37,16 +37,16 @@ be on one. So none of these habits makes a stated error too small."""
 
 @dataclass(frozen=True, eq=False)
 class Hanging:
-    """LiDARs that hang on one pole which one of them shares with one of the others.
+    """LiDARs that depend on one pole which one of them shares with one of the others.
 
     Attributes
     ----------
     near, far
         Indices of the two LiDARs of the link: of the others, and of those that hang.
     T
-        (4, 4) maps points of `far` into the frame of `near`: the pose that the place gave.
+        (4, 4) maps points of `far` into the frame of `near`: the pose that the surroundings gave.
     lidars
-        Indices of all that hang on the link, `far` among them.
+        Indices of all that depend on the link, `far` among them.
     """
 
     near: int
@@ -63,7 +63,7 @@ class Hanging:
         ]
 
     def parted(self, poles: Sequence[SharedPole]) -> list[SharedPole]:
-        """The same poles, those across as one on each side: then they tell nothing of the link."""
+        """The same poles, those across as one on each side: then they do not constrain the link."""
         own, others = list(poles), []
         for k in self.across(poles):
             seen = poles[k].seen
@@ -114,14 +114,14 @@ def find_hanging(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Han
 
 
 def hanging_off(hanging: Sequence[Hanging], anchor: int, all_: frozenset[int]) -> Iterator[Hanging]:
-    """Say of each link which side hangs on it: the one that the frame is not laid on.
+    """Orient each link: the side that the frame is not aligned with depends on it.
 
     Parameters
     ----------
     hanging
         By `find_hanging`.
     anchor
-        The LiDAR that the frame of the site is laid on.
+        The LiDAR that the frame of the site is aligned with.
     all_
         All LiDARs that have a pose.
     """
@@ -138,7 +138,7 @@ def known_poses(hanging: Sequence[Hanging], poses: Mapping[int, Array]) -> tuple
     Parameters
     ----------
     hanging
-        What hangs, off the LiDAR that the frame is laid on.
+        The LiDARs that depend on one pole, away from the one that defines the frame.
     poses
         From the index of a LiDAR to its pose (4, 4), in the frame of the site.
     """
@@ -148,7 +148,7 @@ def known_poses(hanging: Sequence[Hanging], poses: Mapping[int, Array]) -> tuple
 
 
 def check_poles_left(site: Site, hanging: Sequence[Hanging], poles: Sequence[SharedPole]) -> None:
-    """Refuse where the pole that a link hangs on is gone: the place alone is no calibration.
+    """Refuse if the pole that a link depends on is gone: surroundings alone are no calibration.
 
     Raises
     ------
@@ -202,7 +202,8 @@ class Datum:
     unmet
         What was surveyed and nothing that the LiDARs see meets.
     hanging
-        What hangs on a link that the place gives a part of, off what the frame is laid on.
+        What depends on a link that the surroundings give in part, seen from what defines the
+        frame.
     """
 
     poses: dict[int, Array]
@@ -232,7 +233,7 @@ def find_datum(
     poses, poles
         In the frame of the first of the linked LiDARs.
     hanging
-        By `find_hanging`: what the place gives a part of is held there (`Surveyed.poses`).
+        By `find_hanging`: what the surroundings give a part of is held there (`Surveyed.poses`).
 
     Raises
     ------
@@ -296,7 +297,7 @@ def of_lidar(name: str) -> str:
 
 
 def _most_surveyed(poles: Sequence[SharedPole], surveyed: Surveyed, poses: dict[int, Array]) -> int:
-    """The LiDAR that sees most of what was surveyed: what it sees does not hang on the others."""
+    """The LiDAR that sees most of what was surveyed: what it sees does not depend on the others."""
     counts = dict.fromkeys(poses, 0)
     for end in surveyed.ends:
         for i in poles[end.axis].seen:

@@ -65,7 +65,7 @@ def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> lis
     Parameters
     ----------
     patches
-        Of each LiDAR, in its own frame; None where it recorded nothing.
+        Of each LiDAR, in its own frame; None if it recorded nothing.
     lidars
         Which of them are compared.
     """
@@ -150,7 +150,7 @@ def scene_term(
     unknowns: Unknowns,
     origins_known: bool,
 ) -> SceneTerm | None:
-    """Pair the patches of two LiDARs under their poses; None where too few correspond."""
+    """Pair the patches of two LiDARs under their poses; None if too few correspond."""
     i, j = lidars
     T_ij, covariance = relative(T[i], T[j], joint_of(search, i, j))
     pairs = pair_patches(sets, T_ij, covariance, origins_known)
@@ -260,7 +260,7 @@ def support_of(end: End) -> float:
 
 
 def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = False) -> End:
-    """Descend as far as the poles (and a survey) leave the poses open.
+    """Descend as far as the poles (and a survey) leave the poses undetermined.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def _stride_of(scaled: Array, before: Array | None) -> tuple[float, Array | None
     """How much of a step, in σ, to go, and what of it to remember for the next (Aitken 1926).
 
     Weights and partners change with the pose, so that each step is followed by a smaller one in the
-    same direction, or back where it was too long. Of two steps the second tells the ratio, and
+    same direction, or back where it was too long. Of two steps the second shows the ratio, and
     thereby the sum of all to come.
     """
     if before is None:

@@ -1,10 +1,10 @@
 """LiDARs on one mast: they sway together, and the transform between them does not move.
 
-Where a mast rests is not well known of a short recording, and what the one LiDAR says of it is not
-what the other does. LiDARs that sway as one need not know it: at every moment ``ξ_i = A_i ξ``, ξ
-the motion of the first of them and A_i the adjoint of the pose between them, so that one motion
-explains the returns of all. Whether it does the evidence tells: that of one motion over that of one
-for each. Both are as probable beforehand.
+A short recording does not determine well where a mast rests, and two LiDARs need not agree on it.
+LiDARs that sway as one need not know it: at every moment ``ξ_i = A_i ξ``, ξ the motion of the first
+of them and A_i the adjoint of the pose between them, so that one motion explains the returns of
+all. The evidence shows whether it does: that of one motion over that of one for each. Both are as
+probable beforehand.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def on_one_mast(placements: Sequence[Placement], T: Array) -> Sequence[Placement
 
 
 Row = Sequence[Scan | None]
-"""What the LiDARs recorded of one placement; None where nothing, or nothing that can be used."""
+"""What the LiDARs recorded of one placement; None if nothing, or nothing that can be used."""
 
 
 def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
@@ -238,7 +238,7 @@ def with_masts(scans: SiteScans, poses: Mapping[int, Array]) -> SiteScans:
     by_lidar = list(scans.by_lidar)
 
     def shared_by(*lidars: int) -> Sequence[Row] | None:
-        """Rows of some LiDARs, brought to one rest; None where they do not sway as one."""
+        """Rows of some LiDARs, brought to one rest; None if they do not sway as one."""
         rows = list(zip(*(by_lidar[k] for k in lidars), strict=True))
         shared = as_one(rows, [poses[k] for k in lidars])
         return None if shared is rows else shared

@@ -7,7 +7,7 @@ scene disagree, what is stated covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
-residual tells nothing. So the answer is sought again without each such place, with weights and
+residual is no check. So the answer is sought again without each such place, with weights and
 partners anew, and what is stated covers both.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
@@ -101,7 +101,7 @@ def without_decisive(
     ------
     Decisive, RefinementProblem, End
         The place, and problem (but for its `few`) and answer without it; places without which the
-        rest of the scene says nothing are left out.
+        rest of the scene gives no information are left out.
     """
     (term,), (scene,) = end.scene, problem.scenes
     pairs = term.pairs
@@ -133,8 +133,8 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
-    at may depend on where it started. The ends are `SIGMAS` to either side.
+    Where the uncertainty exceeds the distance of corresponding surfaces, the end of the search
+    may depend on its start. The ends are `SIGMAS` to either side.
     """
     assert poles.covariance is not None
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
@@ -195,13 +195,13 @@ SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
 """Which of the errors of a whole LiDAR is that of the scale of its ranges."""
 
 MAX_SCALE_SIGMA = 0.1
-"""1 σ of that scale from which the surfaces say nothing of it."""
+"""1 σ of that scale from which the surfaces give no information about it."""
 
 DISTORTION = "distortion of the map"
 """What a map errs by, in the error budget."""
 
 UNSURE = 0.01
-"""Part of their information that poles keep when the scene is asked nearly alone: ten times their
+"""Part of their information that poles keep when the scene is used nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
 off, two of them with a χ² below 17; asked so, the scene conflicts with the poles."""
 
@@ -236,7 +236,7 @@ class Refinement:
         Where the search ended, and every source of error.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
-        the error of its ranges' scale; None where nothing tells.
+        the error of its ranges' scale; None if nothing shows it.
     held
         (6, 6) the pose's covariance if every place is where it was: no `decisive` one moved.
     decisive
@@ -261,7 +261,7 @@ class Refinement:
 
 
 def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -> Refinement | None:
-    """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
+    """Refine the poles' pose by the surfaces of all placements; None if there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
     is_map = targets[0].cloud.is_map
@@ -300,22 +300,22 @@ def refine(
     poles
         Pose and covariance of the poles.
     factor
-        What the poles say of the pose and the errors; None takes `poles` for a normal distribution
-        of the pose that says nothing of the errors.
+        What the poles show of the pose and the errors; None takes `poles` for a normal distribution
+        of the pose that gives no information about the errors.
     model
         Sizes of the errors; None takes those of unknown LiDARs.
     start
         (4, 4) where the search starts; None takes the poles' pose.
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
-        an object and its back cannot be told apart by their normals.
+        an object and its back cannot be distinguished by their normals.
     distortion
         (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
     Refinement or None
-        None where the scene has fewer than `MIN_PATCHES` common patches: it has nothing to say.
+        None if the scene has fewer than `MIN_PATCHES` common patches: too little information.
     """
     assert poles.covariance is not None
     patches = surface_patches(target), surface_patches(source)
@@ -341,7 +341,7 @@ def refine_pair(
     start: Array | None = None,
     distortion: Array | None = None,
 ) -> Refinement | None:
-    """Search the pose that poles and scene agree on from several starts, and say how sure it is.
+    """Search the pose that poles and scene agree on from several starts, and say how certain it is.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def refine_pair(
     Returns
     -------
     Refinement or None
-        None where the scene has nothing to say.
+        None if the scene gives no information.
     """
     assert poles.covariance is not None
     first = poses_of_pair(poles.T_target_source if start is None else start)
@@ -448,10 +448,11 @@ def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Ar
 def _denial(
     problem: RefinementProblem, best: End, poles: PoseEstimate, *, within: bool = False
 ) -> float:
-    """How far poles and scene are apart, squared, in units of what the poles state.
+    """Squared distance of the poses of poles and scene, in units of the σ that the poles state.
 
-    Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach:
-    the scene is asked again with the poles hardly counted, as far as they may then be off. Asked
+    Poles that state a small σ for a wrong pose hold the search where the true surfaces are out of
+    reach:
+    the scene is used again with the poles hardly counted, as far as they may then be off. Used
     also `within` what the search left, its other minima are no denial where they have less support.
     """
     assert poles.covariance is not None

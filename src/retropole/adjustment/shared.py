@@ -37,7 +37,7 @@ class SharedPole:
     extent
         (2, 3) the ends of what all LiDARs saw of it, on that axis.
     surveyed
-        Index in `Site.poles`; None where it was not surveyed.
+        Index in `Site.poles`; None if it was not surveyed.
     """
 
     placement: int

@@ -82,7 +82,7 @@ class Recorded:
 
     @cached_property
     def left(self) -> tuple[Array, ...]:
-        """What is left of the sway of each LiDAR; none where all stood."""
+        """What is left of the sway of each LiDAR; empty if none swayed."""
         every = range(len(self.site.lidars))
         return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
@@ -338,7 +338,7 @@ def adjusted_of_two(
     numbers
         Index of each of them in `Site.placements`.
     aligned, refined
-        The poles' pose, and with the scene; None where there is none.
+        The poles' pose, and with the scene; None if there is none.
     """
     joint = aligned.joint
     assert joint is not None

@@ -1,14 +1,14 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets a bias of its own beside all unknowns. How much
+Data snooping (Baarda 1968): an observation gets its own bias in addition to all unknowns. How much
 the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
-the error has; how well the others determine that error is its redundancy, and tells the least
+the error has; how well the others determine that error is its redundancy, and gives the least
 error that the test finds.
 
-Several observations may also have one bias in common. Last come returns beside their pole, of a
-LiDAR that sees it clearly elsewhere. A return far from the axis counts as an outlier, and pulls no
-more: the quadratic form of such returns says that nothing is wrong. What an axis of its own would
-gain them is found in full.
+Several observations may also have one bias in common. Last come returns next to their pole, of a
+LiDAR that sees it clearly elsewhere. A return far from the axis is treated as an outlier, and
+pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate axis
+would gain them is found in full.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Bias:
     wide
         (M, R) what errors that are considered do to that slope.
     metres
-        (M', ) which of its parameters are lengths: what is told of it is told for these.
+        (M', ) which of its parameters are lengths: errors are reported for these.
     freedom
         How many of its parameters no unknown can take up.
     """
@@ -87,7 +87,7 @@ def of_columns(
 
 
 def pole_moved(at: Solved, pole: int) -> Bias | None:
-    """A pole that stands elsewhere for each LiDAR; None where fewer than two see it."""
+    """A pole that is at a different position for each LiDAR; None if fewer than two see it."""
     parts = [
         (one, _axis_columns(one, pole))
         for one in at.network.observations
@@ -100,14 +100,14 @@ def pole_moved(at: Solved, pole: int) -> Bias | None:
 
 
 def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
-    """A pole that stands elsewhere, at one place, for some LiDARs than for all others."""
+    """A pole that is at one position for some LiDARs, and at another for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
     return Bias(cross, own, slope, wide, np.arange(2), 4)
 
 
 def splits(count: int) -> Iterator[tuple[int, ...]]:
-    """Give all ways to part so many LiDARs in two, each of two or more: the fewer of both."""
+    """Give all ways to split `count` LiDARs in two, each of two or more: the fewer of both."""
     for size in range(2, count // 2 + 1):
         for part in combinations(range(count), size):
             if 2 * size < count or 0 in part:
@@ -115,14 +115,14 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
-    """Find the LiDARs for which a pole likeliest stands elsewhere, at one place, than for others.
+    """Find the LiDARs that most likely see a pole at another position than the others do.
 
     Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
 
     Parameters
     ----------
     at, moved
-        The answer, and the bias of a pole that stands elsewhere for each of V LiDARs.
+        The answer, and the bias of a pole that is at a different position for each of V LiDARs.
     parts
         Of which one is taken: each some of the V.
     """
@@ -148,7 +148,7 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
 
 
 def placement_moved(at: Solved, one: Observation) -> Bias:
-    """A LiDAR that stood elsewhere in one placement."""
+    """A LiDAR that was at another position in one placement."""
     return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
 
 
@@ -167,7 +167,7 @@ def lidar_apart(at: Solved, lidar: int) -> Bias | None:
 
 
 def value_wrong(at: Solved, one: Observation) -> Bias:
-    """A single measurement with a bias of its own, metres or rad."""
+    """A single measurement with a separate bias, metres or rad."""
     assert one.by_value is not None
     J, residual, _ = one.by_value
     size = at.network.unknowns.size
@@ -180,7 +180,7 @@ def value_wrong(at: Solved, one: Observation) -> Bias:
 
 
 def _axis_columns(one: Observation, pole: int) -> IntArray:
-    """Where a pole's four parameters stand in an observation."""
+    """Where a pole's four parameters are in an observation."""
     assert one.poles is not None
     first = len(one.place) - 4 * len(one.poles)
     return np.asarray(first + 4 * int(np.flatnonzero(one.poles == pole)[0]) + np.arange(4))
@@ -189,7 +189,7 @@ def _axis_columns(one: Observation, pole: int) -> IntArray:
 def find_outlying(
     end: Posterior[JointState], network: Network, sights: Sequence[Sight]
 ) -> Iterator[tuple[int, int, float]]:
-    """Find the poles beside which most of a LiDAR's returns on them lie.
+    """Find the poles next to which most of a LiDAR's returns on them lie.
 
     Parameters
     ----------
@@ -203,8 +203,8 @@ def find_outlying(
     Yields
     ------
     lidar, pole, chi2
-        Indices, and twice the logarithm of the likelihood that an axis of its own would gain: χ²
-        with four degrees of freedom where the pole stands at one place.
+        Indices, and twice the logarithm of the likelihood that a separate axis would gain: χ²
+        with four degrees of freedom where the pole is at one place.
     """
     by_lidar = {sight.lidar: sight for sight in sights}
     for one in network.observations:
@@ -216,7 +216,7 @@ def find_outlying(
 
 
 def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
-    """Twice the logarithm of the likelihood that an axis of its own gains a LiDAR's returns."""
+    """Twice the log likelihood that a separate axis would gain for a LiDAR's returns."""
     beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
     state, log_noise = end.state, end.log_noise[sight.lidar]
     to_lidar = se3.inverse(state.T[sight.lidar])
@@ -248,7 +248,7 @@ errors that are not modelled add up. `blunders.BLUNDER` cites what set it."""
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How a bias of its own was tested; see `answer.Test`."""
+    """How an observation's own bias was tested; see `answer.Test`."""
 
     chi2: float
     redundancy: float
@@ -282,7 +282,7 @@ def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outco
         np.split(by_wide, cuts),
         strict=True,
     ):
-        # What is considered moves the slope by so much.
+        # Considered parameters move the slope by this amount.
         by = error.wide - wide
         # And the scene's patches, correlated as they are, by more than their information says.
         scatter = excess(scene @ scene.T, taken.T @ carry)
@@ -293,7 +293,7 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
     left = error.own - error.cross.T @ taken_up
     spread = left + more
-    # Of what nothing checks only rounding is left: none of it is a test.
+    # Of what no observation checks only rounding is left: none of it is a test.
     least_checked = ROUNDING * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
     told = size > least_checked
@@ -339,7 +339,7 @@ def all_tests(
     site, poles
         For names, and who sees which pole.
     astray
-        By LiDAR and pole the χ² of returns that lie beside it (`snooping.find_outlying`).
+        By LiDAR and pole the χ² of returns that lie next to it (`snooping.find_outlying`).
     """
     asked = list(_asked(at, site, poles, astray))
     found = outcomes(at, [(each.error, each.unit) for each in asked])
@@ -362,9 +362,9 @@ def all_tests(
 
 
 class _Asked(NamedTuple):
-    """A test: the bias that an observation may have, the likeliest `among` so many.
+    """A test: the bias that an observation may have, the likeliest `among` this many.
 
-    `unit` is metres for each of its lengths; `beside` the χ² of returns that lie beside a pole.
+    `unit` is metres for each of its lengths; `beside` the χ² of returns that lie next to a pole.
     """
 
     kind: Kind
@@ -414,7 +414,7 @@ def _of_pole(
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
 ) -> Iterator[_Asked]:
-    """Test a pole: as a whole, as each LiDAR sees it, and parted as is likeliest."""
+    """Test a pole: as a whole, as each LiDAR sees it, and split in the likeliest way."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:

@@ -96,7 +96,7 @@ def places_of(
     covariance: Array,
     labels: Sequence[IntArray],
 ) -> Places:
-    """Sum what the pairs of patches of each place say of some parameters.
+    """Sum what the pairs of patches of each place show of some parameters.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def moved_by(places: Places) -> tuple[Array, Array]:
 
 
 def parts_of_surfaces(end: End) -> list[Part]:
-    """Say what the surfaces do to all poses: nothing where no scene has a part."""
+    """State the effect of the surfaces on all poses: nothing if no scene has a part."""
     if not end.scene:
         return []
     free = np.flatnonzero(np.diag(end.inverse)[: len(end.search)] > 0)
@@ -322,7 +322,7 @@ def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part])
     which = np.flatnonzero(sigma)
     wide = np.zeros((unknowns.size, len(which)))
     wide[poses + which, np.arange(len(which))] = sigma[which]
-    # What moves the poses by so much takes all else along.
+    # What moves the poses by this moves everything else with them.
     moved = np.flatnonzero(network.free)
     surfaces = [part.root for part in parts if part.name in (SCATTER, FLAT)]
     by_scene_moved = np.hstack([np.zeros((poses, 0)), *surfaces])[moved]

@@ -3,8 +3,8 @@
 A line fitted to the returns on a pole runs in front of its axis, for each LiDAR on another side.
 Here the axes of the poles and the pose are estimated together, with a range offset that all
 retro-reflective returns of one LiDAR share, and the radius where it is not known exactly. Every
-return is compared with where its own beam can have met the pole, and every beam that passed close
-by with the space beside it (`likelihood`). The noise of the returns, in depth and sideways, is
+return is compared with where its own beam can have hit the pole, and every beam that passed close
+by with the space next to it (`likelihood`). The noise of the returns, in depth and sideways, is
 estimated with them. See docs/method.md, Beam model.
 
 Also the radius as the returns have it, whatever was given, and whether both LiDARs saw the same
@@ -59,11 +59,11 @@ from .survey import NOTHING_SURVEYED, KnownPose, Surveyed
 from .unknowns import POSE
 
 RADIUS_EDGE = 0.12
-"""1 σ of the radius that the beam model itself leaves open, as a part of the one given, beyond
-`DEPTH_SIGMA`: which returns from the edge of a pole are bright enough is not known. Where intensity
-falls with range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the returns
-alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and 3.6 σ with
-0.06; with 0.12 all of 24 diameters that were given for the radius are contradicted."""
+"""1 σ of the radius that the beam model itself does not determine, as a part of the one given,
+beyond `DEPTH_SIGMA`: which returns from the edge of a pole are bright enough is not known. Where
+intensity falls with range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py)
+the returns alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and
+3.6 σ with 0.06; with 0.12 all of 24 diameters that were given for the radius are contradicted."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ReturnsRadius:
     def sigmas_below(self, radius: float, sigma: float) -> float:
         """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
 
-        Thicker is no denial: tape glows, and beams beside a pole return as if they had met it.
+        Thicker is no denial: tape glows, and beams next to a pole return as if they had hit it.
         """
         return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
 
@@ -117,7 +117,7 @@ class AxesTest:
     ----------
     chi2, freedom
         By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² where the poles stand alike.
+        posterior, and how many more parameters that has: χ² if the poles stood the same.
     by_pole
         (K,) the same where only that pole's axis is freed.
     """
@@ -128,10 +128,10 @@ class AxesTest:
 
 
 def compare_axes(network: Network, precision: Array, considered: Array) -> AxesTest:
-    """Test whether the poles stood alike when each LiDAR recorded them (score test, Rao 1948).
+    """Test whether the poles stood the same when each LiDAR recorded them (score test, Rao 1948).
 
-    The source's axes get a displacement of their own, beside pose, errors and common axes. Six of
-    its directions are the pose's; two poles leave two to test, their angle and their distance.
+    The source's axes get a separate displacement, in addition to pose, errors and common axes. Six
+    of its directions are the pose's; two poles leave two to test, their angle and their distance.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
         )
         score = pull[own] - cross.T @ known[:, -1]
         left = source[np.ix_(own, own)] - cross.T @ known[:, :-1]
-        # What is considered moves the score by so much.
+        # Considered parameters move the score by this amount.
         by = (source[np.ix_(own, errors)] - known[:, :-1].T @ by_errors) * considered[
             errors - unknowns.poses
         ]
@@ -174,15 +174,17 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
 
 
 RADIUS_TOLERANCE = 0.02
-"""Least 1 σ of the radius, as a part of it: tubes differ by so much, and tape adds to them."""
+"""Least 1 σ of the radius, as a part of it: tubes differ by this amount, and tape adds to them."""
 
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""
 
 PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
-"""1 σ of the pose that the place gives where the poles leave some of it open, rad and m, as far as
-the poles are asked: wide beside what surfaces say afterwards. Of 66 that were settled about one
-pole (benchmarks/hard_scenes.py, seeds 0 to 39) the furthest was 0.24° and 2 cm off."""
+"""1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
+and m, as far as
+the poles are used: wide compared with what surfaces show afterwards. Of 66 that were
+refined about one pole (benchmarks/hard_scenes.py, seeds 0 to 39) the furthest was 0.24° and 2 cm
+off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,10 +199,10 @@ class BeamAlignment:
     uncertainty
         The covariance in its two kinds, and the budget.
     factor
-        What the poles say of the pose and of the LiDARs' errors, for the scene to go on from.
+        What the poles show of the pose and of the LiDARs' errors, for the scene to go on from.
     covariance_if_known
         (6, 6) the covariance if the LiDARs' errors and the radius were known: what the returns
-        alone leave open.
+        alone do not determine.
     axis_points, axis_directions
         (K, 3) a point on each pole's axis and its unit direction, target frame.
     radius
@@ -285,9 +287,9 @@ def align_beams(
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.
     placement
-        (K,) index of that which each pole stood in; None where there is one.
+        (K,) index of that which each pole stood in; None if there is one.
     by_place
-        Whether the place, and not the poles, gives what `T_start` has beside them.
+        Whether the surroundings, and not the poles, gives what `T_start` has in addition to them.
 
     Raises
     ------
@@ -313,7 +315,7 @@ def align_beams(
 
 
 def without_poles(T: Array, radius: float) -> BeamAlignment:
-    """State a pose (4, 4) that the place alone gives, as poles would that know no more of it."""
+    """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing."""
     covariance = np.diag(PLACE_SIGMA**2)
     pose = PoseEstimate(T, covariance, 0.0)
     nothing = np.zeros((0, 3))
@@ -358,7 +360,7 @@ def align_all(
     free
         (6 L,) which parameters of the poses are estimated.
     scene_bands
-        For each LiDAR, bands of elevation that it has returns in beside those on poles.
+        For each LiDAR, bands of elevation that it has returns in other than those on poles.
     most_noise
         As `maximum.maximise_joint` has it.
 
@@ -393,7 +395,7 @@ def align_all(
     assumed = found.point.state.radius
     found, network = maximum(found.point.state, found.point.log_noise, radius)
     by_returns = radius_of_returns(network, model, assumed)
-    # Poles that say nothing of it may want less than none.
+    # Poles that give no information about it may yield a negative one.
     own = max(by_returns.value, 0.0)
     start = replace(found.point.state, radius=own)
     found, network = maximum(start, found.point.log_noise, by_returns.sigma)
@@ -428,7 +430,7 @@ def leaves_little(covariance: Array) -> bool:
 
 
 def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
-    """Estimate the pose of a pair and all errors together, and state how sure the pose is.
+    """Estimate the pose of a pair and all errors together, and state how certain the pose is.
 
     Parameters
     ----------
@@ -450,7 +452,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
     estimate = solve_factor(factor, precision)
     variance = np.diag(estimate.inverse)[unknowns.poses :]
-    # Poles alone tell the size of hardly any error: asked once more, they say the same.
+    # Poles alone determine the size of hardly any error: evaluated once more, they say the same.
     sigma = group_scales(groups, known, precision, estimate.errors, variance)
     uncertainty = uncertainty_of_pair(
         [

@@ -1,13 +1,13 @@
-"""How sure a pose is: what the scatter says, what the instruments allow, and unmodelled errors.
+"""How certain a pose is: what the scatter shows, what the instruments allow, and unmodelled errors.
 
 The poses x and the errors b are estimated together, with information ``H`` (all of x and b, the
 prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
-the data show of it is taken out, the rest passes into the pose. See docs/method.md, Certainty.
+the data show of it is removed, the rest passes into the pose. See docs/method.md, Certainty.
 
 The sizes of the errors are those known beforehand, changed by what the data show. Every error is a
 random effect ``b ~ N(0, σ²)``, with one σ for each group of them. What is known beforehand counts
 as `MIN_MEMBERS` errors of that size; the data may show that they are larger or smaller. Makers
-state the largest errors of a kind, and an error that is not there takes up what the data say about
+state the largest errors of a kind, and an error that is not there takes up what the data show about
 the pose: with sizes that never fall below the known ones, the median e_rt of 60 easy streets and
 harbors (seeds 0 to 29) is 2.0 and 2.4 mm, in place of 1.6 and 2.1.
 """
@@ -45,13 +45,13 @@ CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
 held within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
-tell the width from it: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
+give the width: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
 70 in place of 2."""
 
 MIN_MEMBERS = 5
 """Errors that a size is estimated from, and as many of the size that is known beforehand count
-beside those that the data show. Those of a whole LiDAR, one to four of a kind, do not tell their
+in addition to the data's. Those of a whole LiDAR, one to four of a kind, do not determine their
 own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
 lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
@@ -154,11 +154,11 @@ class Part:
     Attributes
     ----------
     name, lidar
-        What errs, and which LiDAR's; None where it is no single LiDAR's.
+        What errs, and which LiDAR's; None if it is no single LiDAR's.
     sigma, unit
         1 σ of the error itself; None of what is no single quantity.
     estimated
-        The error as the data have it; None where it is not estimated or is not one number.
+        The error as the data have it; None if it is not estimated or is not one number.
     root
         (6 L, R): the part is ``root rootᵀ``.
     is_random
@@ -274,7 +274,7 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
 
 
 def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
-    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty where all stand.
+    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if none sways.
 
     Parameters as of `floors`.
     """
@@ -311,7 +311,7 @@ def joint_covariance(parts: Sequence[Part]) -> Array:
 
 
 def uncertainty_of_pair(parts: Sequence[Part]) -> Uncertainty:
-    """State how sure the pose of a pair's source is, and what makes it so."""
+    """State how certain the pose of a pair's source is, and what makes it so."""
     random, systematic = (
         sum(
             (root @ root.T for root in (part.root[POSE:] for part in parts if kind(part))),

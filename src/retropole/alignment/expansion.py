@@ -1,16 +1,17 @@
 """The likelihood of a LiDAR's returns on poles to second order: by pose, its errors, and axes.
 
-An axis is averaged over what the beams of one LiDAR leave open of it. Where few returns lie on a
-pole, or beams are wide beside it, the likelihood of its axis is no parabola but a box with blurred
-walls: a return says that its beam met the pole, and hardly where. The curvature at the maximum is
-that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)`` of the axis, the
-one closest to the posterior has
+An axis is averaged over the uncertainty that the beams of one LiDAR leave. Where few returns lie
+on a pole, or beams are wide compared with it, the likelihood of its axis is no parabola but a box
+with blurred walls: a return says that its beam hit the pole, and hardly where. The curvature at the
+maximum is that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)`` of the
+axis, the one closest to the posterior has
 
     E[∇ log L] = 0,    Σ⁻¹ = −E[∇² log L],
 
 averaged over itself (Opper and Archambeau 2009, The variational Gaussian approximation revisited).
-Where many returns leave little open against the blur, it is the parabola at the maximum. The noise
-is averaged likewise: returns lie closer to an axis that was fitted to them than to the true one.
+Where many returns leave little uncertainty compared with the blur, it is the parabola at the
+maximum. The noise is averaged likewise: returns lie closer to an axis that was fitted to them than
+to the true one.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ MAX_LATERAL_NOISE = 2.0
 would fall between the nodes of the integral."""
 
 WIDEST = 0.1
-"""Most that an axis is left open by, 1 σ: metres, and of its lean, rad."""
+"""Largest uncertainty of an axis, 1 σ: metres, and of its lean, rad."""
 
 FARTHEST = 2.0
 """Most that a view lies away from the state, in units of its own 1 σ: that of few returns may else
@@ -54,15 +55,15 @@ then within 3 % of those of the limit in all but one of 24 simulated pairs, with
 rounds."""
 
 LITTLE_OPEN = {1: 0.02, 3: 0.5, 4: 0.8}
-"""Nodes that will do where no axis is left open by more than so many times the noise sideways: over
-so little the likelihood is all but a parabola, and n nodes are exact to the power 2 n − 1. An exact
-view leaves nothing open."""
+"""Nodes that suffice where no axis is uncertain by more than this many times the noise sideways:
+over so little the likelihood is all but a parabola, and n nodes are exact to the power 2
+n − 1. An exact view has no uncertainty."""
 
 _HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*LITTLE_OPEN, FEW_NODES)}
 
 
 def _nodes_over(sideways: Array, noise: float) -> tuple[Array, Array]:
-    """Nodes (M, 1), and their weights (M,), over what is left open sideways (N,), 1 σ, metres."""
+    """Nodes (M, 1), and their weights (M,), over the uncertainty sideways (N,), 1 σ, metres."""
     most = float(sideways.max(initial=0.0))
     few = (n for n, share in LITTLE_OPEN.items() if most <= share * noise)
     at, weight = _HERMITE[next(few, FEW_NODES)]
@@ -114,12 +115,12 @@ class Average:
 
 
 def exact_view(poles: int, noise: Array) -> View:
-    """View that leaves nothing open: averages over it are what is at the state."""
+    """View without uncertainty: averages over it are the values at the state."""
     return View(np.zeros((poles, 4)), np.zeros((poles, 4, 4)), noise)
 
 
 def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
-    """Average the likelihood of returns on poles over what a view leaves open.
+    """Average the likelihood of returns on poles over the uncertainty of a view.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     J = _by_axis(seen.jacobian, beams.pole)
     moved = np.einsum("nci,ni->nc", J, view.shift[beams.pole])
     spread = np.einsum("nci,nij,nej->nce", J, view.covariance[beams.pole], J)
-    # The depth goes with the lateral offset. What is left of it adds to the noise alone: in depth
+    # The depth goes with the lateral offset. What remains adds to the noise alone: in depth
     # the logarithm is all but a parabola.
     sideways = np.sqrt(spread[:, 1, 1])
     depthways = spread[:, 0, 1] / np.maximum(sideways, 1e-12)
@@ -161,7 +162,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
 
 
 def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
-    """Average as in `average_returns` for beams that passed beside poles."""
+    """Average as in `average_returns` for beams that passed poles."""
     own, count = beams.passed_pole, len(beams.passed_pole)
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
@@ -188,7 +189,7 @@ def _averaged(values: Array, weight: Array) -> Array:
 def find_view(
     state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
 ) -> View:
-    """Find what a LiDAR's own beams leave open of each axis, pose and errors as in the state.
+    """Find how a LiDAR's own beams leave each axis uncertain, pose and errors as in the state.
 
     Parameters
     ----------
@@ -364,7 +365,7 @@ def _jacobian(
         ],
         axis=1,
     )
-    # Turning the beam about its origin is turning the axis the other way.
+    # Turning the beam about its origin is turning the axis in the opposite direction.
     by_rotation = by_axis[:, :, :3] @ se3.hat(q - beams.origin)[own]
     by_rotation += by_axis[:, :, 3:] @ se3.hat(n)[own]
     raising = directions @ se3.hat(beams.axis)

@@ -1,4 +1,4 @@
-"""What a return says of the axis of a taped pole, and what a beam says that passed beside it.
+"""What a return says of the axis of a taped pole, and what a beam that passed it says.
 
 Xue et al. 2019, eq. 3 and 4, walk along the facing arc of the pole and solve eq. 4 for each step.
 Here every beam is compared with the cylinder in closed form. That is exact, and covers beams off
@@ -10,16 +10,16 @@ depth and σ_m sideways, and beams evenly spaced across the pole,
 
     p(g, m) = 1/2(r+w) ∫_{−r−w}^{r+w} N(g; √max(r² − x², 0), σ_g²) N(m; x, σ_m²) dx,
 
-the facing half of the circle, blurred; w is how far beside the pole the middle of a wide beam may
+the facing half of the circle, blurred; w is how far outside the pole the middle of a wide beam may
 be and still return from its edge. For σ_m → 0 its logarithm is the squared difference of the
-measured range from that at which the beam meets the pole; a return whose beam would miss the pole
+measured range from that at which the beam hits the pole; a return whose beam would miss the pole
 is penalised smoothly in σ_m. A beam that went on to something behind the pole has the likelihood
 
     P(passed) = 1 − Φ((r + w − m)/σ_m) + Φ((−r − w − m)/σ_m).
 
-The factor 1/2(r+w) says that all beams of which anything is known met the pole: a wider one must
-then share them out further. Where the beams beside the pole are recorded as well, it is known where
-beams went, and each counts by its outcome: p(g, m) without that factor, or P(passed). With
+The factor 1/2(r+w) says that all beams of which anything is known hit the pole: a wider one must
+then share them out further. Where the beams next to the pole are recorded as well, it is known
+where beams went, and each counts by its outcome: p(g, m) without that factor, or P(passed). With
 both, the pole would be found too slim, by the more of its 1 σ the more returns there are.
 """
 
@@ -40,11 +40,11 @@ LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, FEW_NODES = 20, 6
-"""Of the integral over the arc; over each edge beside it, and over what is left open of an axis.
-With 16 the derivatives of the arc no longer agree with its differences."""
+"""Of the integral over the arc; over each edge outside it, and over the uncertainty of
+an axis. With 16 the derivatives of the arc no longer agree with its differences."""
 
 MAX_SIDEWAYS_SIGMAS = 6.0
-"""The integral leaves out what is further than so many σ_m away sideways: 2e-9 of a normal
+"""The integral leaves out what is further than this many σ_m away sideways: 2e-9 of a normal
 distribution."""
 
 _GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(NODES)
@@ -184,14 +184,14 @@ def arc_likelihood(
     half_width
         (N,) w, metres: half of the beam's width at the pole.
     beside
-        (N,) share of the beams beside the pole that were recorded there, 0 to 1: the factor
+        (N,) share of the beams next to the pole that were recorded there, 0 to 1: the factor
         1/2(r+w) counts with the rest.
     """
     alone = 1.0 - np.asarray(beside, dtype=np.float64)
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
     safe = max(radius, 1e-9)
-    # Half of what the beams are shared out over, to the power of those beside which none are known:
-    # of a usual pole, so that as large a share of its beams are outliers.
+    # Half of what the beams are shared out over, to the power of those next to which none are
+    # known: of a usual pole, so that as large a share of its beams are outliers.
     room = DEFAULT_RADIUS + w
     room = room * ((safe + w) / room) ** alone
     span = MAX_SIDEWAYS_SIGMAS * sigma_lateral
@@ -218,7 +218,8 @@ def arc_likelihood(
 
     # Derivatives of a node's exponent with respect to g, m, r, of which x and y are the first two
     # in units of the noise, and the mean of what they leave. Weights depend on r too: what the
-    # gradient and the curvature of their logarithm have on the arc beside that of 1/2(r+w).
+    # gradient and the curvature of their logarithm have on the arc in addition to those of
+    # 1/2(r+w).
     z = -(y * sine) * inverse_lateral
     z[:arc] += 1 / safe - x[:arc] * cosine * inverse_depth
     px, py, pz = part * x, part * y, part * z
@@ -252,7 +253,7 @@ def arc_likelihood(
 def _nodes(
     lateral_offset: Array, span: Array, radius: float, half_width: Array, room: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Nodes of the integral over the arc, ``x = r sin θ``, and over the edges beside it.
+    """Nodes of the integral over the arc, ``x = r sin θ``, and over the edges outside it.
 
     Parameters
     ----------
@@ -265,7 +266,7 @@ def _nodes(
     -------
     cosine, sine, beyond, weight
         (A, N) of nodes on the arc; (K, N) of all, ± 1 on the edges; (K − A, N) how far those of the
-        edges lie beside it, metres; and (K, N). A row is a node: sums over short rows would take
+        edges lie outside it, metres; and (K, N). A row is a node: sums over short rows would take
         several times as long.
     """
     low = np.clip(lateral_offset - span, -radius, radius - np.minimum(span, radius))
@@ -293,7 +294,7 @@ def _nodes(
 
 @dataclass(frozen=True, eq=False)
 class PassedBeamLikelihood:
-    """Log-probability that beams passed beside a pole, and its derivatives.
+    """Log-probability that beams passed next to a pole, and its derivatives.
 
     Attributes
     ----------
@@ -313,7 +314,7 @@ class PassedBeamLikelihood:
 def passed_beam_likelihood(
     lateral_offset: Array, sigma_lateral: Array, radius: float, half_width: Array | float = 0.0
 ) -> PassedBeamLikelihood:
-    """Probability that beams passed beside a pole; see the head of this module.
+    """Probability that beams passed next to a pole; see the head of this module.
 
     Parameters
     ----------

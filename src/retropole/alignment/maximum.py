@@ -172,15 +172,15 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
 
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0
-"""1 σ about the poses that the search starts from, rad and m: wide enough to say nothing where the
-poles do, and the search has a way where the poles of a LiDAR leave it free."""
+"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information
+where the poles do, and the search has a way where the poles of a LiDAR leave it free."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointPriors:
     """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
 
-    `free` (6 L,) tells which parameters of the poses are estimated; the others are the datum.
+    `free` (6 L,) says which parameters of the poses are estimated; the others are the datum.
     """
 
     start: Array
@@ -262,7 +262,7 @@ def evaluate_joint(
 
 
 def place_of(state: JointState, sight: Sight) -> IntArray:
-    """Where pose, offset, radius and axes of a LiDAR's terms stand in a step of the site."""
+    """Where pose, offset, radius and axes of a LiDAR's terms are in a step of the site."""
     count = len(state.T)
     parts = np.r_[
         POSE * sight.lidar + np.arange(POSE),

@@ -9,7 +9,7 @@ with z the unknowns of `unknowns`: poses and axes as steps from that maximum, er
 The observations stay apart, so that each can be tested against all others.
 
 The sum over all observations is a `PoleFactor`. Near the maximum of the posterior the returns on
-the poles say
+the poles show
 
     −log L(x, b) = ½ zᵀ Λ z − ηᵀ z,    z = [x, b],
 
@@ -61,7 +61,7 @@ class PoleFactor:
         (K, R) how η moves with each error of the depth of a pole, by its 1 σ (`network`).
     left
         (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
-        rotation and translation, axes of its own; empty where all stand.
+        rotation and translation, axes of its own; empty if none sways.
     """
 
     T: Array
@@ -141,7 +141,8 @@ def poses_of_pair(T_target_source: Array) -> Array:
 
 
 def gaussian_factor(pose: PoseEstimate) -> PoleFactor:
-    """Give the quadratic form of a pose with a covariance, which says nothing of the errors."""
+    """Give the quadratic form of a pose with a covariance, which gives no information about the
+    errors."""
     assert pose.covariance is not None
     none = np.zeros(0, dtype=np.int64)
     unknowns = Unknowns((none, none), 0, 0)
@@ -173,7 +174,7 @@ class Observation:
     information, gradient
         (P, P) and (P,) of the logarithm of the likelihood at the start.
     lidar, placement
-        Whose, and where; None where it is the surveyor's.
+        Whose, and where; None if it is the surveyor's.
     poles
         (K,) the axes that are among the unknowns, in their order; the last ones of the place.
     returns
@@ -252,7 +253,7 @@ class Network:
         return np.concatenate(found, axis=1)
 
     def of_lidar(self, lidar: int) -> Network:
-        """Give what one LiDAR's returns say."""
+        """Give what one LiDAR's returns show."""
         kept = tuple(
             one for one in self.observations if one.lidar == lidar and one.poles is not None
         )
@@ -315,7 +316,7 @@ def observe(
     free
         (6 L,) which parameters of the poses are estimated.
     rounds
-        At most so many for each LiDAR's own view of the axes (`find_view`).
+        At most this many for each LiDAR's own view of the axes (`find_view`).
     """
     state = end.state
     unknowns = Unknowns(bands, len(placement), len(state.control))
@@ -397,7 +398,7 @@ def _with_depth(
 ) -> tuple[Array, Array, Array]:
     """Let a LiDAR err in the depth of each pole, by `DEPTH_SIGMA`: that error is eliminated.
 
-    With ``N, g`` what the returns say as if it were zero, ``E`` its derivative and ``D`` its
+    With ``N, g`` what the returns show as if it were zero, ``E`` its derivative and ``D`` its
     variance, ``N' = N − N E (D⁻¹ + Eᵀ N E)⁻¹ Eᵀ N``; an error of 1 σ moves ``g'`` by
     ``N E (D⁻¹ + Eᵀ N E)⁻¹ D^(−½)``.
     """
@@ -460,8 +461,8 @@ def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) 
     network
         The observations.
     ridge
-        Precision that axes and points get which little or nothing is said of: of an axis, one end
-        that was surveyed.
+        Precision of axes and points with little or no information, such as an axis of which only
+        one end was surveyed.
     left
         What is left of the sway of each LiDAR; see `PoleFactor`.
     """

@@ -1,4 +1,4 @@
-"""The beams that a LiDAR sent at the poles: those that returned, and those that passed beside."""
+"""The beams that a LiDAR sent at the poles: those that returned, and those that passed close by."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..extraction.sensor_pattern import ORDINARY_DIVERGENCE
 from .likelihood import OUTLIER_RADIUS, closest_approach
 
 PASSING = 0.015
-"""A beam passes beside a pole within this distance of its surface, and returns from farther behind
+"""A beam passes next to a pole within this distance of its surface, and returns from farther behind
 it than outliers lie, metres."""
 
 BESIDE = 0.2
-"""Beams so much further aside, along such a stretch of the pole, tell whether those beside it are
-recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
+"""Beams this much further aside, along such a stretch of the pole, show whether those next to it
+are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
 
 MOST_RETURNS = 1000
 """Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
@@ -33,8 +33,8 @@ FEW_RETURNS = 300
 sweep."""
 
 RMS_MARGIN = 2.0
-"""Beams within so many times the pole's rms of its surface count as close: the axis is not known
-better."""
+"""Beams within this many times the pole's rms of its surface are treated as close: the axis is not
+known better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ class Beams:
     half_width
         (N,) half of the beam's width at the return, metres.
     beside
-        (N,) share of the beams beside the pole, at each return, that are recorded: 1 where
-        something stands behind on both sides, ½ on one, 0 before the sky.
+        (N,) share of the beams next to the pole, at each return, that are recorded: 1 if
+        something is behind on both sides, ½ on one, 0 before the sky.
     passed_directions, passed_pole
         (M, 3) directions of beams that went on behind a pole, and (M,) which pole.
     passed_half_width
@@ -132,11 +132,11 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
 
 
 def _shares(returns: int, cloud: PointCloud) -> tuple[float, float]:
-    """Which share of a pole's returns, and of the beams that passed beside it, is worked on.
+    """Which share of a pole's returns, and of the beams that passed next to it, is worked on.
 
-    Together they tell where the pole ends: as many of either must be left out. Where the cloud was
-    thinned (`io.recordings`), beams beside the pole are fewer already; its returns, bright, are
-    not.
+    Together they determine where the pole ends: as many of either must be left out. Where the cloud
+    was thinned (`io.recordings`), beams next to the pole are fewer already; its returns, bright,
+    are not.
     """
     left = len(cloud) / (len(cloud) + cloud.thinned)
     share = max(min(left, MOST_RETURNS / returns), min(FEW_RETURNS / returns, 1.0))
@@ -162,7 +162,7 @@ class _Near(NamedTuple):
 
 
 def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
-    """Find the beams that met a pole, and those that passed close by and returned from behind."""
+    """Find the beams that hit a pole, and those that passed close by and returned from behind."""
     away = float(np.linalg.norm(pole.point - cloud.origin))
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away

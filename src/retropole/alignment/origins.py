@@ -1,7 +1,7 @@
 """The method counts from where the beams start; its answer is moved back into the clouds' frames.
 
-In the frame of a map a small turn moves everything by metres: nothing there tells a pose that is
-free from one that is sure, and sums of squares lose the digits that count.
+In the frame of a map a small turn moves everything by metres: nothing there distinguishes a pose
+that is free from one that is certain, and sums of squares lose the digits that count.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class Lines(NamedTuple):
     line_points, line_directions
         (B, N, 3) a point and the unit direction of each one's line, target frame.
     counts
-        (B, N) how many returns each stands for; none where a problem has fewer points than others.
+        (B, N) how many returns each represents; none where a problem has fewer points than others.
     """
 
     on_poles: Array

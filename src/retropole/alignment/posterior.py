@@ -1,7 +1,7 @@
 """The posterior of shared cylinders: what all beams of both LiDARs say together, and its gradient.
 
-The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share, the
-radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
+The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share,
+the radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
 `State.moved`. The cost is the negative logarithm of the posterior.
 
 `JointState` is that of a site: all its poses, and control points.
@@ -203,7 +203,7 @@ def beam_geometry(
 
 
 def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
-    """Geometry of a LiDAR's beams that met poles, and of those that passed beside them."""
+    """Geometry of a LiDAR's beams that hit poles, and of those that passed next to them."""
     # All at once: the arrays are small, and calls cost as much as what they compute.
     any_range = np.zeros(len(beams.passed_pole))
     both = beam_geometry(
@@ -271,7 +271,7 @@ class Posterior(Generic[S]):
 
 @dataclass(frozen=True, eq=False)
 class OnPoles:
-    """What the returns on the poles say: of the state, and of the log-noise (2,)."""
+    """What the returns on the poles show: of the state, and of the log-noise (2,)."""
 
     terms: Terms
     noise_step: Array
@@ -284,7 +284,7 @@ def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tupl
     Returns
     -------
     Terms, OnPoles
-        Of all its beams; and what its returns on the poles say of the noise.
+        Of all its beams; and what its returns on the poles show of the noise.
     """
     seen, beside = own_geometry(state, lidar, beams)
     on_poles = _on_poles(state, seen, beams, noise)
@@ -324,7 +324,7 @@ def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> O
 
 
 def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Terms:
-    """What the beams that passed beside the poles say."""
+    """What the beams that passed next to the poles show."""
     size = SHARED + 4 * len(state.points)
     if not len(beams.passed_pole):
         nothing = np.zeros((size, size))

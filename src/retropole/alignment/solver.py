@@ -27,7 +27,8 @@ DAMPING = 1e-3
 
 ROUNDING = 1e-9
 """Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
-none, damped by its inverse a step is none, and eigenvalues so small beside the largest are zero."""
+none, damped by its inverse a step is none, and eigenvalues so small compared with the largest
+are zero."""
 
 
 class Model(Protocol):
@@ -66,7 +67,7 @@ class Step:
         (P,) in units of ``1/√curvature`` of each: where the cost is a negative log-likelihood, of
         the 1 σ that each parameter would have were all others known.
     gain
-        By how much the cost fell; 0 where it cannot be compared.
+        By how much the cost fell; 0 if it cannot be compared.
     """
 
     step: Array

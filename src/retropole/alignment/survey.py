@@ -1,6 +1,6 @@
-"""What is known beside the returns on poles.
+"""What is known in addition to the returns on poles.
 
-Surveyed ends of poles and control points, which way is up, and a pose that the place gives.
+Surveyed ends of poles and control points, which way is up, and a pose that the surroundings give.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class SurveyedEnd:
     sigma
         Of each coordinate: one for all, or (3,).
     spread
-        1 σ that is added in each direction beside the axis, metres: of a point on the surface, of
+        1 σ that is added in each direction across the axis, metres: of a point on the surface, of
         which nobody knows on which side it is.
     side
         Index of the known point that is the offset of all surfaces' points; None on the axis.
@@ -86,7 +86,7 @@ class KnownPose:
 
 @dataclass(frozen=True, eq=False)
 class Surveyed:
-    """All that is known of a site beside the returns on its poles."""
+    """All that is known of a site in addition to the returns on its poles."""
 
     ends: tuple[SurveyedEnd, ...] = ()
     known: tuple[KnownPoint, ...] = ()
@@ -107,7 +107,7 @@ class SurveyTerm:
     kind, name
         As in `answer.Test`; what was observed, in words.
     lidar
-        Whose observation it is; None where it is the surveyor's.
+        Whose observation it is; None if it is the surveyor's.
     """
 
     kind: Literal["survey", "control point", "up", "pose", "side"]
@@ -129,12 +129,12 @@ def survey_terms(state: JointState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
         away = end.at - off - state.points[end.axis]
         along = float(away @ state.directions[end.axis])
         B = tangents[end.axis]
-        # Beside the axis, along the axes of the ellipse of the error, so that it has two 1 σ.
+        # Across the axis, along the axes of the ellipse of the error, so that it has two 1 σ.
         variances = np.broadcast_to(end.sigma, 3) ** 2
         variance, Q = variances[:2], np.eye(2)
         if np.ptp(variances) > 0.0:
             variance, Q = np.linalg.eigh((B.T * variances) @ B)
-        # Turning the axis moves it, beside the end, by the angle times how far along that is.
+        # Turning the axis moves it sideways at the end by the angle times how far along that is.
         J = np.concatenate([-np.eye(2), -along * np.eye(2), -B.T], axis=1)
         place = state.axes(np.array([end.axis]))
         if end.side is not None:

@@ -52,7 +52,7 @@ class Unknowns:
 
     @property
     def errors(self) -> int:
-        """How many errors there are: they stand behind the poses."""
+        """How many errors there are: they come after the poses."""
         return sum(self._of_lidar(i) for i in range(self.lidars)) + 1
 
     @property
@@ -69,7 +69,7 @@ class Unknowns:
         return DEVICE + RING * len(self.bands[lidar])
 
     def pose(self, lidar: int) -> IntArray:
-        """(6,) where a pose stands."""
+        """(6,) indices of a pose."""
         return np.asarray(POSE * lidar + np.arange(POSE))
 
     def device(self, lidar: int) -> IntArray:
@@ -92,7 +92,7 @@ class Unknowns:
         return np.asarray((self.kept + 4 * own[:, None] + np.arange(4)).reshape(-1))
 
     def control_point(self, number: int) -> IntArray:
-        """(3,) where a control point stands."""
+        """(3,) indices of a control point."""
         return np.asarray(self.kept + 4 * self.axes + 3 * number + np.arange(3))
 
     def with_bands(self, bands: Sequence[IntArray]) -> Unknowns:
@@ -101,7 +101,7 @@ class Unknowns:
         return replace(self, bands=tuple(each.astype(np.int64) for each in union))
 
     def places_in(self, other: Unknowns) -> IntArray:
-        """(kept,) where each pose and error stands among those of others with all these bands."""
+        """(kept,) index of each pose and error among those of others with all these bands."""
         errors = [
             part
             for lidar, bands in enumerate(self.bands)

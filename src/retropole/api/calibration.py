@@ -76,8 +76,8 @@ def calibrate(
     sensor
         Names of sensors, or ``auto``.
     threshold
-        Intensity from which a return counts as retro-reflective; None takes that of the sensor, or
-        else of the cloud.
+        Intensity from which a return is treated as retro-reflective; None takes that of the
+        sensor, or else of the cloud.
     topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit
@@ -109,7 +109,7 @@ def calibrate(
         For arrays of another shape, options that make no sense, and a letter that no hypothesis
         which fits the poles has.
     ReadError, MissingExtraError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     keywords: dict[str, object] = {
         "radius": radius,
@@ -237,9 +237,9 @@ def calibrate_site(
     Raises
     ------
     ReadError, MissingExtraError
-        Where the site file or a recording cannot be read; names the key.
+        If the site file or a recording cannot be read; names the key.
     UsageError
-        Where a site that was put together in Python makes no sense.
+        If a site that was put together in Python makes no sense.
     """
     progress("read")
     start = time.perf_counter()

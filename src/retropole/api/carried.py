@@ -77,7 +77,7 @@ def calibrate_walk(
     Raises
     ------
     UsageError
-        Where there is more than one placement, or a cloud is one sweep.
+        If there is more than one placement, or a cloud is one sweep.
     ReadError, MissingExtraError
         As `inputs.read_input`.
     """

@@ -57,7 +57,7 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     Raises
     ------
     UsageError
-        Where no two LiDARs recorded the same placement.
+        If no two LiDARs recorded the same placement.
     ReadError, MissingExtraError
         As `api.site_inputs.read_site`.
     """

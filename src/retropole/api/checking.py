@@ -40,7 +40,7 @@ from .stored import are_swapped, hashes_of, loaded, with_sensors_from
 class Stored(NamedTuple):
     """What a stored result holds: the pose, the options of its run, and what it warned of.
 
-    `uncertainty` is of a result that tells random and systematic errors apart, `hashes` are
+    `uncertainty` is of a result that distinguishes random and systematic errors, `hashes` are
     those of target and source of each placement.
     """
 
@@ -68,15 +68,15 @@ def read_stored(
         its covariance.
     lidars
         Target and source by their names, of the result of a site or another file that holds several
-        poses: what both have in common cancels in their pose. How much of it errs alike in both
+        poses: what both have in common cancels in their pose. How much of it errs the same in both
         recordings is not stored: all counts.
 
     Raises
     ------
     Refusal
-        Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
+        If it was refused, and ``no_covariance`` where the file does not say how certain it is.
     ReadError
-        Where it cannot be read, or holds no pose, or several, of these LiDARs.
+        If it cannot be read, or holds no pose, or several, of these LiDARs.
     """
     file = result_file(path)
     document = result_in(read_document(file))
@@ -178,7 +178,7 @@ def check_recordings(
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
     intensity, intensity_source, angles, angles_source
-        The same; those of the stored run are left out where a recording has no use for them: no
+        The same; those of the stored run are left out if a recording has no use for them: no
         such field, or no packets. A field of the intensity is that of both.
     listener
         Told of each step as it starts, and of each cloud once it is read.
@@ -186,7 +186,7 @@ def check_recordings(
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        Where one cannot be read.
+        If one cannot be read.
     Refusal
         As `checking.drift.check`.
     """
@@ -299,7 +299,7 @@ _RECORDINGS_OF_RESULT = Reason(
 
 
 def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
-    """Say that the topics of the stored run are read the other way round."""
+    """Say that the topics of the stored run are read swapped."""
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
@@ -332,14 +332,14 @@ class SiteCheck:
         ``same`` where pairs that are the same join all LiDARs, ``moved`` where a pair moved,
         ``cannot_tell`` otherwise.
     reasons
-        Why nothing was checked; empty where pairs were.
+        Why nothing was checked; empty if pairs were.
     pairs
         Each pair that shared poles when the site was calibrated.
     moved
         LiDARs that stand elsewhere to those of the largest group of which all are the same; empty
-        where no group is the largest: then nobody can tell which of them moved.
+        where no group is the largest: then nobody can determine which of them moved.
     untold
-        LiDARs of which no pair tells whether they moved.
+        LiDARs of which no pair shows whether they moved.
     """
 
     status: Status
@@ -376,7 +376,7 @@ def check_site(
     Raises
     ------
     UsageError, ReadError, MissingExtraError
-        Where the result, the site file or a recording cannot be read, and where the site file has
+        If the result, the site file or a recording cannot be read, and where the site file has
         no two LiDARs that shared poles when the site was calibrated.
     """
     listener.progress("read")
@@ -479,7 +479,7 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
     """Take the options of a check of two LiDARs: of the poles from the result, else of the file.
 
-    Where the file says neither angles nor the field of an intensity, they are those of the result.
+    If the file says neither angles nor the field of an intensity, they are those of the result.
     """
     known = wanted_of(stored)
     of_target, of_source = (

@@ -131,7 +131,7 @@ def _in_unit(unit: Unit, scan: Scan, odd: str) -> str:
 
 
 def _rate(first: FrameHeader, last: FrameHeader) -> float | None:
-    """Frames a second between two frames; None where their times do not give it."""
+    """Frames a second between two frames; None if their times do not give it."""
     if first.stamp is None or last.stamp is None or last.stamp <= first.stamp:
         return None
     return (last.number - first.number) / (last.stamp - first.stamp)

@@ -35,8 +35,8 @@ def detect(
     sensor
         Name of the sensor, or ``auto``.
     threshold
-        Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
-        cloud.
+        Intensity from which a return is treated as retro-reflective; None asks the sensor, or else
+        the cloud.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
@@ -60,7 +60,7 @@ def detect(
     UsageError
         For arrays of another shape, unknown sensors and a radius that no pole has.
     ReadError, MissingExtraError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     of_target = {"sensor_target": sensor, "threshold_target": threshold, "target_topic": topic}
     config = run_config({**locals(), **of_target})

@@ -55,7 +55,7 @@ def evaluate(
     T_target_source
         (4, 4) maps source points into the target's frame; or a result; or a file of any format
         that ``retropole export`` writes, or the folder of a result. The poles of a result are
-        left out of what stands in the scene, as they were when it was calibrated.
+        left out of the objects in the scene, as they were when it was calibrated.
     sigma
         Kernel width of the entropy, metres.
     seed
@@ -69,12 +69,12 @@ def evaluate(
     ------
     UsageError
         For a matrix that is not a rigid transform, for arrays of another shape, and where the
-        files are those of the result the other way round, or the seed is no number from 0 up.
+        files are those of the result swapped, or the seed is no number from 0 up.
     Refusal
         ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
         none, and where the transform is that of a refused result.
     ReadError, MissingExtraError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     config, rng = with_keywords(options, {}, older), _generator(seed)
     T, document = _transform(T_target_source), _result_of(T_target_source)
@@ -117,7 +117,7 @@ def compare(
     UsageError
         For an unknown method, and as `api.inputs.read_input`.
     ReadError, MissingExtraError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     listener.progress("read")
     pair = read_pair(target, source, config, listener)
@@ -141,7 +141,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def _result_of(given: Array | CalibrationResult | str | Path) -> ResultDoc | None:
-    """Give the result document that a transform is from; None where it is from elsewhere."""
+    """Give the result document that a transform is from; None if it is from elsewhere."""
     if isinstance(given, CalibrationResult):
         return given.document
     found = read_result(Path(given)) if isinstance(given, str | Path) else None
@@ -168,7 +168,7 @@ def _poles(document: ResultDoc | None) -> tuple[list[_Line], list[_Line]]:
 
 
 def _refuse_swapped(target: CloudSource, source: CloudSource, document: ResultDoc | None) -> None:
-    """Refuse the files of a result the other way round, before they are read."""
+    """Refuse the files of a result swapped, before they are read."""
     if not isinstance(target, str | Path) or not isinstance(source, str | Path):
         return
     if document is not None and are_swapped(hashes_of(document), target, source):

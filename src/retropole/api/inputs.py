@@ -72,9 +72,9 @@ class Input:
     cloud
         The points, in the sensor's own frame.
     sensor
-        What recorded it; None where not known.
+        What recorded it; None if not known.
     threshold
-        Intensity from which a return counts as retro-reflective; None where none was given.
+        Intensity from which a return is treated as retro-reflective; None if none was given.
     read
         Of a path, what was read there.
     how
@@ -107,12 +107,12 @@ class Input:
 
     @property
     def oddity(self) -> Oddity | None:
-        """Why its coordinates cannot be metres about the LiDAR; None where they can."""
+        """Why its coordinates cannot be metres about the LiDAR; None if they can."""
         return None if self.cloud.is_map else oddity_of(self.cloud)
 
     @property
     def sensor_doubt(self) -> str:
-        """Why it is hardly of the sensor that was named; empty where it may be."""
+        """Why it is hardly of the sensor that was named; empty if it may be."""
         if self.sensor is None:
             return ""
         return sensor_doubt(with_beam_origin(with_trusted_rings(self.cloud)), self.sensor)
@@ -120,7 +120,7 @@ class Input:
     def search(self, radius: float, *, for_poles: bool = True) -> Scan:
         """Find the poles of a radius, metres, in it; a refusal is in the scan.
 
-        Where it is not searched for poles, what moved is left out all the same.
+        If it is not searched for poles, what moved is left out all the same.
         """
         sensor, threshold = self.sensor, self.threshold
         return find_poles(
@@ -230,7 +230,7 @@ def read_placements(
     Raises
     ------
     UsageError
-        Where the numbers of targets and sources differ or are 0, and as `read_input`.
+        If the numbers of targets and sources differ or are 0, and as `read_input`.
     ReadError, MissingExtraError
         As `read_input`.
     """
@@ -273,7 +273,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
 
 
 def _frame_of(given: Input) -> str:
-    """Name the one frame that a recording says its points are in; empty where there is none."""
+    """Name the one frame that a recording says its points are in; empty if there is none."""
     names = set() if given.read is None else {each.frame_id for each in given.read.headers}
     name = names.pop() if len(names) == 1 else ""
     return name if name == quoting(name) else ""
@@ -286,7 +286,7 @@ recording_hash = sha256_of
 def refuse_repeated(
     inputs: Sequence[Input], documents: Sequence[InputDoc], told: Callable[[int, int], str]
 ) -> Refusal | None:
-    """Refuse a recording that is given twice, under whatever name; None where none is.
+    """Refuse a recording that is given twice, under whatever name; None if none is.
 
     One bag may hold several LiDARs, a topic for each.
 
@@ -324,7 +324,7 @@ def tell_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
     advice = what_to_give(first // 2, second // 2)
     if other.topic is not None and first // 2 == second // 2:
         advice = (
-            '--topic /a --topic /b (in Python topic=("/a", "/b")) tell two LiDARs of one bag apart'
+            '--topic /a --topic /b (in Python topic=("/a", "/b")) distinguish two LiDARs of one bag'
         )
     if one.name == other.name:
         what = f"topic {other.topic} of {other.name}" if other.topic else other.name

@@ -59,9 +59,9 @@ def level_result(
     result
         A result of a pair or of a site, or the folder that holds it.
     given
-        Where its recordings are now, as `stored.find_recordings` takes them.
+        If its recordings are now, as `stored.find_recordings` takes them.
     base, lidar
-        Where that LiDAR, or the target or the first of a site, is on the vehicle.
+        If that LiDAR, or the target or the first of a site, is on the vehicle.
     radius
         Of the disc that the plane is for, metres; None as `ground.level.level`.
     listener
@@ -72,9 +72,9 @@ def level_result(
     Refusal
         ``too_little_ground``, ``two_grounds``; or that of the result, which has no poses.
     UsageError
-        Where there is no LiDAR of that name.
+        If there is no LiDAR of that name.
     ReadError, MissingExtraError
-        Where the result or a recording cannot be read; as `stored.find_recordings`.
+        If the result or a recording cannot be read; as `stored.find_recordings`.
     """
     file, document = with_poses(result)
     site = with_sensors_from(as_site(document), file.parent)

@@ -1,6 +1,6 @@
 """`merge --live`: sweeps of LiDARs that record now, in one frame, as they come.
 
-Each LiDAR is read by a thread of its own, which keeps its newest sweep alone. A cloud is made of
+Each LiDAR is read by a separate thread, which keeps its newest sweep alone. A cloud is made of
 the newest sweeps once all LiDARs have one, and without those that are late.
 """
 
@@ -52,11 +52,11 @@ STOPPED = 1.0
 """Seconds without a sweep after which a LiDAR is no longer waited for: ten turns."""
 
 SAME_CLOCK = 1.0
-"""The clock of a LiDAR that is nearer to that of this computer counts as the same, s: a sweep takes
-0.1 s, and its way some."""
+"""The clock of a LiDAR that is nearer to that of this computer is treated as the same, s: a sweep
+takes 0.1 s, and its way some."""
 
 CLOCK_SWEEPS = 20
-"""Sweeps of which the median says how far the clock of a LiDAR is ahead."""
+"""Sweeps of which the median shows how far the clock of a LiDAR is ahead."""
 
 CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
 """Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
@@ -205,7 +205,7 @@ class _Reader(Thread):
 
     @property
     def words(self) -> str:
-        """Say why nothing comes, or what is odd about its clock; empty where nothing is."""
+        """Say why nothing comes, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
             return f"left out, since no sweep comes{': ' + why if why else ''}"
@@ -224,7 +224,7 @@ class LiveMerge:
     Parameters
     ----------
     lidars
-        Each with a source of its own.
+        Each with a separate source.
     give
         Called with each cloud, and when its newest sweep was made, Unix seconds.
     crop
@@ -273,7 +273,7 @@ class LiveMerge:
         return all(own.lidar.source.has_ended and own.newest is None for own in self._readers)
 
     def step(self, wait: float = 0.5) -> bool:
-        """Give a cloud if there is one within so many seconds; says whether."""
+        """Give a cloud if there is one within this many seconds; says whether."""
         until = time.time() + wait
         with self._arrival:
             while not (ready := self._ready()) and (left := until - time.time()) > 0:
@@ -381,7 +381,7 @@ def merging_live(
     Raises
     ------
     Refusal
-        Where the result was refused: it holds no poses.
+        If the result was refused: it holds no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be opened, or options do not go together.
     """
@@ -471,7 +471,7 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     -------
     Checked
         Of a pair that moved, that is the source: the frame is the target's. Of a site where nobody
-        can tell which moved, these are all of the pairs that did.
+        can show which moved, these are all of the pairs that did.
     """
     file, document = with_poses(result)
     topic, moved = "/points", tuple[str, ...]()
@@ -514,6 +514,6 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     said = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
-        "cannot_tell": f"checked: whether a LiDAR has moved cannot be told{why}",
+        "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
     }
     return Checked(moved, said[status])

@@ -1,4 +1,4 @@
-"""One cloud of all LiDARs of a stored result, and how far the surfaces that they see lie apart."""
+"""One cloud of all LiDARs of a stored result, and how far the surfaces that they see differ."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ class Merged:
     written
         Points, or surfels, in the file.
     surfels, apart, distances
-        Where they were asked for: what all LiDARs see, and how far it lies apart, place by place
-        and in numbers.
+        If they were requested: what all LiDARs see, and how far from each other it lies, place by
+        place and in numbers.
     notes
         Sentences on what is to be known.
     reasons
@@ -104,7 +104,7 @@ class Merged:
 
     @property
     def surfaces(self) -> list[str]:
-        """Say in words how far surfaces lie apart, a line for each pair of LiDARs."""
+        """Say in words how far from each other surfaces lie, a line for each pair of LiDARs."""
         return fusing.in_words(self.distances, self.lidars)
 
 
@@ -144,19 +144,19 @@ def placed(
     Parameters
     ----------
     document, file
-        Of a pair or of a site, with poses, and where it is.
+        Of a pair or of a site, with poses, and if it is.
     frame
         Name of a LiDAR, ``site``, ``map``: the coordinates that the survey is in, exactly; or
-        ``ground``, by the `LEVEL_FILE` beside the result.
+        ``ground``, by the `LEVEL_FILE` next to the result.
     epsg
         Of ``map``, another projected system than that of the survey.
 
     Raises
     ------
     UsageError
-        Where there is no such frame, nothing ties the site to the earth, or it was not leveled.
+        If there is no such frame, no observation ties the site to the earth, or it was not leveled.
     MissingExtraError
-        Where a projected system needs pyproj.
+        If a projected system needs pyproj.
     """
     site = as_site(document)
     names = [lidar.name for lidar in site.lidars]
@@ -201,7 +201,7 @@ def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
 
 
 def has_map(site: SiteDoc) -> bool:
-    """Whether a site has coordinates of its own, other than those from which it counts."""
+    """Whether a site has separate coordinates, other than those it counts from."""
     return site.frame.epsg is not None or bool(np.any(site.frame.offset))
 
 
@@ -259,7 +259,7 @@ def merge(
     Raises
     ------
     Refusal
-        Where the result was refused: it holds no poses.
+        If the result was refused: it holds no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be read or written, or options do not go together.
     """
@@ -269,7 +269,7 @@ def merge(
         raise UsageError(f"{out}: surfels are written as .ply")
     if surfels is not None and (voxel is not None or colour is not None):
         raise UsageError(
-            "surfels are made of all points, and have colours of their own: no voxels, no colours"
+            "surfels are made of all points, and have separate colours: no voxels, no colours"
         )
     if surfels is None and out is None:
         raise UsageError("a file to write is needed, or surfels to compare the LiDARs by")

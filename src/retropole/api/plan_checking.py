@@ -34,9 +34,9 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
     Raises
     ------
     ReadError
-        Where there is none, or it is no plan; names the file and the field.
+        If there is none, or it is no plan; names the file and the field.
     UsageError
-        Where it is of other LiDARs.
+        If it is of other LiDARs.
     """
     file = path / PLAN_FILE if path.is_dir() else path
     plan = loaded(file, decode_plan)
@@ -73,7 +73,7 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
     plan
         Of the same two LiDARs, in the same order.
     result
-        Of a run; each of its placements is held against that of the plan which it fits best.
+        Of a run; each of its placements is compared with that of the plan which it fits best.
     """
     lines = []
     placements = result.placements or ()

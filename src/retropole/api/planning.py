@@ -49,7 +49,7 @@ CONCRETE = Material(0.4)
 
 @dataclass(frozen=True, eq=False)
 class Wish:
-    """What is asked of a plan.
+    """What is required of a plan.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class PolePlan:
     planned: Planned
 
     def __repr__(self) -> str:
-        """Say where the poles stand and what to expect, a line each."""
+        """Say where the poles are and what to expect, a line each."""
         poles = [pole.words for each in self.document.placements for pole in each.poles]
         return "\n".join(["PolePlan:", *poles, *self.document.words])
 
@@ -169,11 +169,11 @@ def plan(
     Raises
     ------
     Refusal
-        Where there is no such plan; see `planner.plan`.
+        If there is no such plan; see `planner.plan`.
     UsageError
-        Where the pose is needed and not given, and for options that make no sense.
+        If the pose is needed and not given, and for options that make no sense.
     ReadError, MissingExtraError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     config = with_keywords(options, {"radius": radius, "need": need, "at": at}, older)
     areas = tuple(allowed), tuple(forbidden)
@@ -197,7 +197,7 @@ def plan_pair(
     target, source
         Their recordings.
     wish
-        What is asked for.
+        What is requested.
     config
         How they are read.
     rough
@@ -207,9 +207,9 @@ def plan_pair(
     Raises
     ------
     Refusal
-        Where there is no such plan; see `planner.plan`.
+        If there is no such plan; see `planner.plan`.
     UsageError
-        Where the pose is needed and not given.
+        If the pose is needed and not given.
     """
     inputs = [
         read_input(target, config.of_target, listener, role="target"),
@@ -230,7 +230,7 @@ def plan_site(
     path
         Of the site file, or of its folder.
     wish
-        What is asked for; the radius is the file's.
+        What is requested; the radius is the file's.
     rough
         An older result of the site, good to 10° and 1 m; None asks the place for all poses.
     """
@@ -273,9 +273,9 @@ def plan_drawn(
     lidars
         Name, sensor and pose (4, 4) of each, in a frame whose ground is z = 0.
     boxes
-        What stands there: x and y of the middle of each, and its three sides, metres.
+        What is there: x and y of the middle of each, and its three sides, metres.
     wish
-        What is asked for.
+        What is requested.
     """
     listener.progress("draw")
     standing = [
@@ -341,7 +341,8 @@ def _names(given: Sequence[CloudSource], roles: tuple[str, str]) -> list[str]:
 def _poses(
     names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array | None]
 ) -> list[Array]:
-    """Give all LiDARs a rough pose in the frame of the first: as given, or as the place says.
+    """Give all LiDARs a rough pose in the frame of the first: as given, or as the surroundings
+    show.
 
     Raises
     ------
@@ -355,7 +356,7 @@ def _poses(
             T = next(_by_place(scans, found, i), None)
         if T is None:
             raise UsageError(
-                f"the recordings do not tell where {names[i]} stands: give its rough pose, good to "
+                f"the recordings do not show where {names[i]} stands: give its rough pose, good to "
                 "10° and 1 m (--xyz and --rpy-deg, or --pose FILE)"
             )
         found.append(T)

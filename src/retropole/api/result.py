@@ -125,7 +125,7 @@ class Result(Generic[AnyDoc]):
             Of a loaded result, where a recording of the run is not found, of a site where it cannot
             be read.
         OSError
-            Where the folder cannot be written to.
+            If the folder cannot be written to.
         """
         stored, document = self._recorded(), self.document
         if relative:
@@ -142,7 +142,7 @@ class Result(Generic[AnyDoc]):
         site: str,
         serials: Mapping[str, str] | None,
     ) -> Path:
-        """Write the page alone, of recordings that may lie elsewhere now."""
+        """Write the page alone, of recordings that may be at another place now."""
         stored = self._recorded([Path(cloud) for cloud in clouds])
         page = render_report(
             self.document, stored.scans, notes=stored.notes, site=site, serials=serials
@@ -209,9 +209,9 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def confirmation(self) -> Confirmation | None:
-        """What stands in the scene says of the pose: how many voxels agree or conflict with it.
+        """What the scene shows about the pose: how many voxels agree or conflict with it.
 
-        None where the run was refused before the scene was asked, and of a result of a version
+        None if the run was refused before the scene was used, and of a result of a version
         that did not state it.
         """
         return self.document.confirmation
@@ -223,9 +223,9 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def fitness(self) -> Fitness | None:
-        """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
+        """Whether it is as accurate as was requested (`answer`, `probability`, `bound_m`).
 
-        None where nothing was asked for, and when refused.
+        None if nothing was requested, and when refused.
         """
         return self.document.fitness
 
@@ -290,7 +290,7 @@ class CalibrationResult(Result[ResultDoc]):
             The file to write.
         clouds
             Of a loaded result, where its inputs are now: target and source of each placement.
-            Without, they are looked for where they were, and beside the result.
+            Without, they are looked for where they were, and next to the result.
         site, serials
             For the certificate, the page's first sheet on paper: where it was calibrated, and the
             serial numbers of the target and the source LiDAR.
@@ -302,7 +302,7 @@ class CalibrationResult(Result[ResultDoc]):
         UsageError
             Where not as many clouds are given as the result has.
         OSError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         return self._report(path, clouds, site, dict(zip(LIDARS, serials, strict=True)))
 
@@ -317,9 +317,9 @@ class CalibrationResult(Result[ResultDoc]):
         Raises
         ------
         MissingExtraError
-            Where matplotlib is not installed.
+            If matplotlib is not installed.
         Refusal
-            Where the calibration was refused: there is nothing to draw.
+            If the calibration was refused: there is nothing to draw.
         ReadError
             Of a loaded result, where its inputs are not found again.
         """
@@ -380,9 +380,9 @@ class SiteResult(Result[SiteDoc]):
         Raises
         ------
         UsageError
-            Where no LiDAR is called so.
+            If no LiDAR is called so.
         Refusal
-            Where the calibration was refused.
+            If the calibration was refused.
         """
         if name not in self.lidars:
             raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
@@ -447,8 +447,8 @@ class SiteResult(Result[SiteDoc]):
         path
             The file to write.
         clouds
-            Of a loaded result, where its recordings are now, in any order: each is told by its
-            hash. The others are looked for where they were, and beside the result.
+            Of a loaded result, where its recordings are now, in any order: each is identified by
+            its hash. The others are looked for where they were, and next to the result.
         site, serials
             For the certificate, the page's first sheet on paper: where it was calibrated, and
             serial numbers by the names of LiDARs. Without, what the site file said.
@@ -458,9 +458,9 @@ class SiteResult(Result[SiteDoc]):
         ReadError, MissingExtraError
             Of a loaded result, where a recording of the run cannot be read.
         UsageError
-            Where a cloud that is given is not of the run, or no LiDAR is called so.
+            If a cloud that is given is not of the run, or no LiDAR is called so.
         OSError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         return self._report(path, clouds, site, serials)
 
@@ -477,9 +477,9 @@ class SiteResult(Result[SiteDoc]):
         Raises
         ------
         MissingExtraError
-            Where matplotlib is not installed.
+            If matplotlib is not installed.
         Refusal
-            Where the calibration was refused: there is nothing to draw.
+            If the calibration was refused: there is nothing to draw.
         ReadError
             Of a loaded result, where a recording of the run cannot be read.
         """
@@ -517,7 +517,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is no result document; names the file.
+        If there is no such file, or it is no result document; names the file.
     """
     file = result_file(Path(path))
     return CalibrationResult(loaded(file, partial(decode_pair, file)), file)
@@ -534,7 +534,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is no result document of a site; names the file.
+        If there is no such file, or it is no result document of a site; names the file.
     """
     file = Path(path)
     if file.is_dir():

@@ -73,7 +73,7 @@ def simulate(
     UsageError
         For an unknown scene, sensor or set of nuisances, and for poles that nobody has.
     SimulationError
-        Where no arrangement is found in which both LiDARs see every pole.
+        If no arrangement is found in which both LiDARs see every pole.
     """
     noise = None if nuisances is None else _noise(nuisances)
     if not 0 <= poles <= MAX_POLES:
@@ -115,7 +115,7 @@ def simulate_walk(
     UsageError
         As `simulate`.
     SimulationError
-        Where no arrangement is found in which both LiDARs see the walk.
+        If no arrangement is found in which both LiDARs see the walk.
     """
     if scene not in SURROUNDINGS:
         raise UsageError(f"no walk in {scene!r}; there are {', '.join(SURROUNDINGS)}")
@@ -167,7 +167,7 @@ def simulate_site(
     UsageError
         For an unknown kind, sensor or set of nuisances, and numbers that the kind does not have.
     SimulationError
-        Where no arrangement is found in which poles link all LiDARs.
+        If no arrangement is found in which poles link all LiDARs.
     """
     return draw_site(
         kind,

@@ -37,7 +37,7 @@ TIMED = re.compile(
 """When a recording was made, in its name: a date and a time of day."""
 
 SHOWN = 6
-"""So many names are quoted of what was seen."""
+"""Number of names that are quoted of what was seen."""
 
 
 class Draft(NamedTuple):
@@ -70,17 +70,17 @@ def draft_site(folder: Path, path: Path) -> Draft:
     folder
         Holds ``LIDAR/PLACEMENT.pcd``, ``PLACEMENT/LIDAR.pcd``, ``LIDAR_PLACEMENT.pcd``,
         ``2026-11-23-06-01-LIDAR.pcd`` with the time of the placement or, of one placement,
-        ``LIDAR.pcd``, also where all have one name and a number each (``lidar_1.pcd``); a recording
+        ``LIDAR.pcd``, also if all have one name and a number each (``lidar_1.pcd``); a recording
         may have any format that is read.
     path
-        Where the file is going to be: paths in it count from its folder.
+        If the file is going to be: paths in it count from its folder.
 
     Raises
     ------
     ReadError
-        Where the folder cannot be read.
+        If the folder cannot be read.
     UsageError
-        Where its names do not say which recording is whose; says what was seen.
+        If its names do not say which recording is whose; says what was seen.
     """
     recordings, others = _look_through(folder)
     lidars = _ordered({lidar for lidar, _ in recordings})
@@ -177,7 +177,8 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
 
 
 def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take the LiDAR from what beside the time is in a name; what is near in time is one placement.
+    """Take the LiDAR from what next to the time is in a name; what is near in time is one
+    placement.
 
     Near is nearer than half of the least time between two recordings of one LiDAR.
     """
@@ -208,7 +209,7 @@ def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
 
 
 def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> list[tuple[str, str, Path]]:
-    """Tell whether the folders are the LiDARs or the placements: the latter have numbers."""
+    """Determine whether the folders are the LiDARs or the placements: the latter have numbers."""
     outer = list(inner)
     within = _ordered({_name(path) for paths in inner.values() for path in paths})
     of_placements = all(NUMBERED.fullmatch(name) for name in outer)

@@ -1,6 +1,6 @@
 """The site file: which LiDARs recorded what, and what was surveyed, as TOML.
 
-It stands in `api`, above `site`: clouds of a site are read as `calibrate` reads them.
+It is in `api`, above `site`: clouds of a site are read as `calibrate` reads them.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     mast_sway_deg: MastSway | None = None
 
     def reading(self, max_points: int) -> Reading:
-        """How its recordings are read, with at most so many points of a cloud."""
+        """How its recordings are read, with at most this many points of a cloud."""
         frames = None if self.frames is None else frames_named(self.frames)
         how = frames, max_points, self.unit, Wanted(self.intensity, self.angles)
         return Reading(self.sensor, self.threshold, self.topic, *how)
@@ -158,7 +158,7 @@ class ControlPointTable(_Table, frozen=True, kw_only=True):
 
 
 class SiteFile(_Table, frozen=True, kw_only=True):
-    """A whole site file, as it stands there: degrees and centimetres where the keys say so."""
+    """A whole site file, as it is there: degrees and centimetres where the keys say so."""
 
     name: Name
     placements: Annotated[list[Name], Meta(min_length=1, max_length=MOST_PLACEMENTS)]
@@ -184,7 +184,7 @@ def read_site_file(path: Path) -> SiteFile:
     Raises
     ------
     ReadError
-        Where it cannot be read or is no site file; names the file, the key and what was expected.
+        If it cannot be read or is no site file; names the file, the key and what was expected.
     """
     with naming(path):
         with path.open("rb") as file:
@@ -198,7 +198,7 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
     Raises
     ------
     ReadError
-        Where it is none; names the key and what was expected.
+        If it is none; names the key and what was expected.
     """
     if len(data) > LARGEST_SITE_FILE:
         raise ReadError(f"more than {LARGEST_SITE_FILE} bytes, no site file is so long")

@@ -86,7 +86,7 @@ def site_file_in(path: Path) -> Path:
     Raises
     ------
     ReadError
-        Where it is not there, and its folder is; names the command that writes one.
+        If it is not there, and its folder is; names the command that writes one.
     """
     if path.is_dir():
         path = path / SITE_FILE
@@ -112,9 +112,9 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     Raises
     ------
     ReadError
-        Where the file or a recording cannot be read; names the file, the LiDAR and the placement.
+        If the file or a recording cannot be read; names the file, the LiDAR and the placement.
     MissingExtraError
-        Where a recording needs an extra, or projected coordinates do.
+        If a recording needs an extra, or projected coordinates do.
     """
     path = site_file_in(path)
     file = with_survey(read_site_file(path), path)
@@ -150,12 +150,12 @@ def with_survey(file: SiteFile, path: Path) -> SiteFile:
     Parameters
     ----------
     file, path
-        The site file, and where it is: the survey counts from its folder.
+        The site file, and if it is: the survey counts from its folder.
 
     Raises
     ------
     ReadError
-        As `io.survey.read_survey`, and where nothing says how accurate a point is.
+        As `io.survey.read_survey`, and if nothing says how accurate a point is.
     """
     if file.survey is None:
         return file
@@ -211,7 +211,7 @@ def read_of(
     Raises
     ------
     ReadError, MissingExtraError
-        Where it cannot be read; names the file, the LiDAR and the placement.
+        If it cannot be read; names the file, the LiDAR and the placement.
     """
     table = file.lidar[lidar]
     with naming(_where(file, path, lidar, placement), is_said_there=True):
@@ -231,7 +231,7 @@ def inputs_of(site: Site) -> SiteInputs:
     Raises
     ------
     MissingExtraError, UsageError
-        Where its frame is a projected one, as `base.world.in_metres`, and as `check_site`.
+        If its frame is a projected one, as `base.world.in_metres`, and as `check_site`.
     """
     check_site(site)
     inputs = {
@@ -346,12 +346,12 @@ def offset_of(file: SiteFile) -> Array:
     Returns
     -------
     numpy.ndarray
-        (3,) metres; zero where nothing is surveyed.
+        (3,) metres; zero if nothing is surveyed.
 
     Raises
     ------
     ReadError
-        Where what is surveyed is too far apart for one site; names the point.
+        If what is surveyed is too far from each other for one site; names the point.
     """
     surveyed: list[tuple[str, list[float]]] = []
     for pole in file.surveyed_pole:
@@ -398,7 +398,7 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
 
 
 def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | None:
-    """Refuse a recording that stands for two LiDARs or placements; None where none does."""
+    """Refuse a recording that stands for two LiDARs or placements; None if none does."""
     inputs, site = list(read.inputs.values()), read.site
     names = [f"{site.lidars[k].name} in placement {site.placements[n]}" for k, n in read.inputs]
     return refuse_repeated(
@@ -406,6 +406,6 @@ def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | N
         documents,
         lambda first, second: (
             f"{names[first]} and {names[second]}, {inputs[first].name} and {inputs[second].name}, "
-            "are the same byte for byte; give each LiDAR and placement a recording of its own"
+            "are the same byte for byte; give each LiDAR and placement a separate recording"
         ),
     )

@@ -64,11 +64,11 @@ class StoredScans:
     Attributes
     ----------
     scans
-        For each LiDAR, target and source of a pair, that of each placement; None where there is
+        For each LiDAR, target and source of a pair, that of each placement; None if there is
         none to show. Where the poles found again are not those that the result lists, the detection
         is None.
     notes
-        One sentence on each recording that is not there, or is another; empty where all are.
+        One sentence on each recording that is not there, or is another; empty if all are.
     """
 
     scans: Sequence[Sequence[Scan | None]]
@@ -76,7 +76,7 @@ class StoredScans:
 
 
 class Recording(NamedTuple):
-    """A recording of a stored run and where it is now, None where there is none to show.
+    """A recording of a stored run and where it is now, None if there is none to show.
 
     `fault` says what is wrong there.
     """
@@ -107,7 +107,7 @@ def scans_of(
     Raises
     ------
     ReadError, MissingExtraError
-        Where a recording of the run cannot be read, and as `find_recordings`.
+        If a recording of the run cannot be read, and as `find_recordings`.
     UsageError
         As `find_recordings`.
     """
@@ -144,8 +144,8 @@ def find_recordings(
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is taken.
     given
-        Where recordings are now: of a pair, target and source of each placement; of a site, in any
-        order: each is told by its hash.
+        If recordings are now: of a pair, target and source of each placement; of a site, in any
+        order: each is identified by its hash.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def hashes_of(
 
 
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
-    """Tell whether two recordings are those of a run the other way round; none is read as one.
+    """Determine whether two recordings are those of a run swapped; none is read as one.
 
     One bag may hold both LiDARs: then nothing is told.
 
@@ -241,7 +241,7 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
     Raises
     ------
     ReadError
-        Where one cannot be read.
+        If one cannot be read.
     """
     if all(first == second for first, second in hashes):
         return False
@@ -250,7 +250,7 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
 
 
 def difference(item: InputDoc, path: Path, sha256: str) -> str:
-    """Say that a file of this hash is not the one that the run read; empty where it is."""
+    """Say that a file of this hash is not the one that the run read; empty if it is."""
     if sha256 == item.sha256:
         return ""
     return (
@@ -265,7 +265,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is none; names the file.
+        If there is no such file, or it is none; names the file.
     """
     with readable(file):
         data = read_document(file)
@@ -284,7 +284,7 @@ def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
     Raises
     ------
     Refusal
-        Where it was refused.
+        If it was refused.
     ReadError
         As `loaded`.
     """
@@ -324,7 +324,7 @@ def recording_of(
     result
         A result document, the folder that holds it, or another file of a transform.
     given
-        Where the clouds are, target and source of each placement; without, they are looked for as
+        If the clouds are, target and source of each placement; without, they are looked for as
         `find_recordings` does.
     note
         Called with what is to be known of what is written.
@@ -339,7 +339,7 @@ def recording_of(
     Raises
     ------
     ReadError, UsageError, MissingExtraError
-        Where a cloud is not found or cannot be read, or too few or too many are given.
+        If a cloud is not found or cannot be read, or too few or too many are given.
     """
     file = any_result_file(result)
     document = result_in(read_document(file))
@@ -380,7 +380,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        Where it is going to be.
+        If it is going to be.
     beside
         Folder that its paths count from now; else they are those from here.
 
@@ -437,7 +437,7 @@ def _name(text: str, folder: Path, beside: Path) -> str:
     if place is None:
         return text
     # Links to folders are followed, as the system does where it goes up from one; a link to the
-    # file is not: it is what is beside the document.
+    # file is not: it is what is next to the document.
     real = Path(os.path.realpath(place.parent), place.name)
     try:
         relative = os.path.relpath(real, os.path.realpath(folder))

@@ -1,7 +1,7 @@
 """What numbers, texts and arrays of a document may be: one from elsewhere is not trusted.
 
 No coordinate, angle or count of a recording comes near these bounds. Beyond them squares and
-products stop being numbers. `result.decoding` holds a document against all of them.
+products stop being numbers. `result.decoding` compares a document with all of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
 """A length that is not none."""
 
 Sigma = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
-"""A standard deviation that others are divided by, metres: nothing is known to a nanometre."""
+"""A standard deviation that others are divided by, metres: there is no information to a
+nanometre."""
 
 Share = Annotated[float, Meta(ge=-1e-9, le=1 + 1e-9)]
 """A part of one, with its rounding."""
@@ -40,7 +41,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_TEXT)]
 
-# Arrays of numbers are alike to a type checker; a reader tells them apart by what is noted.
+# Arrays of numbers are similar to a type checker; a reader distinguishes them by what is noted.
 _F = np.dtype[np.float64]
 Vector = np.ndarray[tuple[Annotated[int, "3"]], _F]
 Direction = np.ndarray[tuple[Annotated[int, "3, a unit vector"]], _F]

@@ -32,16 +32,16 @@ class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     along_m, across_m, lean_rad
         Root mean squares of the way along its longest direction and across it, and of the lean.
     left_out
-        Share of the returns, ring by ring, that count less than half.
+        Share of the returns, ring by ring, that have less weight than half.
     range_scale, edge_jitter_rad
         Of the target and the source: by how much ranges scatter beyond what is stated for the
         sensor, a factor, and what moves the edges of the pole.
     clock_windows
-        Of each window of 5 s: its middle, the offset beside that of the walk and its 1 σ, s.
+        Of each window of 5 s: its middle, the offset next to that of the walk and its 1 σ, s.
     up
         (3,) the way the pole points on average, target axes.
     path
-        Where the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
+        If the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
         target's frame.
     """
 

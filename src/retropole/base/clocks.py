@@ -32,7 +32,7 @@ ZONE = 900.0
 
 
 def is_set(apart: float) -> bool:
-    """Whether clocks this far apart, s, may both be set."""
+    """Whether clocks this far from each other, s, may both be set."""
     return abs(apart) < UNSET
 
 
@@ -62,7 +62,7 @@ def _way(apart: float) -> str:
 
 
 def _zones(apart: float) -> int:
-    """By how many quarters of an hour time zones differ as clocks do; 0 where no zones do."""
+    """By how many quarters of an hour time zones differ as clocks do; 0 if no zones do."""
     quarters = round(abs(apart) / ZONE)
     return quarters if abs(abs(apart) - quarters * ZONE) < NOTICED else 0
 

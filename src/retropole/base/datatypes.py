@@ -53,7 +53,7 @@ class PointCloud:
     xyz
         (N, 3) float64, metres; finite, and none at zero range.
     intensity
-        (N,) float64 on the sensor's own scale, or None where the file has none.
+        (N,) float64 on the sensor's own scale, or None if the file has none.
     ring, time, frame
         (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
         that the point came from; or None.
@@ -61,7 +61,7 @@ class PointCloud:
         (3,) where the beams start, and the unit vector about which they turn; of a map the place
         that is of interest, and the vertical.
     recorded
-        First and last time by the recorder's clock, Unix seconds; None where the file has none.
+        First and last time by the recorder's clock, Unix seconds; None if the file has none.
     dropped, thinned, source, fields, notes
         How many points were dropped (not finite, at zero range), and left out of too many; the
         file, what it calls its values, with their types; in words what was lost.
@@ -206,12 +206,12 @@ class Detection:
     poles, rejected
         Accepted poles, the best supported first; every other cluster, each with its reason.
     threshold, threshold_source, retro_points
-        Intensity from which a return counts as retro-reflective, on the sensor's own scale; where
-        it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
+        Intensity from which a return is treated as retro-reflective, on the sensor's own scale;
+        where it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.
     threshold_least
-        To what the threshold falls with the range; None where it holds at any range.
+        To what the threshold falls with the range; None if it holds at any range.
     """
 
     poles: tuple[Pole, ...]
@@ -237,7 +237,7 @@ class Match:
         Root mean square distance of source points from target lines at that minimum, metres.
     exact, converged, icp_refined, by_place
         Whether the lines fit, one of the Klein group's four, or more; the solver came to rest; the
-        scenes lie on each other; and they give what one pole, or parallel ones, leave open.
+        scenes coincide; and they give what one pole, or parallel ones, do not determine.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -254,7 +254,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose of one LiDAR beside another, and what speaks for it (Xue et al. 2019, Tab. III).
+    """A pose of one LiDAR next to another, and what speaks for it (Xue et al. 2019, Tab. III).
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Hypothesis:
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
-        Whether it is the best, or the scene does not rule it out beside the best.
+        Whether it is the best, or the scene does not rule it out next to the best.
     possible
         Whether it stands, or scores little less than the best: on bare ground a pose that brings
         the LiDARs near each other overlaps twice as much as the right one. Of a site.
@@ -311,7 +311,7 @@ class PoseEstimate(msgspec.Struct, frozen=True, eq=False, rename={"rms": "rms_m"
     T_target_source
         (4, 4) pose.
     covariance
-        (6, 6) over ``[φ_x φ_y φ_z δ_x δ_y δ_z]``, rad and m, target axes; None where not known.
+        (6, 6) over ``[φ_x φ_y φ_z δ_x δ_y δ_z]``, rad and m, target axes; None if not known.
     rms
         Root mean square residual of what it was estimated from, metres.
     """
@@ -331,7 +331,7 @@ class Scan:
         The cloud that was used, of several frames without dynamic points; what recorded it or None.
     detection, refusal, sway, motion
         What was found; why it cannot be searched for poles; how the LiDAR swayed, and (B, 6) turn
-        and shift that were taken out of the parts of the cloud (`surfaces.sway`); each or None.
+        and shift that were removed from the parts of the cloud (`surfaces.sway`); each or None.
     """
 
     cloud: PointCloud
@@ -359,7 +359,7 @@ class Placement:
     Attributes
     ----------
     target, source, left_out
-        What each LiDAR recorded; and how far the poles' pose lies from that without it, None where
+        What each LiDAR recorded; and how far the poles' pose lies from that without it, None if
         the others give none.
     """
 
@@ -393,7 +393,7 @@ class Test:
     name
         In words: ``pole 2 of placement 1 as mast-a sees it``.
     lidar, placement, pole
-        Indices in the site, and in `SiteCalibration.poles`; None where it is about none. Those of a
+        Indices in the site, and in `SiteCalibration.poles`; None if it is about none. Those of a
         pair are 0 for the target and 1 for the source.
     chi2, freedom
         By how much the fit improves without it, χ² with so many degrees of freedom.
@@ -402,7 +402,7 @@ class Test:
     redundancy
         Share of it that the others check, 0 to 1: what is 0 nothing would show.
     minimal_detectable
-        Least error that is found with a probability of 80 %, metres; None where none is.
+        Least error that is found with a probability of 80 %, metres; None if none is.
     external
         By how much an error of that size would move a point 30 m away, metres; None likewise.
     allowed
@@ -435,19 +435,19 @@ class Calibration:
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
     poles, refined
-        The pose from the poles alone, and with the scene; None where it did not come to that.
+        The pose from the poles alone, and with the scene; None if it did not come to that.
     hypotheses, chosen, margin
-        All ways of laying the poles on each other, the best first; the place of the chosen one, 0
+        All ways of matching the poles, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.
     vertical
-        (3,) the ground's normal, target axes; None where not found, or one alone stands.
+        (3,) the ground's normal, target axes; None if not found, or one alone stands.
     predicted_error, weakest, uncertainty, radius
         At several ranges; the direction in which it is least certain; `covariance` in its two
         kinds, with the budget; the poles' radius; empty and None when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     confirmation, fitness
-        What stands in the scene says of the pose, and whether it is as accurate as asked; or None.
+        What the scene shows about the pose, and whether it is as accurate as asked; or None.
     walk
         Of a pole that was carried: the walk, and the clocks of both LiDARs; else None.
     tests

@@ -42,14 +42,14 @@ class SiteLidar:
     name
         Its name, which is also that of its frame.
     clouds
-        One for each placement of the poles; None where it recorded none.
+        One for each placement of the poles; None if it recorded none.
     sensor, threshold
-        What it is, and the intensity from which a return counts as retro-reflective; None where not
-        known.
+        What it is, and the intensity from which a return is treated as retro-reflective; None if
+        not known.
     serial
-        Serial number; empty where not given.
+        Serial number; empty if not given.
     up
-        Which way is up in its frame; None where nothing measured it.
+        Which way is up in its frame; None if nothing measured it.
     mast_sway
         1 σ of the angle that its mast is said to sway by, rad; None takes what its sweeps show.
     """
@@ -78,9 +78,9 @@ class SurveyedPole(
     Attributes
     ----------
     name, placement
-        What it is called, and the index of the placement that it stands in.
+        What it is called, and the index of the placement that it is in.
     foot, top
-        (3,) its lower and upper end, in the frame of the site; None where not surveyed.
+        (3,) its lower and upper end, in the frame of the site; None if not surveyed.
     sigma
         1 σ of each coordinate, metres.
     foot_sigma, top_sigma
@@ -126,7 +126,7 @@ class ControlPoint(
 ):
     """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres.
 
-    Where its coordinates have a σ of their own, `sigmas` (3,) has them, `sigma` the largest.
+    If its coordinates have a separate σ, `sigmas` (3,) has them, `sigma` the largest.
     """
 
     name: Text
@@ -164,7 +164,7 @@ class Frame(msgspec.Struct, frozen=True, eq=False, rename={"offset": "offset_m"}
     epsg
         Code of a projected frame, or None.
     geodetic
-        Origin of a local east-north-up frame; None where not known.
+        Origin of a local east-north-up frame; None if not known.
     """
 
     name: Text
@@ -195,7 +195,7 @@ class Site:
     poles, points
         What was surveyed, in that frame, less `Frame.offset`.
     need
-        How accurate every pose must be; None only asks for usable.
+        How accurate every pose must be; None only requires usable.
     """
 
     name: str

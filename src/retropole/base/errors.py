@@ -55,7 +55,7 @@ def escaped(sign: str) -> str:
 
 
 def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
-    """Leave out the middle of a long text: what it is about stands first, what to do last."""
+    """Leave out the middle of a long text: what it is about is first, what to do last."""
     if len(text) <= most:
         return text
     first = most // 2 - 1
@@ -174,7 +174,7 @@ class Reason:
 def warnings_and_notes(
     found: Iterable[Reason],
 ) -> tuple[tuple[Reason, ...], tuple[Reason, ...]]:
-    """Tell what makes an answer doubtful from what is to be known of it (``reasons.toml``)."""
+    """Say what makes an answer doubtful from what is to be known of it (``reasons.toml``)."""
     every = tuple(found)
     notes = tuple(each for each in every if is_note(each.code))
     return tuple(each for each in every if not is_note(each.code)), notes
@@ -196,7 +196,7 @@ def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
     place
         The file or its part.
     is_said_there
-        Where an option makes no sense, that is what is wrong with the file: it stands there.
+        If an option makes no sense, that is what is wrong with the file: it is there.
 
     Raises
     ------

@@ -56,9 +56,9 @@ def check_is_file(path: Path) -> None:
     Raises
     ------
     ReadError
-        Where it is something else.
+        If it is something else.
     OSError
-        Where there is nothing, or it may not be looked at.
+        If there is nothing, or it may not be looked at.
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
@@ -67,14 +67,14 @@ def check_is_file(path: Path) -> None:
 
 
 def read_document(path: Path) -> bytes:
-    """Read a file that is expected to hold a transform, and not more of it than one would have.
+    """Read a file that is expected to hold a transform, and not more than one would have.
 
     Raises
     ------
     ReadError
-        Where it is longer.
+        If it is longer.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     with path.open("rb") as file:
         data = file.read(LARGEST_DOCUMENT + 1)
@@ -93,7 +93,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        Where it cannot be written, or another process is writing into its folder.
+        If it cannot be written, or another process is writing into its folder.
     """
     write_together({path: data})
 
@@ -101,9 +101,9 @@ def write_atomically(path: Path, data: bytes) -> None:
 def write_together(files: Mapping[Path, bytes]) -> None:
     """Write files of one folder, which belong together, all of them or none.
 
-    The data go to temporary files beside the targets, which are then renamed. The others than the
+    The data go to temporary files next to the targets, which are then renamed. The others than the
     first are removed before: whatever ends the process, those that are there are of one run.
-    Where a file of a run before was set aside it is replaced, with its links and permissions.
+    If a file of a run before was set aside it is replaced, with its links and permissions.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     UsageError
-        Where it is no file: neither a device nor a pipe goes back to its header.
+        If it is no file: neither a device nor a pipe goes back to its header.
     OSError
         As `write_atomically`.
     """
@@ -173,7 +173,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
 
 
 def _temporary(place: Path) -> str:
-    """Name a temporary file beside another, which is removed with the run."""
+    """Name a temporary file next to another, which is removed with the run."""
     name = f".{place.name[:100]}.{secrets.token_hex(4)}{UNFINISHED}"
     temporary = str(place.parent / name)
     # Before it is there: a signal may come at any moment.
@@ -194,7 +194,7 @@ def set_aside(paths: Iterable[Path]) -> list[Path]:
     Raises
     ------
     OSError
-        Where one cannot be renamed, or another process is writing into its folder.
+        If one cannot be renamed, or another process is writing into its folder.
     """
     moved = []
     for path in paths:
@@ -233,7 +233,7 @@ def _set_aside_until_written(paths: Iterable[Path]) -> None:
 
 
 def _put_back(path: Path) -> bool:
-    """Give a file that was set aside its own name again; tell whether there was one."""
+    """Give a file that was set aside its own name again; determine whether there was one."""
     aside = older.pop(_key(path), None)
     if aside is None or not aside.is_file():
         return False
@@ -281,7 +281,7 @@ def run_alone(folder: Path, command: str = "") -> Iterator[None]:
     Raises
     ------
     OSError
-        Where another run has it: the message says which. Where it cannot be written to.
+        If another run has it: the message says which. Where it cannot be written to.
     """
     is_new = not folder.exists()
     note = folder / RUNNING
@@ -293,7 +293,7 @@ def run_alone(folder: Path, command: str = "") -> Iterator[None]:
             os.write(descriptor, this_run(command).encode())
         yield
     finally:
-        # Before another run has it; only where what is open cannot be removed, after that.
+        # Before another run has it; only if what is open cannot be removed, after that.
         with suppress(OSError):
             if os.name != "nt":
                 note.unlink()
@@ -371,9 +371,9 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _locked(descriptor: int) -> bool:
-    """Lock an open file or folder; tell whether no other process has it.
+    """Lock an open file or folder; determine whether no other process has it.
 
-    True also where the file system has no locks.
+    True also if the file system has no locks.
     """
     try:
         if sys.platform == "win32":
@@ -395,7 +395,7 @@ def _locked(descriptor: int) -> bool:
 
 
 def _replace(files: Mapping[Path, bytes]) -> None:
-    """Write temporary files beside the targets, and switch."""
+    """Write temporary files next to the targets, and switch."""
     for place in files:
         _sweep(place)
     written: dict[Path, str] = {}

@@ -98,9 +98,9 @@ def projected(epsg: int) -> Projected:
     Raises
     ------
     MissingExtraError
-        Where pyproj is not installed.
+        If pyproj is not installed.
     UsageError
-        Where there is no such code, where it is not projected, where its unit is not the metre,
+        If there is no such code, where it is not projected, where its unit is not the metre,
         its axes are not east and north, or its longitudes not from Greenwich.
     """
     try:

@@ -1,7 +1,7 @@
 """Errors and what they belong to, in words: two significant digits, and a unit that fits.
 
 More digits of an uncertainty mean nothing, and fewer lose too much (GUM, JCGM 100:2008, 7.2.6). A
-value beside its uncertainty ends at the same digit.
+value next to its uncertainty ends at the same digit.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def at_most(bound: float, unit: Unit = "m") -> str:
 
 
 def value(number: float | None, sigma: float, unit: Unit = "m") -> str:
-    """Write a value to the digit at which its uncertainty ends: ``20.31 mm`` beside 0.42 mm.
+    """Write a value to the digit at which its uncertainty ends: ``20.31 mm`` next to 0.42 mm.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     noun
         What there is, in the singular.
     plural
-        Where it is not the singular with an s.
+        If it is not the singular with an s.
     """
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 

@@ -1,6 +1,6 @@
 """Every reason code: what it means, and what to do about it.
 
-The texts stand in ``reasons.toml``, one table for each place where codes are met. The report, the
+The texts stand in ``reasons.toml``, one table for each place where codes are given. The report, the
 command line and the page *Every reason code* of the documentation take their words from there.
 `Code` is the type of all codes, so that mypy finds one that is in no table: a new code is added to
 both.
@@ -152,7 +152,7 @@ class Explanation(msgspec.Struct, frozen=True):
     help
         What it means, with the limit in numbers.
     advice
-        What to do, one action each; empty where there is nothing to do.
+        What to do, one action each; empty if there is nothing to do.
     """
 
     title: str
@@ -174,7 +174,7 @@ class Tables(msgspec.Struct, frozen=True):
     Attributes
     ----------
     groups, prefixes
-        Codes by the place where they are met, and what may stand in front of them.
+        Codes by the place where they are met, and what may be in front of them.
     remedies
         What makes each source of error smaller, by its name in the error budget: those that are no
         matter of a single LiDAR.
@@ -190,7 +190,7 @@ class Tables(msgspec.Struct, frozen=True):
 
 @cache
 def tables() -> Tables:
-    """Read the texts, when they are first asked for; line breaks in them are spaces."""
+    """Read the texts, when they are first requested; line breaks in them are spaces."""
     from importlib.resources import files
 
     text = files("retropole.base").joinpath("reasons.toml").read_bytes()
@@ -217,7 +217,7 @@ def is_note(code: str) -> bool:
 
 
 def explain(code: str) -> Explanation | None:
-    """Look a code up, with or without a prefix; None where it is not known."""
+    """Look a code up, with or without a prefix; None if it is not known."""
     if code in reasons():
         return reasons()[code]
     prefixes = tables().prefixes.items()
@@ -225,7 +225,7 @@ def explain(code: str) -> Explanation | None:
 
 
 def page(code: str) -> str | None:
-    """Name the page of the documentation that explains a code; None where it is not known."""
+    """Name the page of the documentation that explains a code; None if it is not known."""
     known = explain(code)
     if known is None:
         return None

@@ -26,7 +26,7 @@ TINY = 1e-300
 """Square of an angle, rad², that keeps quotients at none from being 0/0."""
 
 HALF_TURN = -1.9
-"""Twice the cosine of an angle beyond which, near π, its sine hardly tells the axis."""
+"""Twice the cosine of an angle beyond which, near π, its sine hardly shows the axis."""
 
 
 def from_rt(rotation: Array, translation: Array) -> Array:
@@ -60,7 +60,7 @@ def rigid(matrix: Array) -> Array:
     Raises
     ------
     ReadError
-        Where it is not (4, 4), not finite, larger than `FARTHEST`, has another last row than
+        If it is not (4, 4), not finite, larger than `FARTHEST`, has another last row than
         0 0 0 1, or where its rotation is mirrored or further than `RIGID_TOLERANCE` from
         orthonormal.
     """
@@ -181,7 +181,8 @@ def local_jacobian(step: Array) -> Array:
 
 
 class PoseDifference(NamedTuple):
-    """How far two poses are apart: angle of the rotation, rad, and translation, metres."""
+    """How far from each other two poses are: angle of the rotation, rad, and translation,
+    metres."""
 
     rotation: float
     translation: float
@@ -210,7 +211,7 @@ def rpy_from_rotation(R: Array) -> Array:
 
     About fixed axes, x first, as in ROS and URDF: ``R = R_z(yaw) R_y(pitch) R_x(roll)``. Where the
     pitch is ± 90° only roll ± yaw is determined; roll is therefore read off what is left of the
-    rotation once the yaw is taken out, so that the three always give the rotation back.
+    rotation once the yaw is removed, so that the three always give the rotation back.
     """
     yaw = np.arctan2(R[1, 0], R[0, 0])
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))

@@ -25,7 +25,7 @@ class Sensor:
     Attributes
     ----------
     name
-        What users call it; case, blanks and dashes do not count.
+        What users call it; case, blanks and dashes are ignored.
     aliases
         Other names of the same model.
     elevations
@@ -41,7 +41,7 @@ class Sensor:
         for scans that do not repeat.
     rise
         (K,) how much higher than `elevations` the lines are, rad, at azimuths spaced evenly over
-        the field of view; empty where they are straight.
+        the field of view; empty if they are straight.
     is_numbered
         Whether drivers number the lines, as rings.
     is_round
@@ -57,18 +57,18 @@ class Sensor:
     intensity_max
         Full scale of the intensity.
     threshold
-        Intensity from which a return at about 5 m counts as retro-reflective.
+        Intensity from which a return at about 5 m is treated as retro-reflective.
     retro_from
         Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` where that
         is not known, and 0 where intensities are raw signal, which falls with the range.
     threshold_source, source
-        Where the threshold and the other figures come from.
+        If the threshold and the other figures come from.
     range_accuracy, retro_accuracy
         What the manufacturer states for the range, ± metres, and for that of retro-reflectors; None
         where nothing is.
     errors
         1 σ of the systematic errors of this very instrument, by the names of `systematic.Sizes`;
-        empty where nobody measured them.
+        empty if nobody measured them.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Sensor:
 
     @property
     def rings(self) -> int:
-        """How many rings its clouds have at most; 0 where none are numbered."""
+        """How many rings its clouds have at most; 0 if none are numbered."""
         return len(self.elevations) if self.is_numbered else 0
 
     @property
@@ -218,7 +218,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     retro_from: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no LiDAR has; `msgspec` says where it stands."""
+        """Refuse what no LiDAR has; `msgspec` says where it is."""
         near, far = self.range_m
         positive = (self.noise_m, self.divergence_mrad, near, far - near, self.full_scale)
         if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
@@ -303,12 +303,12 @@ def find_sensor(name: str) -> Sensor:
     Parameters
     ----------
     name
-        Case, blanks and dashes do not count; or the path of a TOML file, as `read_sensor` reads it.
+        Case, blanks and dashes are ignored; or the path of a TOML file, as `read_sensor` reads it.
 
     Raises
     ------
     UsageError
-        Where no sensor has that name; lists those there are. As `read_sensor` does.
+        If no sensor has that name; lists those there are. As `read_sensor` does.
     """
     if is_sensor_file(name):
         return read_sensor(Path(name))
@@ -345,7 +345,7 @@ def read_sensor(path: Path) -> Sensor:
     Raises
     ------
     UsageError
-        Where there is no such file, or what it says is none of these.
+        If there is no such file, or what it says is none of these.
     """
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -365,10 +365,10 @@ def sensor_or_auto(name: str) -> Sensor | None:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Intensity from which a return counts as retro-reflective, and how it was found.
+    """Intensity from which a return is treated as retro-reflective, and how it was found.
 
     ``value`` holds up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may,
-    with the square of the range, to ``least``; None where it holds at any range.
+    with the square of the range, to ``least``; None if it holds at any range.
     """
 
     value: float
@@ -403,8 +403,8 @@ BOTTOM = 0.01
 def auto_threshold(intensity: Array) -> Threshold:
     """Find the threshold from the cloud itself, on whatever scale it has.
 
-    Most returns are diffuse. Their median and 95th percentile tell where they end; tape lies well
-    above. Erring low is cheap, since a pole is told by its shape, so where much of the scene
+    Most returns are diffuse. Their median and 95th percentile show where they end; tape lies well
+    above. Erring low is cheap, since a pole is identified by its shape, so where much of the scene
     saturates the threshold stays below the brightest returns.
 
     Parameters
@@ -414,7 +414,8 @@ def auto_threshold(intensity: Array) -> Threshold:
         brightest count from zero, or from the bottom of the scale where that is lower.
     """
     tail = _end_of_diffuse(intensity)
-    # The brightest return is taken as the sixth: a single glint says nothing of the scale.
+    # The brightest return is taken as the sixth: a single glint gives no information about the
+    # scale.
     rank = min(6, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
     # A few returns may have -1, or less, in the place of an intensity.
@@ -475,7 +476,7 @@ def threshold_for(
     intensity, ranges
         (N,) of the cloud; ranges from where the beams start, metres.
     sensor, given
-        What recorded it, and what the user says; None where either is not known.
+        What recorded it, and what the user says; None if either is not known.
     """
     if given is not None:
         return Threshold(float(given), GIVEN)

@@ -16,7 +16,7 @@ A constant error of the azimuth is a rotation of the LiDAR's own frame, which no
 the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
 is as small as unmodelled errors.
 
-Where a mast sways while its LiDAR records, the mean pose may be off the one where it rests
+If a mast sways while its LiDAR records, the mean pose may be off the one where it rests
 (`Sway`): an error of that recording, and of all that use it.
 """
 
@@ -40,10 +40,10 @@ IntArray = NDArray[np.int64]
 
 BAND = np.radians(1.0)
 """Returns within a band of elevation of this width, rad, share the errors of one ring. Sensors of
-64 rings and more have several in a band, which then count as one."""
+64 rings and more have several in a band, which then are treated as one."""
 
 RANGE_TO_OFFSET = 3.0
-"""A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
+"""A manufacturer's ± figure for the range is taken for this many σ of the offset that all returns
 share: the bound that hardly any device exceeds."""
 
 USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
@@ -69,7 +69,7 @@ MIN_ERROR_SIGMA = 1e-9
 """Least 1 σ of an error, in its unit: one that is not there."""
 
 MAX_TANGENT = 5.0
-"""Tangent of the incidence up to which the pulse counts as stretched, about 79°."""
+"""Tangent of the incidence up to which the pulse is treated as stretched, about 79°."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,10 @@ class Sizes:
         bent, rad. Manuals name 0.01 to 0.1° as angular accuracy: what is assumed of a LiDAR that is
         not known is the middle of that, on a logarithmic scale.
     tape
-        Range offset of retro-reflective returns beside all others, metres.
+        Range offset of retro-reflective returns next to all others, metres.
     ring_range, ring_elevation, ring_azimuth
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
-        or a delay of its own.
+        or a separate delay.
     width
         Of the beam, as a part of it: of its logarithm.
     """
@@ -118,7 +118,7 @@ class Sizes:
 
 MAP_DISTORTION = np.diag(np.r_[np.full(3, 0.005 / 30.0), np.full(3, 0.005)] ** 2)
 """(6, 6) how far a map may be off about a LiDAR, rad and m: clouds of several LiDARs, or of a walk,
-do not lie on each other exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31:
+do not coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31:
 without it 3 were outside of the 95 % region."""
 
 
@@ -317,11 +317,11 @@ class ErrorModel:
 
 
 ENOUGH = 2.0
-"""So many periods are asked for; after three, rest is known to less than a tenth of the sway
+"""Number of periods that are requested; after three, rest is known to less than a tenth of the sway
 (tests/surfaces/test_sway.py)."""
 
 LEVER = 6.0
-"""A mast that turns shifts its LiDAR by so many metres a radian: the height of a lamppost, whose
+"""A mast that turns shifts its LiDAR by this many metres a radian: the height of a lamppost, whose
 top bends by less. Where nothing measures the shift this is taken for it."""
 
 
@@ -334,7 +334,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         Root mean square of the angle from rest that was seen; of a sway that was stated and not
         seen, what was stated.
     frequency
-        Of the oscillation, Hz; None where it was stated.
+        Of the oscillation, Hz; None if it was stated.
     seconds
         How long the recording took.
     covariance
@@ -361,7 +361,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
     @property
     def seconds_more(self) -> float:
-        """How much longer to record for `ENOUGH` periods, s; 0 where they are there."""
+        """How much longer to record for `ENOUGH` periods, s; 0 if they are there."""
         if self.frequency is None or self.is_shared:
             return 0.0
         return max(ENOUGH / self.frequency - self.seconds, 0.0)
@@ -409,7 +409,7 @@ def left_of(sways: Sequence[Sway | None]) -> Array:
 
 
 def left_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
-    """`left_of` each LiDAR's recordings; none where all stood."""
+    """`left_of` each LiDAR's recordings; none if none moved."""
     if not any(each for row in rows for each in row):
         return ()
     return tuple(left_of(row) for row in rows)

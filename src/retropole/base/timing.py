@@ -12,7 +12,7 @@ Step = Callable[[str], AbstractContextManager[None]]
 
 @contextmanager
 def timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
-    """Name a step that starts, and note how long it took, also where it ends in a refusal."""
+    """Name a step that starts, and note how long it took, also if it ends in a refusal."""
     progress(name)
     start = time.perf_counter()
     try:

@@ -61,9 +61,9 @@ class OnWgs84(NamedTuple):
     geodetic
         (N, 3) latitude, longitude, rad, and the height as it was, metres.
     datum
-        The step from the site's datum to WGS 84, in words; empty where there is none.
+        The step from the site's datum to WGS 84, in words; empty if there is none.
     accuracy
-        Of that step, metres, as the register states it; None where it does not.
+        Of that step, metres, as the register states it; None if it does not.
     """
 
     geodetic: Array
@@ -171,9 +171,9 @@ def geodetic(frame: Frame, xyz: Array) -> Array:
     Raises
     ------
     UsageError
-        Where nothing ties the frame to the earth.
+        If nothing ties the frame to the earth.
     MissingExtraError
-        Where a projected system needs pyproj.
+        If a projected system needs pyproj.
     """
     if frame.epsg is None and frame.geodetic is None:
         raise UsageError(
@@ -266,7 +266,7 @@ def site_in_frame(frame: Frame) -> Array:
 def heading(frame: Frame, T_site_lidar: Array, *, of_grid: bool = False) -> float | None:
     """Azimuth of a LiDAR's x axis, rad, clockwise from true north, or from grid north.
 
-    None where the axis is within 1° of the vertical, and where the frame's north is not known.
+    None if the axis is within 1° of the vertical, and where the frame's north is not known.
     """
     if frame.epsg is None and frame.geodetic is None:
         return None
@@ -282,7 +282,7 @@ def heading(frame: Frame, T_site_lidar: Array, *, of_grid: bool = False) -> floa
 
 
 def _origin(frame: Frame) -> Array:
-    """Latitude, longitude and height of the origin, held against what they can be."""
+    """Latitude, longitude and height of the origin, compared with what they can be."""
     assert frame.geodetic is not None
     at = frame.geodetic.array
     if not (np.isfinite(at).all() and abs(at[0]) <= np.pi / 2 and abs(at[1]) <= 2 * np.pi):

@@ -2,7 +2,7 @@
 
 In a frame W whose z axis is the mean direction of the pole, its axis at a height h is at
 ``(x + u h, y + v h, h)``. x, y, u and v are cubic B-splines in time, held together by white noise
-on their acceleration, ``∫ ẍ² / q dt``, whose size q the data say. A row of returns (`rows`), moved
+on their acceleration, ``∫ ẍ² / q dt``, whose size q the data show. A row of returns (`rows`), moved
 along its beam by the depth of the cylinder, is off the axis by::
 
     e = P − (x + u Z, y + v Z, Z),     b₁·e ~ σ_r |d_⊥| / √k,     b₂·e ~ w / √3,
@@ -50,7 +50,7 @@ NOISE = (0.2, 0.2, 0.08, 0.08)
 """Noise of the acceleration to start from: of x and y, m²/s³, and of u and v, 1/s³."""
 
 HUBER, BEYOND = 2.5, 12.0
-"""Residuals count less from so many σ on, and not at all beyond."""
+"""Residuals have less weight from this many σ on, and not at all beyond."""
 
 MAX_STEPS = 40
 """Steps at most; most walks need 8 to 15, as the noise of the motion comes to rest."""
@@ -80,10 +80,10 @@ JITTERS = np.r_[0.0, np.geomspace(5e-5, 0.02, 60), np.inf]
 """Angles that are tried for what moves the edges of the pole, rad."""
 
 FULL_STEPS = 5
-"""After so many steps, half of each is gone."""
+"""After this many steps, half of each is gone."""
 
 DRAWS = 4
-"""Draws of the motion: over hundreds of knots, few tell its spread."""
+"""Draws of the motion: over hundreds of knots, few draws show its spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class Adjusted:
         (N, 2) along the beam and across, in σ; (N, 2) their weights; (N,) s by the target's clock,
         and whose they are.
     off_along
-        (N,) the first of the residuals, metres; 0 where hits are missing.
+        (N,) the first of the residuals, metres; 0 if hits are missing.
     axes
         (S, 4) x, y, u and v at (S,) `at`, s.
     at
@@ -117,7 +117,7 @@ class Adjusted:
         across an angle, rad.
     clock_windows
         (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
-        beside that of all, and its 1 σ, s.
+        relative to that of all, and its 1 σ, s.
     clock_step
         (3,) when a step of the offset is likeliest, s, the step and its 1 σ, s.
     random, parts
@@ -156,7 +156,7 @@ class Adjusted:
 
     @property
     def left_out(self) -> float:
-        """Share of the rows that count less than half."""
+        """Share of the rows that have less weight than half."""
         return float(np.mean(self.weights.min(axis=1) < 0.5))
 
 
@@ -184,7 +184,7 @@ def adjust(
         np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
     )
     motion, spread = np.array(NOISE), np.array([[1.0, 0.0], [1.0, 0.0]])
-    # Draws for what the data leave open of the motion: equal inputs give equal answers.
+    # Draws for the uncertainty of the motion: equal inputs give equal answers.
     draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
     converged = False
     for number in range(MAX_STEPS):
@@ -192,8 +192,8 @@ def adjust(
         weights = _weights(system.residuals)
         step = _solve(frame, state, system, weights, motion, draws)
         moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
-        # What hits leave open follows the motion and is not differentiated: full steps may go to
-        # and fro about the end.
+        # The uncertainty of hits follows the motion and is not differentiated: full steps may
+        # go to and fro about the end.
         part = 1.0 if number < FULL_STEPS else 0.5
         state = State(
             state.coefs + part * step.coefs,
@@ -297,8 +297,8 @@ def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Ar
     """What rows scatter by more than stated: along beams a factor, across an angle, (2, 2).
 
     The splines take up a part of the scatter, the leverage of the rows. Along, no factor is less
-    than 1; across, the variance of an angle is added to what hits leave open: beams that do not
-    point where they should, and the glow of tape, move the edges of the pole.
+    than 1; across, the variance of an angle is added to that of the hits: beams that do
+    not point where they should, and the glow of tape, move the edges of the pole.
     """
     found = np.ones((2, 2))
     for lidar in (0, 1):
@@ -351,7 +351,7 @@ def _solve(
     covariance = np.linalg.inv(schur)
     border = -covariance @ (g_border - side.T @ solved[:, -1])
     coefs = -(solved[:, -1] + solved[:, :-1] @ border)
-    # Draws of the posterior tell how much of the motion the data leave open (EM).
+    # Draws of the posterior show how much of the motion the data leave uncertain (EM).
     upper = np.zeros_like(factor)
     for k in range(len(factor)):
         upper[-1 - k, k:] = factor[k, : factor.shape[1] - k]
@@ -409,9 +409,9 @@ def _offsets(
     draws: Array,
     place: IntArray,
 ) -> tuple[Array, Array]:
-    """Give the source's rows with each place (N,), from 0 on, an offset of their own.
+    """Give the source's rows with each place (N,), from 0 on, a separate offset.
 
-    Returns the offsets (K,) beside that of all, s, and their covariance (K, K).
+    Returns the offsets (K,) relative to that of all, s, and their covariance (K, K).
     """
     number = int(place.max()) + 1
     own = np.flatnonzero((system.lidar == 1) & (place >= 0))

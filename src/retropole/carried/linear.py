@@ -27,11 +27,11 @@ DRIFT = 30e-6
 """1 σ of by how much the clocks' rates differ: quartz oscillators are within ± 50 ppm."""
 
 BEYOND_EDGE = 0.5
-"""1 σ of how deep hits are whose beam passes beside the pole, as a part of its radius: at its edge
-where a part of the beam meets it, as deep as the rest where tape glows (chosen)."""
+"""1 σ of how deep hits are whose beam passes next to the pole, as a part of its radius: at its edge
+where a part of the beam hits it, as deep as the rest where tape glows (chosen)."""
 
 DEEPER_AFAR = 1e-3
-"""1 σ of how the depth of hits changes with the range beside the model: the farther, the less of
+"""1 σ of how the depth of hits changes with the range beyond the model: the farther, the less of
 a beam's edge is bright enough. In simulated fields it was 0.1 to 1.1 mm for each metre (tuning
 seeds 25 to 29)."""
 
@@ -311,7 +311,7 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     sigma[~np.isfinite(sigma[:, 1])] = np.inf
     b = b / sigma[:, :, None]
     residual = np.einsum("nri,ni->nr", b[:, :, :2], e)
-    # Derivatives where the beam should have met the pole: at what was measured, their errors and
+    # Derivatives where the beam should have hit the pole: at what was measured, their errors and
     # those of the residuals are the same ones, and what multiplies them does not vanish.
     back = np.einsum("ni,ni->n", b1[:, :2], e) / sideways
     aside = np.einsum("ni,ni->n", b2[:, :2], e)
@@ -374,7 +374,7 @@ def _across(ray: Array, n: Array) -> tuple[Array, Array, Array]:
 
 
 def _errors_of(frame: Frame, state: State, lidar: int) -> tuple[Array, int]:
-    """Errors of a LiDAR, and where they stand in the border."""
+    """Errors of a LiDAR, and their index in the border."""
     sizes = [DEVICE + 3 * len(bands) for bands in frame.bands]
     first = 8 + sum(sizes[:lidar])
     return state.border[first - OFFSET : first - OFFSET + sizes[lidar]], first

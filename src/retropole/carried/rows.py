@@ -1,14 +1,14 @@
 """What the returns of a carried pole measure: one row for each ring of each sweep.
 
 The hits of one ring are a few steps across the pole. How deep they lie before the axis, and how far
-their middle may be beside it, follows from how many there are: k hits with the step s need the
-axis within::
+their middle may be off it sideways, follows from how many there are: k hits with the step s need
+the axis within::
 
     w = min(R − (k−1)s/2, (k+1)s/2 − R)
 
 of their middle, R being the radius of the pole with the beam, so that its standard deviation is
-w/√3. Rings whose beams have one azimuth leave the same open: they count as one, and so do sweeps in
-which the pole rests.
+w/√3. Rings whose beams have one azimuth leave the same uncertainty: they count as one, and so do
+sweeps in which the pole rests.
 
 Where rings are not known, each return is a row. Those of one passage of the beams over a half of
 the pole, from y₁ to y₂ across it, need the axis within ``w = R − (y₂ − y₁)/2`` of their middle,
@@ -44,7 +44,8 @@ WIDEST = 0.015
 """No beam is wider, rad."""
 
 SAME_AZIMUTH = 0.3
-"""Rings and sweeps whose middles differ by less than this part of a step leave the same open."""
+"""Rings and sweeps whose middles differ by less than this part of a step leave the same
+uncertainty."""
 
 PASSAGE = 0.002
 """Returns follow each other by less, s, while beams pass over a pole: columns of spinning LiDARs
@@ -60,7 +61,7 @@ NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rings of sweeps that met the pole, of one LiDAR, in its frame.
+    """Rings of sweeps that hit the pole, of one LiDAR, in its frame.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class Rows:
     rings, sweep
         (N,) ring, −1 where none are numbered, and place of the sweep in the track.
     sharing
-        (N,) how many rows leave the same open across the pole.
+        (N,) how many rows leave the same uncertainty across the pole.
     divergence
         Full angle of the beams as the widths of the pole show it, rad.
     range_noise
@@ -103,7 +104,7 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     track
         As `find_track` gives it.
     sensor
-        What recorded it; None where it is not known.
+        What recorded it; None if it is not known.
     radius
         Of the pole, metres.
     """
@@ -135,7 +136,7 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     # A gap within, hits of another turn, or a part that is hidden: not the middle of the pole.
     sound = (hits <= counts + 1) & (span < 0.3)
     sound &= np.logical_and.reduceat(track.is_whole[order], first)
-    # Across the end of the tape of a pole that leans, a ring meets a part of its width.
+    # Across the end of the tape of a pole that leans, a ring hits a part of its width.
     of_sweep = sweep[first]
     sound &= np.r_[False, np.diff(of_sweep) == 0] & np.r_[np.diff(of_sweep) == 0, False]
     own, of_ring = np.arctan2(direction[:, 1], direction[:, 0]), ring[first]
@@ -206,7 +207,7 @@ class Open(NamedTuple):
     """Depth of each row before the axis, and 1 σ of it and of its middle across, (N,) metres.
 
     σ across is infinite where hits are missing. ``beyond`` is the share of each row's hits whose
-    middle passes beside the pole: only an edge of the beam, or a glow, met it.
+    middle passes next to the pole: only an edge of the beam, or a glow, hit it.
     """
 
     depth: Array
@@ -216,7 +217,7 @@ class Open(NamedTuple):
 
 
 def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> Open:
-    """Say what the hits of each row leave open.
+    """State the uncertainty that the hits of each row leave.
 
     Parameters
     ----------

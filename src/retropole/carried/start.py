@@ -21,13 +21,13 @@ from ..base.datatypes import Array
 from .track import Track
 
 WIDEST = 5.0
-"""Clocks are off by so much at most, s."""
+"""Clocks are off by this amount at most, s."""
 
 STEP, FINE_STEP = 0.02, 0.002
 """Between the offsets that are tried, s: 20 ms at 1 m/s is 2 cm, less than a basin is wide."""
 
 GAP = 0.25
-"""Between sweeps farther apart a track is not interpolated, s."""
+"""Between sweeps further apart a track is not interpolated, s."""
 
 METRES_PER_RADIAN = 3.0
 """Weighs distances of lines with angles: the usual distance of a pole, metres."""
@@ -36,7 +36,7 @@ FEWEST = 30
 """At an offset where fewer sweeps are common it is not tried."""
 
 AS_GOOD = 4.0
-"""Basins with up to so many times the least cost are starts, too."""
+"""Basins with up to this many times the least cost are starts, too."""
 
 
 class Start(NamedTuple):

@@ -59,7 +59,7 @@ def state_walk(
     Raises
     ------
     Refusal
-        Where a LiDAR moved, and where the surroundings conflict with the answer.
+        If a LiDAR moved, or if the surroundings conflict with the answer.
     """
     for scan in placement.scans:
         if scan.refusal is not None:
@@ -112,7 +112,7 @@ def state_walk(
 
 
 def _refined(walk: PoseEstimate, placement: Placement) -> Refinement | None:
-    """Refine a walk's pose by the surfaces of both; None where they are few, or it does not end."""
+    """Refine a walk's pose by the surfaces of both; None if they are few, or it does not end."""
     target, source = placement.scans
     first, second = (error_sizes(scan.cloud, scan.sensor) for scan in placement.scans)
     model = ErrorModel((first, second), 0.0, left_in([placement]))
@@ -121,7 +121,7 @@ def _refined(walk: PoseEstimate, placement: Placement) -> Refinement | None:
 
 
 def _uncertainty(adjusted: Adjusted) -> Uncertainty:
-    """How sure a walk alone is, in its two kinds, and what makes it so."""
+    """How certain a walk alone is, in its two kinds, and what makes it so."""
     scatter = root_of(adjusted.random)
     parts = [
         *adjusted.parts,
@@ -132,7 +132,7 @@ def _uncertainty(adjusted: Adjusted) -> Uncertainty:
 
 
 def axes_in_target(adjusted: Adjusted) -> tuple[Array, Array]:
-    """Where the pole was, (S, 3) metres, and where it pointed, (S, 3), in the target's frame."""
+    """Where the pole was, (S, 3) metres, and its direction, (S, 3), in the target's frame."""
     x, y, u, v = adjusted.axes.T
     T = se3.inverse(adjusted.T_walk_target)
     along = np.stack([u, v, np.ones_like(u)], axis=1) @ T[:3, :3].T

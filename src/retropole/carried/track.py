@@ -1,6 +1,6 @@
 """The carried pole in every sweep of a recording.
 
-Each sweep is searched as a cloud of its own, since what moves is what is sought. What shines in one
+Each sweep is searched as a separate cloud, since what moves is what is sought. What shines in one
 place all the time is no carried pole, and of what is left the longest way that a person can walk
 is taken.
 """
@@ -27,7 +27,7 @@ from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
 
 STANDS = 0.4
-"""What is found within `SAME_PLACE` in more than this part of the sweeps stands there."""
+"""What is found within `SAME_PLACE` in more than this part of the sweeps is static."""
 
 SAME_PLACE = 0.2
 """Distance of the same pole that stands, in another sweep, metres: what noise moves the middle of
@@ -37,11 +37,11 @@ FASTEST = 2.5
 """No person carries a pole faster, m/s (chosen: a person who runs)."""
 
 JUMP = 0.4
-"""The middle of a pole's returns moves by so much from sweep to sweep where it stands, metres: as
-rings enter and leave."""
+"""The middle of a pole's returns moves by this amount from sweep to sweep where it stands, metres:
+as rings enter and leave."""
 
 BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
-"""What is so close beside a return, rad, and nearer by so much, metres, may hide a part of the
+"""What is so close to a return, rad, and nearer by this amount, metres, may hide a part of the
 pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
 
 DIFFUSE = 300
@@ -78,7 +78,7 @@ class Track:
         (N, 3) its returns, their (N,) times, rings (−1 where none are numbered) and the place of
         their sweep among the S.
     is_whole
-        (N,) whether nothing stands in front close beside a return: a hand, or the person.
+        (N,) whether nothing is in front of a return and close to it: a hand, or the person.
     sweeps
         How many sweeps were recorded.
     crowded
@@ -128,9 +128,9 @@ def find_track(
     sweeps
         One after the other, in the LiDAR's frame, with intensity and with a time for each point.
     sensor
-        What recorded them; None where it is not known.
+        What recorded them; None if it is not known.
     threshold
-        Intensity from which a return counts as retro-reflective; None for the sensor's, or that
+        Intensity from which a return is treated as retro-reflective; None for the sensor's, or that
         of the first sweep.
     radius
         Of the pole, metres.
@@ -239,7 +239,7 @@ def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
     cloud
         One sweep.
     sensor
-        What recorded it; None where it is not known.
+        What recorded it; None if it is not known.
     """
     cloud = with_beam_origin(with_trusted_rings(cloud))
     levels = None
@@ -316,7 +316,7 @@ def _poles_in(
 
 
 def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
-    """Whether nothing stands in front beside each of some returns (M,) of a pole."""
+    """Whether nothing is in front of and close to each of some returns (M,) of a pole."""
     ranges = lengths(cloud.xyz - cloud.origin)
     rays = (cloud.xyz - cloud.origin) / ranges[:, None]
     others = ranges < ranges[index].max() - IN_FRONT

@@ -20,11 +20,11 @@ from .track import Track, find_track
 from .verdict import check_tracks, chosen
 
 MOST_STARTS = 4
-"""So many starts are adjusted at most: each takes about a second."""
+"""At most this many starts are adjusted: each takes about a second."""
 
 WORST_START = 0.1
-"""A start whose lines are farther apart, rad, is none: of sound walks it was 0.010 to 0.020 (tuning
-seeds 0 to 5), of one whose common part was too short 0.18."""
+"""A start whose lines are further apart, rad, is none: of sound walks it was 0.010 to
+0.020 (tuning seeds 0 to 5), of one whose common part was too short 0.18."""
 
 APART = 0.1
 """Starts with one sign whose offsets are nearer to each other, s, fall into one basin."""
@@ -73,9 +73,9 @@ def calibrate_walk(
     target, source
         The sweeps of each, with intensity and with a time for each point by the LiDAR's clock.
     sensors
-        What recorded them; None where it is not known.
+        What recorded them; None if it is not known.
     thresholds
-        Intensity from which a return counts as retro-reflective; None for the sensor's.
+        Intensity from which a return is treated as retro-reflective; None for the sensor's.
     radius
         Of the pole, metres.
     ahead
@@ -84,7 +84,7 @@ def calibrate_walk(
     Raises
     ------
     Refusal
-        Where a recording shows no walk, and where the walk carries no answer.
+        If a recording shows no walk, or the walk gives no answer.
     """
     of_both = zip((target, source), sensors, thresholds, strict=True)
     tracks = [find_track(each, s, threshold=t, radius=radius) for each, s, t in of_both]
@@ -107,7 +107,7 @@ def calibrate_tracks(
         As of `calibrate_walk`.
     ahead
         By how much the source's clock is ahead as it is otherwise known, to within `WIDEST`, s.
-        None: not at all, or where the walks lie apart then, as if both began together.
+        None: not at all, or where the walks are then apart, as if both began together.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def taken(solved: Solved) -> WalkCalibration:
 
 
 def apart(target: Track, source: Track) -> float:
-    """How far the clocks are apart where the walks do not overlap by half as they are, s; else 0.
+    """Offset of the clocks, s, where the walks do not overlap by half as they are; else 0.
 
     Taken from where the pole was first seen.
     """

@@ -2,7 +2,7 @@
 
 A vehicle that is said to stand may creep. Where its LiDARs recorded some time apart, it was
 elsewhere in between, and the pose between them is off by its motion: that is no movement of the
-rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is taken out. A
+rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is removed. A
 single sweep shows none; then only how fast a carrier creeps that is taken to stand bounds it.
 """
 
@@ -35,8 +35,8 @@ LEVER = 10.0
 """A carrier that creeps turns as about a point so far away, metres, 1 σ."""
 
 SWEEP = 0.2
-"""Recordings whose middles lie further apart than a sweep of the slowest LiDARs takes, s, and than
-either recording took, are not of one moment: of a motion between them nothing is known."""
+"""Recordings whose middles are further apart in time than a sweep of the slowest LiDARs takes, s,
+and than either recording took, are not of one moment: a motion between them is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class CarrierMotion:
 
     @property
     def seen(self) -> Reason:
-        """Say that the carrier moved, and that its motion is taken out."""
+        """Say that the carrier moved, and that its motion is removed."""
         speed = float(np.linalg.norm(self.velocity[TRANSLATION]))
         sigma = least_certain(self.covariance, TRANSLATION).sigma / abs(self.apart)
         rate, turned = value_and_error(speed, sigma), self._turned
@@ -84,7 +84,7 @@ class CarrierMotion:
             "carrier_moved",
             f"the carrier of the LiDARs moved while they recorded, by {rate} each second as their "
             f"sweeps show, and the recordings are {1e3 * abs(self.apart):.0f} ms apart: the "
-            f"{error(self._moved)} and {turned} that this makes of the pose are taken out",
+            f"{error(self._moved)} and {turned} that this makes of the pose are removed",
             self._values,
         )
 
@@ -131,7 +131,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     Returns
     -------
     CarrierMotion or None
-        None where the times are not known or the same, where the recordings are not of one moment,
+        None if the times are not known or the same, where the recordings are not of one moment,
         and where the carrier drives, or turned by more than a LiDAR may that records.
     """
     when = time_of_recording(target), time_of_recording(source)

@@ -1,7 +1,7 @@
 """The field test of two LiDARs by the distances between poles, without any calibration.
 
 After ISO 17123-9, whose idea it takes: two instruments measure the same targets, and the distances
-between targets do not depend on where an instrument stands. Each LiDAR's axes come from its own
+between targets do not depend on where an instrument is. Each LiDAR's axes come from its own
 returns (`axes`), and are compared by `distances` that no rigid motion changes. See docs/check.md.
 """
 
@@ -68,10 +68,10 @@ class Correspondence:
 
 
 def correspond(target: Sequence[Pole], source: Sequence[Pole]) -> Correspondence:
-    """Tell which poles are the same, by their distances and angles alone.
+    """Say which poles are the same, by their distances and angles alone.
 
-    Poles that stand up to half a metre from where the others say they are count as the same: that
-    they do not fit is for the test to find.
+    Poles that stand up to half a metre from where the others say they are count as the same:
+    that they do not fit is for the test to find.
 
     Raises
     ------
@@ -158,9 +158,9 @@ class FieldTest:
         One test for each pair of poles of a placement.
     alpha, z
         Probability of a false alarm over all distances, and the quantile that it gives each;
-        None where nothing was tested.
+        None if nothing was tested.
     spread
-        The comparison of variances; None where the recordings do not repeat anything.
+        The comparison of variances; None if the recordings do not repeat anything.
     poles
         What each LiDAR sees of each placement.
     """

@@ -41,7 +41,7 @@ class Compared:
     errors
         Against the truth; None without either.
     seconds
-        Time that it took, with the clouds in memory; None where it did not run.
+        Time that it took, with the clouds in memory; None if it did not run.
     """
 
     method: str
@@ -109,7 +109,7 @@ def compare(
             outcome = _run_rival(name, target, source, seed)
         T = outcome.T_target_source
         if T is not None:
-            # All are scored on the same points, or chance would rank those that are alike.
+            # All are scored on the same points, or chance would rank those that are similar.
             rng = np.random.default_rng(seed)
             outcome = replace(
                 outcome,

@@ -7,7 +7,7 @@ the same way along the axis, to the middle of what they see of it. What is compa
 of two such points. Where on the axis they lie is only as certain as the poles lean against each
 other, but it hardly changes a distance across them.
 
-Each sweep of a recording measures all distances again. Their scatter is held against what the
+Each sweep of a recording measures all distances again. Their scatter is compared with what the
 returns of a sweep allow, since a LiDAR that stands nearer, or has more beams, repeats a distance
 better without being better than is stated of it.
 """
@@ -159,7 +159,8 @@ MIN_SWEEPS, MAX_SWEEPS = 3, 12
 """Sweeps from which variances are compared, and how many are looked at, evenly."""
 
 MIN_RETURNS = 8
-"""A sweep with fewer returns on one of the poles is left out: its axis is open by centimetres."""
+"""A sweep with fewer returns on one of the poles is left out: its axis is uncertain by
+centimetres."""
 
 
 class Spread(msgspec.Struct, frozen=True, rename={"sigma": "sigma_m"}):
@@ -205,7 +206,7 @@ class SpreadTest(msgspec.Struct, frozen=True):
 
 
 def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -> SpreadTest | None:
-    """Test whether two LiDARs repeat equally well; None where one repeats nothing."""
+    """Test whether two LiDARs repeat equally well; None if one repeats nothing."""
     if target is None or source is None:
         return None
     low, high = (
@@ -220,7 +221,7 @@ def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -
 def spread_of_sweeps(
     seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: OwnAxes, placements: Sequence[Targets]
 ) -> Spread | None:
-    """Measure the distances of every placement in each sweep alone; None where none has several.
+    """Measure the distances of every placement in each sweep alone; None if none has several.
 
     Parameters
     ----------

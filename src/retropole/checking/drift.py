@@ -1,8 +1,8 @@
 """Is an installed site still where it was? New recordings against a stored calibration.
 
 The pose is found again, with the poles where they are there, by the scene alone where they are not.
-Only the new clouds are laid on each other, so the place itself may have changed since. Whether the
-new pose is the stored one is tested by `movement`.
+Only the new clouds are registered to each other, so the place itself may have changed since.
+Whether the new pose is the stored one is tested by `movement`.
 
 Where target and source were given the other way round, the stored pose reversed fits
 (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
@@ -51,9 +51,9 @@ NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 """Warnings of a new calibration by poles that leave the scene alone to answer."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
-"""1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
-holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in what it
-does not hold. Surfaces correspond over three times as much, and more."""
+"""1 σ about the stored pose from which the scene starts, rad and m: wide compared with what the
+scene holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in
+what it does not hold. Surfaces correspond over three times as much, and more."""
 
 NEAR_STORED_ROTATION = float(np.radians(10.0))
 """1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
@@ -79,7 +79,7 @@ class NewPose:
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The new recordings, without what moved, and both views where they are asked for.
+    """The new recordings, without what moved, and both views where they are requested.
 
     `left` is what is left of the sway of both LiDARs.
     """
@@ -170,7 +170,7 @@ def search_covariance() -> Array:
 
 
 def _misfit(clouds: Clouds, T: Array) -> Reason | None:
-    """Say how far the clouds are from fitting together under a pose; None where they fit."""
+    """Say how far the clouds are from fitting together under a pose; None if they fit."""
     views = clouds.views
     sizes = {"target": views[0].size, "source": views[1].size}
     if min(sizes.values()) < MIN_CLOUD_POINTS:
@@ -198,14 +198,14 @@ MORE = 3.0
 simulated scenes, swapped, it was 10 and more."""
 
 APART = 3.0
-"""The stored pose and its reverse must be so many times farther apart. Where they are not, as of
-two LiDARs back to back at one height, either order gives the same answer."""
+"""The stored pose and its reverse must be so many times farther from each other. Where they are
+not, as of two LiDARs back to back at one height, either order gives the same answer."""
 
 
 def swapped_sensors(
     placement: Placement, sensors: tuple[Sensor | None, Sensor | None]
 ) -> Reason | None:
-    """Say that each cloud is of the other's sensor; None where it is not so."""
+    """Say that each cloud is of the other's sensor; None if it is not so."""
     if sensors[0] is None or sensors[1] is None:
         return None
     try:
@@ -231,9 +231,9 @@ def swapped_clouds(
     Parameters
     ----------
     T_stored, T_found
-        (4, 4) the stored pose and the one that poles gave, target from source; None where none did.
+        (4, 4) the stored pose and the one that poles gave, target from source; None if none did.
     scenes
-        What stands in the target's and in the source's scene.
+        Objects in the target's and in the source's scene.
     found
         What that says of the stored pose.
     """
@@ -255,7 +255,7 @@ def swapped_clouds(
     if not agrees:
         return None
     return swap(
-        f"under the stored pose reversed {there.agreeing} of {there.total} voxels off the ground "
+        f"under the stored pose reversed {there.agreeing} of {there.total} patches off the ground "
         f"agree, under the stored pose {found.agreeing} of {found.total}",
         {
             "told_by": "scene",
@@ -317,7 +317,7 @@ def check(
         The calibration of the site, with its covariance.
     target, source
         New recordings of the same two LiDARs, each in its own frame. Poles are used where both
-        see them, and need not stand where they stood; without, or without intensities, the scene
+        see them, and need not be where they were; without, or without intensities, the scene
         must do.
     options
         What is known of both, as for `pipeline.calibrate`.
@@ -330,22 +330,22 @@ def check(
     Raises
     ------
     UsageError
-        Where the stored pose has no covariance.
+        If the stored pose has no covariance.
     Refusal
         Of `NO_RECORDINGS`, such as ``same_recording``: no two recordings of these two LiDARs.
     """
     if stored.covariance is None:
-        raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
+        raise UsageError("the stored pose has no covariance: its uncertainty is unknown")
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
         target, source = carrier.taken_out(stored.T_target_source, target, source)
     question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
-    # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
+    # Surfaces about the stored pose show more than candidate poles, in a thirtieth of the time.
     confirmed = replace(options, candidates=False)
     answer = _answered(question, calibrate(target, source, options=confirmed), confirmed)
     if _is_off(answer):
         again = calibrate(target, source, options=options)
-        # What the surfaces say without an answer of the poles was just found.
+        # What the surfaces show without a pose from the poles was just found.
         if again.T_target_source is not None or is_ambiguous(again):
             answer = _answered(question, again, options)
     return _with_carrier(answer, carrier)
@@ -399,7 +399,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
 
 
 def _is_off(answer: CheckResult) -> bool:
-    """Whether nothing fits about the stored pose: a LiDAR stands elsewhere, if not swapped.
+    """Whether nothing fits about the stored pose: a LiDAR was moved, or they are swapped.
 
     Then poles alone may say where.
     """
@@ -460,7 +460,7 @@ def _compared(
     assert new.pose is not None
     pose, uncertainty, carrier = new.pose, new.uncertainty, question.carrier
     if carrier is not None and carrier.is_seen:
-        # What was taken out is known no better.
+        # The motion that was removed is known no better.
         assert pose.covariance is not None
         pose = structs.replace(pose, covariance=pose.covariance + carrier.covariance)
         if uncertainty is not None:
@@ -478,7 +478,7 @@ class _Doubt(NamedTuple):
 
 
 def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
-    """Doubt a movement under which the surfaces fit no better; None where there is nothing to.
+    """Doubt a movement under which the surfaces fit no better; None if there is nothing to.
 
     They could have seen it where one of the same size the other way makes them fit worse.
     """

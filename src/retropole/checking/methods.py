@@ -14,7 +14,7 @@ class Rival(NamedTuple):
     title
         What it is, for a person.
     extra
-        The extra of this package that installs what it needs; None where it needs nothing.
+        The extra of this package that installs what it needs; None if it needs nothing.
     module
         What that extra installs.
     """
@@ -40,6 +40,6 @@ ALL_METHODS: tuple[str, ...] = (*OURS, *RIVALS)
 
 
 def missing_extra(name: str) -> str | None:
-    """Name the extra that a rival of `RIVALS` lacks; None where it can run."""
+    """Name the extra that a rival of `RIVALS` lacks; None if it can run."""
     _, extra, module = RIVALS[name]
     return None if extra is None or find_spec(module) is not None else extra

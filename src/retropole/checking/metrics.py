@@ -74,8 +74,8 @@ def rqe(xyz: Array, sigma: float = KERNEL_WIDTH, *, tolerance: float = RQE_TOLER
     """Rényi's quadratic entropy of points, each the mean of a Gaussian.
 
     ``−log [ 1/N² Σ_i Σ_j G(x_i − x_j; 2σ² I) ]``. Points are sorted into the leaves of a k-d tree.
-    Pairs of leaves are summed as blocks. Those whose boxes are so far apart that all they can add
-    together stays below the tolerance are left out.
+    Pairs of leaves are summed as blocks. Those whose boxes are so far from each other that all
+    they can add together stays below the tolerance are left out.
 
     Parameters
     ----------
@@ -216,12 +216,12 @@ class Alignment:
         Share of the downsampled points with a neighbour in the other cloud within
         `surfaces.visibility.OVERLAP_DISTANCE`, mean of both directions.
     plane_residual
-        Median distance of overlapping source points from the target's surface, metres; None where
+        Median distance of overlapping source points from the target's surface, metres; None if
         nothing overlaps.
     entropy
         Of both downsampled clouds together.
     confirmation
-        What stands in the scene says of the transform.
+        What the scene shows about the transform.
     """
 
     overlap: float
@@ -253,7 +253,7 @@ def evaluate(
     sigma
         Width of the entropy's kernel, metres.
     poles
-        Of the target and of the source, where they are known: what stands in the scene is counted
+        Of the target and of the source, where they are known: the objects in the scene are counted
         without them, as a calibration does, since they agree with the pose that they gave.
 
     Raises
@@ -289,7 +289,7 @@ def _confirmation(
     T: Array,
     poles: tuple[Sequence[Line], Sequence[Line]],
 ) -> Confirmation:
-    """Hold a pose against what stands in the scene, as a calibration does."""
+    """Compare a pose with the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
     standing = [
         standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)

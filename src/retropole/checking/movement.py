@@ -5,8 +5,9 @@ With ``d`` the step from the stored pose to the new one (`se3.local`) and ``S`` 
 such as a range offset of the tape or of single rings, cancels in ``d`` and mostly in ``S``
 (`step_covariance`).
 
-A test that could not have seen a movement says nothing by not seeing one. So *same* is answered
-only within a tolerance: by as much as it has not moved with a confidence of 95 % (`upper_limit`).
+A test that could not have seen a movement gives no information by not seeing one. So *same* is
+answered only within a tolerance: by as much as it has not moved with a confidence of 95 %
+(`upper_limit`).
 
 What scatter leaves in both poses is drawn anew and adds up. What the instruments err by is the same
 in both, and cancels in the step as far as both poses were found the same way: by poles at the same
@@ -44,7 +45,7 @@ from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
 warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
-recordings is 5 at most with the poles where they were, 10 with poles elsewhere and 8 without (field
+recordings is at most 5 with the poles where they were, 10 with poles elsewhere and 8 without (field
 and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the simulator's devices
 repeat all of their errors."""
 
@@ -90,7 +91,7 @@ tolerance, so many at least are not answered by *same*."""
 SURE = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
-"""Probability of finding a movement of the tolerance, below which the size of one is unsure."""
+"""Probability of finding a movement of the tolerance, below which its size counts as uncertain."""
 
 ONE_SIDED = float(ndtri(CONFIDENCE))
 """So many σ beyond a normal variable its mean lies with that confidence: 1.645."""
@@ -170,7 +171,7 @@ class Weakness:
     told
         By how much it has moved at most, with `CONFIDENCE`.
     asked
-        The tolerance asked for, or the default.
+        The tolerance requested, or the default.
     """
 
     stored: Uncertainty
@@ -196,7 +197,7 @@ class Weakness:
         return self._reason(
             "wider_tolerance",
             f"the same within {self.told.in_words}, {SURE}; the default, {self.asked.in_words}, "
-            "cannot be told by these data: ",
+            "cannot be determined by these data: ",
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
@@ -268,7 +269,7 @@ class Movement:
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """Whether the source still stands where it stood, as seen by the target.
+    """Whether the source still stands where it was, as seen by the target.
 
     Attributes
     ----------
@@ -279,7 +280,7 @@ class CheckResult:
     used
         What the new pose was found by: ``poles`` (and the scene), ``scene`` alone, or None.
     T_target_source
-        (4, 4) the new pose; None where there is none to believe.
+        (4, 4) the new pose; None if there is none to believe.
     step
         (6,) ``[φ, δ]`` from the stored pose to the new one, rad and m, target axes; δ is the
         translation of the source's origin.
@@ -291,14 +292,14 @@ class CheckResult:
     chi2, p_value
         The test, and how often so much comes about where nothing moved.
     power
-        Probability that a movement of the tolerance asked for, or else of the default, would have
+        Probability that a movement of the tolerance requested, or else of the default, would have
         been found, in the worst direction.
     tolerance
-        Where nothing moved: the least that these data confirm, no less than what was asked for. By
-        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None where
-        another reason stands against any.
+        If nothing moved: the least that these data confirm, no less than what was requested. By
+        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
+        another reason speaks against any.
     confirmation
-        What stands in the new recordings says of the stored pose; None where there are none.
+        What the new recordings show about the stored pose; None if there are none.
     """
 
     status: Status
@@ -353,9 +354,9 @@ def compare_poses(
     used
         What the new one was found by.
     asked
-        The movement that matters, or as small a one as these data can tell.
+        The movement that matters, or as small a one as these data can resolve.
     reasons
-        What is to be said beside.
+        Further reasons to report.
     uncertainties
         Both covariances in their two kinds, where the same devices were used: their systematic
         parts mostly cancel. None, as of a pose that something else found, cancels nothing.

@@ -5,7 +5,7 @@ answer. None of them uses the poles. To add one, write it here, and name it in `
 `methods.RIVALS`.
 
 All end with a registration of the whole clouds from given starts. From the identity, as if the two
-frames were one, that is a rival of its own: ICP point to point (Besl and McKay 1992), a rival of
+frames were one, that is a rival in itself: ICP point to point (Besl and McKay 1992), a rival of
 Xue et al. 2019, Table IV; and plane to plane (Segal, Haehnel and Thrun 2009). Two find a start:
 
 - H. Lim et al., *KISS-Matcher: Fast and Robust Point Cloud Registration Revisited*, ICRA 2025:
@@ -204,7 +204,7 @@ KISS_VOXELS = (1.0, 0.5, 0.2)
 0.2 and 0.3 for a single sweep and 2 for maps (see docs/evidence/compare.md for what set these)."""
 
 ENOUGH_INLIERS = 15
-"""With so many final inliers no further voxel is tried (see docs/evidence/compare.md)."""
+"""With this many final inliers no further voxel is tried (see docs/evidence/compare.md)."""
 
 MIN_INLIERS = 5
 """With fewer final inliers, its authors' own examples call the answer a failure."""

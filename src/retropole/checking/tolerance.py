@@ -46,17 +46,17 @@ class Tolerance:
 DEFAULT_TOLERANCE = Tolerance(radians(0.3), 0.03)
 
 WIDEST_TOLERANCE = Tolerance(radians(1.0), 0.1)
-"""The widest that is confirmed where none was asked for, and by the scene alone whatever was asked
-for: 1 σ of where `by_scene` searches it about the stored pose. What no surface holds stays as
-unsure as that, and is not within it with `CONFIDENCE`."""
+"""The widest that is confirmed where none was requested, and by the scene alone whatever was
+requested: 1 σ of where `by_scene` searches it about the stored pose. What no surface holds stays as
+uncertain as that, and is not within it with `CONFIDENCE`."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The tolerance that a user asked for, rad and m; None where he leaves a part to the data.
+    """The tolerance that a user requested, rad and m; None for a part that is left to the data.
 
-    What was asked for is held to. A part that was not is the default, or else the least beyond it
-    that the data tell, up to the widest.
+    What was requested is kept. A part that was not is the default, or else the least beyond it
+    that the data resolve, up to the widest.
     """
 
     rotation: float | None = None

@@ -95,7 +95,7 @@ def run(words: Sequence[str] | None = None) -> int:
         refused = isinstance(error, Refusal)
         return tell(failure_of(error, name), refused=refused, as_json=asks_for_json(args))
     except SystemExit as error:
-        # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.
+        # click and rich raise it when the reader of a pipe has gone; here 1 has another meaning.
         if error.code == 1:
             return EXIT_PIPE
         raise

@@ -34,7 +34,7 @@ from .out import out_folder
 @run_options("map", "prior_xyz", "prior_sigma_m")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
-@more_option("--plan", type=CLOUD, help="Plan of the poles: say where they stood against it.")
+@more_option("--plan", type=CLOUD, help="Plan of the poles: compare where they were with it.")
 @LEVEL
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(

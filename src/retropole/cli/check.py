@@ -34,7 +34,7 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 SITE_CHECK_SCHEMA = "retropole/site-check/1"
 
 SAID_OF_ANSWERS = ("recordings_of_result", "carrier_moved")
-"""Reasons that are said of a pair that is the same or moved, too: what the answer is worth."""
+"""Reasons that are reported of a pair that is the same or moved, too: what the answer is worth."""
 
 
 def tolerance_options(command: Command) -> Command:
@@ -101,7 +101,7 @@ def check(
     quiet: bool,
     **asked: Any,
 ) -> int:
-    """Tell whether the LiDARs have moved since RESULT was made.
+    """Determine whether the LiDARs have moved since RESULT was made.
 
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
@@ -219,7 +219,7 @@ def in_words(answer: CheckResult) -> str:
             f"  translated by {value_and_error(translation.length, translation.sigma)} (1 σ), "
             f"{_direction(answer.step[3:], translation, 'along', ('', '', ''))}",
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
-            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
+            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; if nothing moved, as large in "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
             f"  found by {how}",
         ]
@@ -258,7 +258,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Tell which LiDARs of a site have moved since RESULT was made.
+    """Say which LiDARs of a site have moved since RESULT was made.
 
     RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
     recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
@@ -310,11 +310,11 @@ def site_in_words(answer: SiteCheck) -> str:
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     said = []
     if answer.moved:
-        said.append(f"moved: {', '.join(answer.moved)}; the others stand as they stood")
+        said.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
     elif answer.status == "moved":
-        said.append("which of the LiDARs of a pair that moved it was, these pairs do not tell")
+        said.append("these pairs do not show which LiDAR of a moved pair it was")
     if answer.untold:
-        said.append(f"whether these moved is open: {', '.join(answer.untold)}")
+        said.append(f"undecided whether moved: {', '.join(answer.untold)}")
     lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")
@@ -327,7 +327,8 @@ def site_in_words(answer: SiteCheck) -> str:
 
 
 def _worth_saying(answer: SiteCheck) -> Iterator[Reason]:
-    """List what is to be known of pairs that have an answer, with the pairs that it is said of."""
+    """List what is to be known of pairs that have an answer, with the pairs that it is reported
+    of."""
     found: dict[str, tuple[Reason, list[str]]] = {}
     for target, source, each in answer.pairs:
         for reason in each.reasons:

@@ -1,4 +1,4 @@
-"""What the commands share: what is said of readings and refusals, progress."""
+"""What the commands share: what is reported of readings and refusals, progress."""
 
 from __future__ import annotations
 
@@ -81,12 +81,12 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 def show(words: str | bytes) -> None:
-    """Print what a command was asked for on stdout.
+    """Print what a command was requested on stdout.
 
     Raises
     ------
     OSError
-        Where it cannot be written; names the standard output.
+        If it cannot be written; names the standard output.
     """
     try:
         click.echo(words, nl=isinstance(words, str) and not words.endswith("\n"))
@@ -146,11 +146,11 @@ def listening(
     quiet
         Says nothing.
     frames
-        Which were asked for; None for none.
+        Which were requested; None for none.
     advice
         What to do about it.
     units
-        Doubt the unit of the coordinates, beside the sensor's name.
+        Doubt the unit of the coordinates, next to the sensor's name.
     hidden
         Does not show the progress.
     """
@@ -174,7 +174,7 @@ def listening(
 
 
 def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
-    """Say what of a recording is damaged, and what was left out without being asked for."""
+    """Say what of a recording is damaged, and what was left out without being requested."""
     read, cloud = given.read, given.cloud
     yield from cloud.notes
     if read is not None and read.left_out:
@@ -233,7 +233,7 @@ def result_told(
     following
         Commands to type next, by the words that introduce each.
     as_json, verbose, quiet
-        Print the document instead of words, more of them, or nothing.
+        Print the document instead of text, more text, or nothing.
     strict
         Whether a warning is an error.
     """
@@ -274,7 +274,7 @@ def command_line(*words: str | Path) -> str:
 
 @contextmanager
 def progress_on_terminal(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Name the step under way on a terminal; say nothing in a pipe, where nobody waits.
+    """Name the step under way on a terminal; give no information in a pipe, where nobody waits.
 
     Long steps name their share of all: ``read drive.bag: frame, 12 of 40``.
     """

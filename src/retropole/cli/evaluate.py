@@ -62,7 +62,7 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@more_option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
+@more_option("--parent", help="If --transform is of a site: the name of the LiDAR of TARGET.")
 @more_option("--child", help="The same of SOURCE.")
 @more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
@@ -96,14 +96,14 @@ def evaluate(
     LiDAR looked through. Compare transforms of the same two clouds only; figures of other clouds
     are on another scale.
 
-    With --methods, each is run on both clouds, and its answer scored alike:
+    With --methods, each is run on both clouds, and its answer scored the same way:
 
     \b
       METHODS
 
     Those that are not retropole's own use the surroundings and no poles. Their ok is not checked:
-    only the errors against a truth tell whether they are right. --radius and the options of sensors
-    are for retropole's own.
+    only the errors against a truth determine whether they are right. --radius and the options of
+    sensors are for retropole's own.
 
     \b
     Examples:
@@ -196,7 +196,7 @@ def _exit_code(found: Sequence[Compared], *, as_json: bool) -> int:
 
 
 def scores(aligned: Alignment | None) -> dict[str, Any]:
-    """Name how clouds lie together under a transform; null where there is none."""
+    """Name how clouds lie together under a transform; null if there is none."""
     return {
         "overlap": aligned and aligned.overlap,
         "plane_residual_m": aligned and aligned.plane_residual,
@@ -206,7 +206,7 @@ def scores(aligned: Alignment | None) -> dict[str, Any]:
 
 
 def true_errors(errors: Errors | None) -> dict[str, Any]:
-    """Name how far a transform is from the truth; null where either is not there."""
+    """Name how far a transform is from the truth; null if either is not there."""
     return {
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,

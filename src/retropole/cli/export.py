@@ -54,8 +54,8 @@ TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
     "--into",
     type=FILE,
     help="URDF to put the pose into: the joint that leads to the source's link is written, from "
-    "the link where it starts. All else that the file says stays; --out writes the outcome "
-    "elsewhere. Needs the extra 'urdf'.",
+    "the link where it starts. All else in the file stays; --out writes the outcome "
+    "to another file. Needs the extra 'urdf'.",
 )
 def export(
     result: Path,
@@ -73,21 +73,21 @@ def export(
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words. --parent
-    and --child name the LiDARs' own frames, never a robot's base: for the pose in base_link give
+    the parent, and is the pose of the child in the parent. Every output states this. --parent
+    and --child name the frames of the LiDARs, never a robot's base: for the pose in base_link give
     --mounting or --into.
 
     \b
     --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    lie elsewhere now, or where RESULT is no result.json.
+    are at another place now, or where RESULT is no result.json.
 
     \b
     Formats:
       FORMATS
 
     Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
-    survey has coordinates of its own) over site over every LiDAR. Where level.json is
-    beside it, site has ground too, and that base_footprint, as 'level' found them. With --parent
+    survey has separate coordinates) over site over every LiDAR. Where level.json is
+    next to it, site has ground too, and that base_footprint, as 'level' found them. With --parent
     and --child, which name two LiDARs, site or map, the transform between these is written, in any
     format above, with the covariance of both together.
 
@@ -196,7 +196,7 @@ def _note(words: str) -> None:
 
 
 def _tell_origin(given: Input) -> None:
-    """Say on stderr where the beams of a cloud start elsewhere than at its origin."""
+    """Say on stderr where the beams of a cloud start if that is not its origin."""
     if given.cloud.origin.any():
         _note(
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "

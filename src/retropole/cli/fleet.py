@@ -48,7 +48,7 @@ fleet.add_command(fleet_export)
 @more_option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
 @run_options("radius_m", SENSORS[0])
 @run_options(SENSORS[1], "mast_sway_deg", more=True)
-@click.option("--strict", is_flag=True, help="Exit with 1 where a site is not ok.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if a site is not ok.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def calibrate(

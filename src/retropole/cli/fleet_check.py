@@ -43,7 +43,7 @@ def cluster_options(command: Command) -> Command:
 
 
 def protocol_option(command: Command) -> Command:
-    """Give a command --protocol: URLs that it follows beside those of every command."""
+    """Give a command --protocol: URLs that it follows next to those of every command."""
 
     def follow(context: click.Context, option: click.Parameter, names: tuple[str, ...]) -> None:
         from ..fleet.storage import also_following
@@ -62,7 +62,7 @@ def protocol_option(command: Command) -> Command:
 
 
 def check_cluster(scheduler: str | None, workers: int | None) -> None:
-    """Refuse a number of local processes for a cluster that is elsewhere."""
+    """Refuse a number of local processes for a remote cluster."""
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
 
@@ -97,13 +97,13 @@ def fleet_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Check SITES against their stored results, append to a history, and tell what changed.
+    """Check SITES against their stored results, append to a history, and report what changed.
 
     SITES are lists (.csv, .parquet), folders and globs of these, as paths or URLs (s3://, gs://),
     as 'retropole fleet calibrate' takes them: of each pair a new target and a new source, of each
     site of many LiDARs a site file with the new recordings, whose pairs are checked. What each is
-    held against is in DATASET, or else in the column result of the list, or else in result.json
-    beside the target, or site-result.json beside the site file. The column time (ISO 8601) says
+    compared with is in DATASET, or else in the column result of the list, or else in result.json
+    next to the target, or site-result.json next to the site file. The column time (ISO 8601) says
     when it was recorded; otherwise that is when the later of the two was written.
 
     Of each site all checks since it was calibrated count: a step is reported when a second check
@@ -155,7 +155,7 @@ def fleet_check(
 
 
 def json_line(found: FleetCheck, sites: int) -> str:
-    """Write what was found at so many sites as one line of JSON; what is not known is null."""
+    """Write what was found at this number of sites as one line of JSON; null if not known."""
     return json_text(
         {
             "schema": SCHEMA,
@@ -201,13 +201,13 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 
 
 def in_words(found: FleetCheck, sites: int) -> str:
-    """Write what was found at so many sites: a line for each pair that has something to say."""
+    """Write what was found at this number of sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
         said = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
-            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will tell")
+            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
         if not site.is_told:
             said.append(_untold(site.newest))
         if said:
@@ -224,7 +224,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
 
 
 def _untold(newest: CheckRow) -> str:
-    """Say why a check gave no answer; of what cannot be told the codes say it shortly."""
+    """Say why a check gave no answer; of what cannot be determined the codes say it shortly."""
     codes = ", ".join(newest.codes)
     if newest.status == "error":
         return f"error ({codes}: {newest.message})"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SCHEMA = "retropole/fleet-network/1"
 
 MOST_COMPONENTS = 10
-"""The largest that are told by a line each."""
+"""The largest that are identified by a line each."""
 
 
 nodes_option = click.option(
@@ -67,7 +67,7 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
     Exit code:
       0    everything fits
       2    a file or an option is wrong, or nothing joins two nodes
-      3    the adjustment did not settle; nothing is written
+      3    the adjustment did not converge; nothing is written
       4    a relative pose or a control point does not fit and was left out
     """
     from ..fleet.network.adjustment import adjust_network
@@ -184,7 +184,5 @@ def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
         f"not used: {counted(count, kind)} ({reason})"
         for (kind, reason), count in sorted(kinds.items(), key=lambda each: (-each[1], each[0]))
     ]
-    end = (
-        f"written: {out}" if found.settled else "the adjustment did not settle: nothing is written"
-    )
+    end = f"written: {out}" if found.settled else "not converged: nothing is written"
     return "\n".join(printable(line) for line in [*lines, end])

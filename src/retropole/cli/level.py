@@ -56,8 +56,8 @@ def level(
     """Find roll, pitch and height over the ground of the LiDARs of RESULT.
 
     RESULT is a result.json, a site-result.json, or the folder that holds it. Its recordings are
-    looked for as 'report' does; give them where they lie elsewhere now. The plane is the one that
-    fits the ground best within a disc below the LiDARs.
+    looked for as 'report' does; give them where they are at another place now. The plane is the
+    one that fits the ground best within a disc below the LiDARs.
 
     --base-link gives the poses in base_footprint too: the frame of the vehicle on the ground.
 
@@ -104,9 +104,9 @@ LEVEL = more_option(
 
 
 def level_beside(result: Path, quiet: bool) -> None:
-    """Level the LiDARs of a result that was just written, and write that beside it.
+    """Level the LiDARs of a result that was just written, and write that next to it.
 
-    Where that is refused, the calibration stays what it is: the reason is printed.
+    If that is refused, the calibration stays what it is: the reason is printed.
     """
     from ..api.leveling import level_result
     from ..base.errors import Refusal
@@ -122,7 +122,7 @@ def level_beside(result: Path, quiet: bool) -> None:
 def _write(
     document: LevelDoc, result: Path, out: Path | None, *, quiet: bool, as_json: bool
 ) -> None:
-    """Write a document, beside its result where no file is named, and print what it says."""
+    """Write a document, next to its result if no file is named, and print its summary."""
     from ..base.files import write_atomically
     from ..result import LEVEL_FILE, any_result_file, encode
 
@@ -164,14 +164,14 @@ def describe(document: LevelDoc) -> str:
     if document.ceiling_m is not None:
         lines.append(
             f"a plane {document.ceiling_m:.2f} m above is taken for a ceiling; of a LiDAR that "
-            "hangs head down it is the ground"
+            "is mounted head down it is the ground"
         )
     for lidar in document.lidars:
         if lidar.T_base_footprint_lidar is not None:
             x, y, z = lidar.T_base_footprint_lidar[:3, 3]
             lines.append(f"{lidar.name} in base_footprint: {x:.3f} {y:.3f} {z:.3f} m")
     lines.append(
-        "The tilt is against the ground. Against the plumb line it is open by the slope of the "
+        "The tilt is against the ground. Against the plumb line it is uncertain by that of the "
         f"ground: the crossfall of a road, {100 * CROSSFALL:g} %, is "
         f"{math.degrees(math.atan(CROSSFALL)):.1f}°."
     )

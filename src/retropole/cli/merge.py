@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..base.datatypes import Array
 
 LARGEST_CLOCK = 1e10
-"""Clocks are no further apart, seconds: those that count from 1970 and from a start."""
+"""Clocks are no farther from each other, seconds: those that count from 1970 and from a start."""
 
 MERGE_SCHEMA = "retropole/merge/1"
 
@@ -101,7 +101,9 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
 @run_option(
     "frames", help="Frames of each recording to read, as Python slices: 0:20, ::10.  [default: all]"
 )
-@click.option("--voxel", type=Number(min=0.001, max=1000), help="One point a cube of so many m.")
+@click.option(
+    "--voxel", type=Number(min=0.001, max=1000), help="One point per cube of this size, m."
+)
 @click.option(
     "--crop",
     metavar="X0,X1,Y0,Y1,Z0,Z1",
@@ -118,8 +120,8 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     flag_value=0.3,
     type=METRES,
     metavar="[CELL]",
-    help="Make surfels in cells of so many m (0.3), written as .ply, and say how far the surfaces "
-    "that two LiDARs see lie apart.",
+    help="Make surfels in cells of this size, m (0.3), written as .ply, and report how far the "
+    "surfaces that two LiDARs see are separated.",
 )
 @click.option(
     "--live",
@@ -234,7 +236,7 @@ def merge(
 
 
 def merged_fields(merged: Merged, out: Path | None) -> dict[str, Any]:
-    """Name all that is said of a merged cloud."""
+    """Name all that is reported of a merged cloud."""
     names = merged.lidars
     counts = zip(names, merged.sweeps, merged.points, strict=True)
     return {
@@ -255,7 +257,7 @@ def merged_fields(merged: Merged, out: Path | None) -> dict[str, Any]:
 
 
 def in_words(merged: Merged) -> str:
-    """Say what was merged, and how far surfaces lie apart."""
+    """Say what was merged, and how far from each other surfaces lie."""
     from ..base.errors import printable
     from ..base.quantities import counted
     from ..report.text import wrapped

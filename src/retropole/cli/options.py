@@ -78,7 +78,7 @@ class Brief(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and how many more there are."""
         super().format_options(ctx, formatter)
-        # The one that shows them is none of them.
+        # The one that shows them is not one of them.
         more = sum(getattr(each, "more", False) for each in self.params) - 1
         if more and HELP_ALL not in ctx.meta:
             formatter.write(f"\n--help-all: {more} more\n")
@@ -129,7 +129,7 @@ class Number(click.FloatRange):
 
 
 class Radius(Number):
-    """A radius in metres: who types millimetres is told what to give."""
+    """A radius in metres: who types millimetres gets a hint what to give."""
 
     def convert(self, value: Any, *of: Any) -> float:
         """Take a number as `Number` does."""

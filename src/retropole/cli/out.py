@@ -31,7 +31,7 @@ def out_folder(
         Help of the option.
     files
         What it writes there. Those of a run before are renamed at its start, since they would be
-        taken for its own however it ends; it says so where it does not replace them.
+        taken for those of this run however it ends; it reports those that it does not replace.
     default
         The folder unless another is named; None for none.
     keeping
@@ -73,7 +73,7 @@ def _command_path() -> str:
 
 @contextmanager
 def _without_older(folder: Path, names: Sequence[str]) -> Iterator[None]:
-    """Rename the files of a run before, and say so where this one does not replace them."""
+    """Rename the files of a run before, and report those that this one does not replace."""
     files = [folder / name for name in names]
     are_there = any(map(Path.is_file, files))
 

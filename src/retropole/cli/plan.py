@@ -96,7 +96,7 @@ def plan(
 ) -> int:
     """Say where to set up the poles, before you drive out.
 
-    TARGET and SOURCE are recordings of the place without poles, as calibrate reads them. Give the
+    TARGET and SOURCE are recordings of the site without poles, as calibrate reads them. Give the
     pose of SOURCE, to 10° and 1 m, by --xyz and --rpy-deg, or by --pose FILE; without these it is
     found from the surroundings. A site file (.toml) alone plans for all its LiDARs, by the first
     recording of each; --pose then names an older result of the site. With --lidar instead, nothing

@@ -45,13 +45,13 @@ def report(
     """Make the report of RESULT, result.json, site-result.json or the folder that holds it, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
-    and from the folder of RESULT; give TARGET and SOURCE where they lie elsewhere now (and again
-    for each further placement). Files that differ from those of the run are drawn, and both the
-    page and this command say that they differ.
+    and from the folder of RESULT; give TARGET and SOURCE where they are at another place now (and
+    again for each further placement). Files that differ from those of the run are drawn, and both
+    the page and this command say that they differ.
 
     Of a site, recordings that are not found, or differ from those of the run, are left out of the
-    page, and it says so. Give those that lie elsewhere now, in any order: each is recognised by
-    its SHA-256.
+    page, and it says so. Give those that are at another place now, in any order: each is
+    recognised by its SHA-256.
 
     Printed, the page begins with a certificate. --site and the serial numbers are written on it;
     those of a site are taken from its site file. Without them it has lines to fill in.

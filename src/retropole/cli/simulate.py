@@ -48,7 +48,7 @@ SWEEPS = click.option(
 def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: Any) -> int:
     """Make the recordings of a site of several LiDARs whose true poses are known.
 
-    KIND is where they stand: on posts at a street or a crossing, at a harbour crane, on a truck; or
+    KIND is where they are: on posts at a street or a crossing, at a harbour crane, on a truck; or
     in a ring where each pair alone is ambiguous. The folder gets a recording of each LiDAR and
     placement, site.toml and truth.json.
 

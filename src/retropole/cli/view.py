@@ -78,7 +78,7 @@ def view(files: tuple[Path, ...], out: Path | None, quiet: bool, **options: Any)
 
 
 def _result_in(path: Path) -> Path | None:
-    """Find the result document that a path names; None where it names a recording."""
+    """Find the result document that a path names; None if it names a recording."""
     file = result_file(path)
     is_there = file.is_file() or file == path
     return file if file.suffix.lower() == ".json" and is_there else None

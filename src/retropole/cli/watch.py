@@ -127,7 +127,7 @@ def watch(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Calibrate beside the poles: see the next thing to do, until the answer is good enough.
+    """Calibrate next to the poles: see the next thing to do, until the answer is good enough.
 
     TARGET and SOURCE are LiDARs that record now. The command says which poles each one sees, and
     what to do next; while all is good and still it keeps sweeps, calibrates, and ends when the need
@@ -233,7 +233,7 @@ def watch(
                     else:
                         made.withdraw()
                 if not made.is_over:
-                    # A step takes no less, where nothing comes.
+                    # A step takes no less if nothing comes.
                     stopped.wait(max(0.02 - (time.monotonic() - begun), 0.0))
         if made.is_over and not no_page:
             # So that the page shows the end.
@@ -260,7 +260,7 @@ def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:
 def until_signal() -> Iterator[Stopped]:
     """Let the first Ctrl-C end in order, so that nothing is lost; a second ends at once.
 
-    Where a system has no alarms, as Windows, nothing is broken off after the first.
+    If a system has no alarms, as Windows, nothing is broken off after the first.
     """
     stopped = Stopped()
     has_alarm = hasattr(signal, "setitimer")

@@ -178,14 +178,14 @@ def read_transform(
     Raises
     ------
     ReadError
-        Where the file is not of that format, holds none or several transforms that fit, or one
+        If the file is not of that format, holds none or several transforms that fit, or one
         that is not rigid; the reason says so in numbers.
     UsageError
-        Where a frame of two LiDARs is given the name of a robot's (`transform.NO_LIDARS`).
+        If a frame of two LiDARs is given the name of a robot's (`transform.NO_LIDARS`).
     Refusal
-        Where it is a refused result.
+        If it is a refused result.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     file = any_result_file(Path(path))
     data = read_document(file)
@@ -213,16 +213,16 @@ def read_mounting(path: Path, target: str | None) -> Transform:
     path
         The file; it names its frames.
     target
-        The frame of the target; None where the file has one transform alone, which names it.
+        The frame of the target; None if the file has one transform alone, which names it.
 
     Raises
     ------
     ReadError
         As `read_transform`.
     UsageError
-        Where the file does not name its frames.
+        If the file does not name its frames.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     file = any_result_file(Path(path))
     data = read_document(file)
@@ -242,9 +242,9 @@ def read_result(path: Path) -> ResultDoc | SiteDoc | None:
     Raises
     ------
     ReadError
-        Where it is not sound.
+        If it is not sound.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     return result_in(read_document(any_result_file(Path(path))))
 
@@ -261,16 +261,16 @@ def read_tree(path: Path) -> Tree | None:
     Returns
     -------
     Tree or None
-        With the frames of its level, where that is beside it; None where the file is another one.
+        With the frames of its level, where that is next to it; None if the file is another one.
 
     Raises
     ------
     ReadError, UsageError, MissingExtraError
-        Where it is not sound, and as `tree_of`; the message names the file.
+        If it is not sound, and as `tree_of`; the message names the file.
     Refusal
-        Where the site was refused.
+        If the site was refused.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     file = any_result_file(Path(path))
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
@@ -304,7 +304,7 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
     ReadError, UsageError
         As `put_into_urdf`; the message names the file.
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     data = read_document(file)
     with naming(file):

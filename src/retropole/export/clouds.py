@@ -75,7 +75,7 @@ class About:
     intensity_scale
         What intensities are multiplied by for whole numbers of 16 bits.
     wkt
-        The coordinate system, empty where there is none.
+        The coordinate system, empty if there is none.
     colour
         From points to RGB (N, 3); None for no colours.
     """
@@ -122,7 +122,7 @@ def cloud_writer(path: Path, about: About) -> Iterator[Callable[[Points, float],
     UsageError
         For another suffix, and where a coordinate does not fit the file.
     MissingExtraError
-        Where what writes the format is not installed.
+        If what writes the format is not installed.
     OSError
         As `base.files.stream_atomically`.
     """
@@ -365,7 +365,7 @@ def surfel_file(surfels: Surfels, apart: Array, comments: Sequence[str]) -> byte
     surfels
         In any frame.
     apart
-        (M,) distance to the surface of another LiDAR, metres, NaN where none is known: it gives the
+        (M,) distance to the surface of another LiDAR, metres, NaN if none is known: it gives the
         colour, blue for behind it, orange for in front, grey for neither and dark where not known.
     comments
         ASCII lines.

@@ -1,7 +1,7 @@
 """JSON and YAML: our own transform file, the result document, the truth of a simulation, Autoware.
 
 Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
-z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
+z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a separate parser
 would have to know flow mappings, anchors and quotes to read what others wrote. The frames of a site
 are written as JSON too, and its LiDARs on the map as GeoJSON.
 """
@@ -94,7 +94,7 @@ def read_json(data: bytes) -> list[Found]:
     Raises
     ------
     Refusal
-        Where the document is a refused result: it holds no transform.
+        If the document is a refused result: it holds no transform.
     """
     try:
         document = msgspec.json.decode(data)
@@ -116,7 +116,7 @@ def read_json(data: bytes) -> list[Found]:
 
 
 def _found(document: dict[str, Any]) -> Found:
-    """Read one transform of our own files."""
+    """Read a separate transform files."""
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
@@ -143,12 +143,12 @@ def is_result(data: bytes, schema: str = RESULT_SCHEMA) -> bool:
 
 
 def result_in(data: bytes) -> ResultDoc | SiteDoc | None:
-    """Read the result document of two LiDARs or of a site; None where the schema is another.
+    """Read the result document of two LiDARs or of a site; None if the schema is another.
 
     Raises
     ------
     ReadError
-        Where it is not sound.
+        If it is not sound.
     """
     if is_result(data):
         return decode(data)
@@ -161,7 +161,7 @@ def found_in_result(result: ResultDoc) -> Found:
     Raises
     ------
     Refusal
-        Where it was refused.
+        If it was refused.
     """
     T = result.T_target_source
     if T is None:
@@ -190,7 +190,7 @@ def _text(document: dict[str, Any], key: str) -> str | None:
 
 
 def _pose(document: dict[str, Any], key: str) -> Array:
-    """Take the matrix, and check that the quaternion and translation beside it say the same."""
+    """Take the matrix, and check that the quaternion and translation next to it say the same."""
     try:
         T = rigid(np.array(document[key], dtype=float))
         if "quaternion" in document and "translation_m" in document:
@@ -200,7 +200,7 @@ def _pose(document: dict[str, Any], key: str) -> Array:
             if apart > 1e-6:
                 raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise ReadError(f"{key} and what is beside it are no transform: {said(error)}") from None
+        raise ReadError(f"{key} and what is next to it are no transform: {said(error)}") from None
     return T
 
 
@@ -407,9 +407,9 @@ def write_geojson(tree: Tree) -> str:
     Raises
     ------
     UsageError
-        Where nothing ties the frame of the site to the earth.
+        If no observation ties the frame of the site to the earth.
     MissingExtraError
-        Where its frame is projected and pyproj is not installed.
+        If its frame is projected and pyproj is not installed.
     """
     found = on_wgs84(tree.frame, tree.places)
     features = []
@@ -451,7 +451,7 @@ def _datum(found: OnWgs84) -> dict[str, Any]:
 
 
 def _on_map(frame: Frame, edge: Transform) -> dict[str, Any]:
-    """What a map shows of a LiDAR beside its place; headings in degrees, as maps have them."""
+    """What a map shows of a LiDAR next to its place; headings in degrees, as maps have them."""
     T, covariance = edge.T_parent_child, edge.covariance
     about: dict[str, Any] = {"heading_deg": _degrees(heading(frame, T))}
     if frame.epsg is not None:

@@ -42,7 +42,7 @@ MILLIMETRES = 1000
 def write_livox(transform: Transform) -> str:
     """Write ``extrinsic_parameter`` of an entry of ``lidar_configs`` in ``MID360_config.json``.
 
-    The translation is rounded by 0.5 mm at most along each axis, as the driver takes no fractions.
+    The translation is rounded by at most 0.5 mm along each axis, as the driver takes no fractions.
     """
     T = transform.T_parent_child
     degrees = np.degrees(se3.rpy_from_rotation(T[:3, :3])) + 0.0

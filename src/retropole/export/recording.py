@@ -1,6 +1,6 @@
 """Clouds and transforms as messages of ROS 2: both clouds as an MCAP file, ``/tf_static`` by DDS.
 
-Foxglove and RViz draw the file (the extra ``ros``) as it is: each cloud stands in its own frame,
+Foxglove and RViz draw the file (the extra ``ros``) as it is: each cloud is in its own frame,
 and ``/tf_static`` places the frames. The types are those of ROS 2 Humble, which later ones have
 kept. To publish takes no ROS (the extra ``live``).
 """
@@ -113,7 +113,7 @@ def write_transforms(transforms: Sequence[Transform], verdict: str = "") -> byte
 
     The verdict of their calibration is written as metadata.
 
-    Played or opened beside a recording of the LiDARs, it places their frames.
+    Played or opened next to a recording of the LiDARs, it places their frames.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def publish(
     Raises
     ------
     MissingExtraError
-        Where cyclonedds is not installed.
+        If cyclonedds is not installed.
     UsageError
         Where DDS cannot be used.
     """

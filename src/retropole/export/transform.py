@@ -42,7 +42,7 @@ _MEANING = re.compile(f"maps points of {_NAME} into {_NAME}; parent: {_NAME}, ch
 
 
 def is_name(name: str) -> bool:
-    """Tell whether a frame can have a name: see `Transform`."""
+    """Determine whether a frame can have a name: see `Transform`."""
     return len(name) <= LONGEST_NAME and bool(name.strip()) and name.isprintable()
 
 
@@ -58,14 +58,14 @@ class Transform:
         Names of the frames, up to `LONGEST_NAME` characters; they differ, and hold neither line
         breaks nor control characters.
     covariance
-        (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None where not known:
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None if not known:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
     roles
-        What parent and child are in the calibration: ``("target", "source")``, or the other way
-        round after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
+        What parent and child are in the calibration: ``("target", "source")``, or swapped
+        after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
     verdict
         Of the calibration that it is from, on one line (`result.verdict_line`);
-        empty where not known.
+        empty if not known.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def from_quaternion(
     Raises
     ------
     ReadError
-        Where a number is not finite, or the norm is further than the tolerance from 1.
+        If a number is not finite, or the norm is further than the tolerance from 1.
     """
     q, t = np.asarray(xyzw, dtype=float), np.asarray(translation, dtype=float)
     if not (np.isfinite(q).all() and np.isfinite(t).all()):
@@ -199,7 +199,7 @@ def from_rpy(translation: Array, rpy: Array) -> Array:
     Raises
     ------
     ReadError
-        Where a number is not finite, or an angle is larger than a full turn.
+        If a number is not finite, or an angle is larger than a full turn.
     """
     if not (np.isfinite(rpy).all() and np.isfinite(translation).all()):
         raise ReadError("no rigid transform: a number is not finite")
@@ -225,7 +225,7 @@ def quoted(name: str) -> str:
 
 
 def names_in_words(text: str) -> tuple[str | None, str | None]:
-    """Read parent and child back from `Transform.meaning`; None, None where it is not there."""
+    """Read parent and child back from `Transform.meaning`; None, None if it is not there."""
     found = _MEANING.search(text)
     if found is None:
         return None, None
@@ -237,7 +237,7 @@ def names_in_words(text: str) -> tuple[str | None, str | None]:
 
 
 def number(value: float) -> str:
-    """Write a number so that it reads back the same, also where YAML 1.1 wants a point in it."""
+    """Write a number so that it reads back the same, also if YAML 1.1 wants a point in it."""
     text = repr(float(value) + 0.0)
     mantissa, e, exponent = text.partition("e")
     return text if not e or "." in mantissa else f"{mantissa}.0e{exponent}"
@@ -249,7 +249,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     parent, child
-        Names of its frames in the file; None where the file names none.
+        Names of its frames in the file; None if the file names none.
     pose
         Gives ``T_parent_child`` (4, 4). Called for the chosen one alone, so that nothing that is
         wrong elsewhere in a file is in the way.
@@ -293,7 +293,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
     Returns
     -------
     Way or None
-        None where no way leads from one to the other.
+        None if no way leads from one to the other.
     """
     above: dict[str, list[Found]] = {}
     for each in found:
@@ -324,14 +324,14 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
     """Take the one transform that fits the names; name it where the file does not.
 
-    Where none has both names, that over a way of several: over ``base_link`` to both LiDARs.
+    If none has both names, that over a way of several: over ``base_link`` to both LiDARs.
 
     Raises
     ------
     ReadError
-        Where none fits, several do, or the one is no rigid transform.
+        If none fits, several do, or the one is no rigid transform.
     UsageError
-        Where a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
+        If a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
     """
     fits = [f for f in found if _fits(f.parent, parent) and _fits(f.child, child)]
     if not fits and parent and child:

@@ -84,11 +84,11 @@ def tree_of(document: SiteDoc, level: LevelDoc | None = None) -> Tree:
     Raises
     ------
     Refusal
-        Where the site was refused: it holds no poses.
+        If the site was refused: it holds no poses.
     UsageError
-        Where a LiDAR is named as another frame is, or no frame can be named so.
+        If a LiDAR is named as another frame is, or no frame can be named so.
     MissingExtraError
-        Where its frame is projected and pyproj is not installed.
+        If its frame is projected and pyproj is not installed.
     """
     if document.status == "refused":
         raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
@@ -129,7 +129,7 @@ def _own(joint: Array, k: int) -> Array | None:
 def found_in_site(document: SiteDoc) -> list[Found]:
     """Give the transform between any two frames of a site, with the covariance of both together.
 
-    What two LiDARs have in common cancels in it. ``map`` counts as exact.
+    What two LiDARs have in common cancels in it. ``map`` is treated as exact.
 
     Raises
     ------

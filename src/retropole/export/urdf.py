@@ -62,7 +62,7 @@ def _joint(transform: Transform, indent: str) -> list[str]:
 
 
 def read_urdf(data: bytes) -> list[Found]:
-    """Read the joints of a robot; the pose of one that moves is refused when it is asked for."""
+    """Read the joints of a robot; the pose of one that moves is refused when it is requested."""
     return _found(_robot(read_xml(data)))
 
 
@@ -91,7 +91,7 @@ def _found(robot: Element) -> list[Found]:
 
 
 def _link(joint: Element, role: str) -> str:
-    """Link that a joint names as its parent or child; empty where it names none."""
+    """Link that a joint names as its parent or child; empty if it names none."""
     named = _named(joint, role)
     return named[0].get("link", "") if len(named) == 1 else ""
 
@@ -150,9 +150,9 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     MissingExtraError
         Where lxml is not installed.
     ReadError
-        Where it is no well-formed URDF, and where a joint on the way moves or is an expression.
+        If it is no well-formed URDF, and where a joint on the way moves or is an expression.
     UsageError
-        Where it is unclear what to change: the parent is no link, or is not connected with the
+        If it is unclear what to change: the parent is no link, or is not connected with the
         link that the child's joint starts at; the child has several joints; its joint moves or is
         an expression; or it would close a circle.
     """
@@ -214,7 +214,7 @@ def _check_parent(robot: Element, transform: Transform) -> None:
 
 
 def _check_room(robot: Any, transform: Transform) -> None:
-    """Refuse where a new joint would hang on nothing, close a circle or take a name twice."""
+    """Refuse where a new joint would depend on nothing, close a circle or take a name twice."""
     if any(element.prefix == "xacro" for element in robot.iter("*")):
         raise UsageError(
             f"the file is xacro and has no plain joint to {transform.child!r}, but what it "
@@ -247,7 +247,7 @@ def _add_joint(robot: Any, transform: Transform) -> None:
         lines.insert(0, f"<link name={_quote(transform.child)}/>")
     newline = f"\n{indent}"
     new = list(xml_to_edit(f"<robot>{newline.join(lines)}</robot>".encode()))
-    # What stands before the end tag of the robot comes to stand behind the new elements.
+    # What is before the end tag of the robot ends up behind the new elements.
     last = robot[-1]
     text, _, foot = (last.tail or "").rpartition("\n")
     last.tail, new[-1].tail = text + newline, f"\n{foot}"
@@ -322,7 +322,7 @@ def edited_xml(root: Any, data: bytes) -> bytes:
     root
         The lxml element.
     data
-        That file. What stands before the root element is taken from there as it is.
+        That file. What is before the root element is taken from there as it is.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Does a line have the shape of a pole? The rules stand in the order of asking.
+"""Does a line have the shape of a pole? The rules are in the order in which they are tested.
 
 A pole is thin, straight, and long for its width, and runs across the rings.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MAX_THICK_LENGTH = 1.5
 columns. Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
 
 FEW_POLE_POINTS = 10
-"""With fewer points a line is a pole only if it is slim and has next to nothing beside it: a few
+"""With fewer points a line is a pole only if it is slim and has hardly anything around it: a few
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
@@ -61,7 +61,8 @@ of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 
 ONE_BEAM_ELEVATION = float(np.radians(0.1))
 """Returns whose elevations span less than this, rad, come from one beam: less than the finest ring
 spacing of the table of sensors, Pandar64 with 1/6°, while a pole has three rings. Where all of a
-line would be seen within it, elevations say nothing. Sensitivity from 0.07° to 0.14°: no effect."""
+line would be seen within it, elevations give no information. Sensitivity from 0.07° to 0.14°: no
+effect."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Failure:
 def shape_failure(
     cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS, shortest: float = MIN_LENGTH
 ) -> Failure | None:
-    """Say why a line does not have the shape of a pole; None where it has.
+    """Say why a line does not have the shape of a pole; None if it has.
 
     Parameters
     ----------

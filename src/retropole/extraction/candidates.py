@@ -1,6 +1,6 @@
 """Candidate poles: lines that a strict rule rejects, but that are as probably poles as not.
 
-They stand near a wall, beside a vest or another bright thing, have three to five returns, or tape
+They stand near a wall, next to a vest or another bright thing, have three to five returns, or tape
 that is too dim for the threshold. Nothing rests on them until the other LiDAR and the scene confirm
 them (`hypotheses.candidate_confirmation`; docs/evidence/detection.md, Candidate poles).
 """
@@ -31,12 +31,12 @@ MIN_CANDIDATE_LENGTH = 0.16
 apart, at 2.3 m."""
 
 POINTING = 0.002
-"""Beyond `NEAR_POLES_END`, what beams point beside where they should scatters the returns of a
+"""Beyond `NEAR_POLES_END`, the pointing error of beams scatters the returns of a
 candidate by this more, rad: 25 mm at 15 m. Of tubes of 6 and 11 cm at 13 to 17 m
 (benchmarks/masts.py, seed 0) it was 0.0016 to 0.003."""
 
 MOST_PROPOSALS = 30
-"""Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
+"""Lines that are tried in a group: a plate or a vest next to a pole takes more than `PROPOSALS`."""
 
 
 def with_candidates(
@@ -53,7 +53,7 @@ def with_candidates(
     radius
         Of the poles, metres.
     sensor
-        What recorded it; None where it is not known.
+        What recorded it; None if it is not known.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def with_candidates(
     free = np.asarray(cloud.intensity >= chosen.at(lengths(cloud.xyz - cloud.origin)))
     for pole in detection.poles:
         free[pole.index] = False
-    # What lies beside a plate that is taken for a pole is still beside something bright.
+    # What lies next to a plate that is taken for a pole is still next to something bright.
     bright = free.copy()
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
@@ -87,7 +87,7 @@ def with_candidates(
         cluster = retro[group]
         parts, failure = parts_of(cloud, cluster)
         if len(cluster) > MANY:
-            # A pole close beside a large plate is taken for a part of its surface.
+            # A pole close to a large plate is taken for a part of its surface.
             parts.append(cluster)
         for part in parts:
             near = near_box(columns, part)
@@ -101,7 +101,7 @@ def _failure_of(around: Surroundings, radius: float) -> Failure | None:
     """Say what no log-odds excuse: a few stray returns, a thick line, and one along the rings."""
     cloud, line = around.cloud, around.line
     if len(line.index) < MIN_POLE_POINTS and cloud.ring is not None:
-        # A dim return on the line is a hit, too: some rings meet only the edges of a pole.
+        # A dim return on the line is a hit, too: some rings hit only the edges of a pole.
         rings = np.unique(cloud.ring[line.index])
         hit = np.unique(cloud.ring[around.near[around.on_line]])
         if np.ptp(rings) > np.count_nonzero((hit >= rings[0]) & (hit <= rings[-1])):
@@ -125,7 +125,7 @@ def with_dimmer_candidates(
     radius
         Of the poles, metres.
     sensor
-        What recorded it; None where it is not known.
+        What recorded it; None if it is not known.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from .lines import HALF, RING_GAP, Line, distance_and_place
 from .surroundings import piece_of, worn_by_a_body
 
 MAX_GAP_STEPS = 3.5
-"""A gap no longer than so many steps from ring to ring is none: two rings missed, since a return
+"""A gap no longer than this many steps from ring to ring is none: two rings missed, since a return
 may be lost in each, and half a step of unevenness where the cloud has no rings."""
 
 MIN_SIGHT_ANGLE = float(np.radians(15.0))
@@ -24,7 +24,7 @@ seen at 28°."""
 
 
 def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
-    """Say why a line that passes all other rules is no confirmed pole; None where it is.
+    """Say why a line that passes all other rules is no confirmed pole; None if it is.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
-    """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
+    """Say that a line is thicker than a pole of a radius, metres; None if it is not."""
     limit = line.with_beams(MAX_SURE_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:

@@ -2,7 +2,7 @@
 
 Confirmed poles (`poles`) and candidates (`candidates`) are found by it; `Sought` says how strictly.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .sensor_pattern import NEAR_POLES_END, Beams
 from .surroundings import SHORT_LENGTH, Surroundings, surroundings_of
 
 MAX_POLES = 8
-"""Poles taken out of one group at most, and candidates that are kept of a cloud, the most probable
+"""Poles removed from one group at most, and candidates that are kept of a cloud, the most probable
 ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
 effect."""
 
@@ -57,7 +57,7 @@ class Sought(NamedTuple):
     radius, beams
         Of the poles, metres, and what is known of the beams that met them.
     failure_of
-        Says why a line in its surroundings is none of them; None where it is one.
+        Says why a line in its surroundings is none of them; None if it is one.
     fewest, shortest
         Returns that it needs, and extent along it, metres.
     least_odds
@@ -70,7 +70,7 @@ class Sought(NamedTuple):
         Inner and outer radius about a proposed line in which other bright returns speak against
         it, metres.
     pointing
-        What beams point beside where they should, of poles beyond `NEAR_POLES_END`, rad.
+        Pointing error of beams at poles beyond `NEAR_POLES_END`, rad.
     """
 
     radius: float
@@ -86,7 +86,7 @@ class Sought(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A line, the log-odds that it is a pole, and why it is not sought; None where it is."""
+    """A line, the log-odds that it is a pole, and why it is not sought; None if it is."""
 
     line: Line
     log_odds: float
@@ -140,9 +140,9 @@ def find_lines(
         (P,) index of the bright points to search.
     free
         (N,) which points of the cloud are bright and on no line yet; those of the lines that are
-        found are taken out of it.
+        found are removed from it.
     bright
-        (N,) which speak against a line that they are beside.
+        (N,) which are evidence against a line near them.
     sought
         What to look for.
     is_saturated
@@ -151,7 +151,7 @@ def find_lines(
     Returns
     -------
     tuple
-        The lines; and why the rest is none, None where too few points are left.
+        The lines; and why the rest is none; None if too few points are left.
     """
     found: list[Judged] = []
     for _ in range(MAX_POLES):
@@ -224,8 +224,8 @@ def _judge(
     failure = shape_failure(cloud, line, sought.fewest, sought.shortest)
     if failure is not None:
         return Judged(line, -np.inf, failure)
-    # A pole that something hides in part is two clusters, and of one beside a plate a part may
-    # count as surface.
+    # A pole that something hides in part is two clusters, and of one next to a plate a part may
+    # are treated as surface.
     on = near[free[near]]
     whole = fit_line(cloud, on, line.point, line.direction, sought.radius, sought.beams, room)
     if len(whole.index) > len(line.index):

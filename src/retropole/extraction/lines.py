@@ -1,8 +1,8 @@
 """Propose the lines that some bright points may lie on, and fit each to the points about it.
 
-Bright points are grouped first, and those inside a bright surface told from those along a line.
-Only distances between points count here: a cloud gives the same groups and lines after any rigid
-motion, and in whatever order its points come. What *Sensitivity* means beside a constant:
+Bright points are grouped first, and those inside a bright surface distinguished from those along a
+line. Only distances between points count here: a cloud gives the same groups and lines after any
+rigid motion, and in whatever order its points come. What *Sensitivity* means at a constant:
 docs/evidence/detection.md.
 """
 
@@ -43,8 +43,8 @@ MIN_POLE_POINTS = 6
 steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
 
 PATCH_RADIUS = 0.3
-"""Radius of the neighbourhood that tells a surface from a line, metres: wider than the 0.12 m
-radius of a pole's tube, so that a line is narrow in it. Sensitivity at 0.21: 4 fewer false; at
+"""Radius of the neighbourhood that distinguishes a surface from a line, metres: wider than the 0.12
+m radius of a pole's tube, so that a line is narrow in it. Sensitivity at 0.21: 4 fewer false; at
 0.42: 1 more found, 8 fewer false."""
 
 PATCH_WIDTH = 0.09
@@ -80,7 +80,7 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
 
 
 def on_surface(xyz: Array) -> BoolArray:
-    """Tell which points lie inside a bright surface: wide in two directions about each of them.
+    """Say which points lie inside a bright surface: wide in two directions about each of them.
 
     Saturated ground and large signs are thousands of points, in which chance lines abound. Lines
     are worth looking for in what is left without them.
@@ -124,7 +124,8 @@ def _cells(xyz: Array) -> tuple[Array, IntArray]:
 
 
 def _neighbours(centre: Array, radius: float) -> coo_array:
-    """Graph (C, C) of the pairs of points no farther apart than ``radius``, each pair once."""
+    """Graph (C, C) of the pairs of points no farther from each other than ``radius``, each pair
+    once."""
     pairs = cKDTree(centre).query_pairs(radius, output_type="ndarray")
     return coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centre),) * 2)
 
@@ -225,7 +226,7 @@ class Line:
     thicker: float = 0.0
 
     def with_beams(self, limit: float) -> float:
-        """Give the largest scatter, metres, that a line of so much has by beams of this width.
+        """Give the largest scatter, metres, that a limit allows with beams of this width.
 
         Limits are those of a pole of `DEFAULT_RADIUS`.
         """
@@ -276,7 +277,7 @@ def propose_lines(
     xyz
         (N, 3) points, metres, in canonical order.
     shortest, longest
-        How far apart the two points of a pair may be, metres.
+        Least and largest distance of the two points of a pair, metres.
     tube
         Radius about a line, metres.
     shell
@@ -398,7 +399,7 @@ def fit_lines(
     radius
         Of the pole, metres.
     beams
-        That met it.
+        That hit it.
     room
         About the pole's radius, in which its points may lie, metres.
 

@@ -33,8 +33,8 @@ from ..io.beams import (
 )
 
 RMS_PER_RADIUS, DEPTH_PER_RADIUS = 0.62, float(np.pi / 4)
-"""Beams evenly spaced across a cylinder scatter by so many radii about their line, which runs so
-many in front of the axis."""
+"""Beams evenly spaced across a cylinder scatter by this many radii about their line, which runs
+this many in front of the axis."""
 
 
 ORDINARY_DIVERGENCE = 0.003
@@ -66,7 +66,7 @@ UNKNOWN = Beams()
 
 
 def beams_by(sensor: Sensor | None) -> Beams:
-    """The beams of a sensor; None where it is not known."""
+    """The beams of a sensor; None if it is not known."""
     return UNKNOWN if sensor is None else Beams(sensor.divergence, sensor.range_noise)
 
 
@@ -74,7 +74,7 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
     """Scatter, metres, that wide or noisy beams add to that of returns on a near pole by ordinary
     ones.
 
-    A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
+    A return lies on the axis of its beam, and a beam whose edge alone hits the pole gives one too:
     the pole looks wider by half a beam on either side. The limits here hold for beams of
     `ORDINARY_DIVERGENCE` up to `NEAR_POLES_END`, and for unknown ones.
 
@@ -83,7 +83,7 @@ def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
     distance, radius
         From where the beams start to the pole, and of the pole, metres.
     beams
-        That met it.
+        That hit it.
     """
     seen = _seen_radius(distance, radius, beams.divergence)
     ordinary = _seen_radius(min(distance, NEAR_POLES_END), radius, ORDINARY_DIVERGENCE)
@@ -180,7 +180,7 @@ def _spins(cloud: PointCloud) -> bool:
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
-    """Say why a cloud is hardly of the sensor that was named; nothing where it may be, or where
+    """Say why a cloud is hardly of the sensor that was named; empty if it may be, or if
     `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No

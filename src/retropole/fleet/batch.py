@@ -80,9 +80,9 @@ def calibrate_fleet(
     Raises
     ------
     ReadError
-        Where the dataset is damaged.
+        If the dataset is damaged.
     OSError
-        Where it cannot be written, or another run is writing to it.
+        If it cannot be written, or another run is writing to it.
     """
     out = absolute(out)
     reports = None if reports is None else absolute(reports)

@@ -2,7 +2,7 @@
 
 ``answers/part-3f.parquet`` holds the rows of all sites whose id has a SHA-256 that begins with
 ``3f``, in the order of the ids: nothing but the rows decides what a file is, byte for byte. What
-differs from run to run, times and machines, lies beside it in ``runs/part-3f.parquet``.
+differs from run to run, times and machines, lies next to it in ``runs/part-3f.parquet``.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
 
 
 class InputEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """One recording; the hash is None where it could not be read."""
+    """One recording; the hash is None if it could not be read."""
 
     lidar: str
     placement: str
@@ -141,7 +141,7 @@ def known_in(out: str) -> dict[str, Known]:
     Raises
     ------
     ReadError
-        Where a partition is damaged or of another schema.
+        If a partition is damaged or of another schema.
     """
     known: dict[str, Known] = {}
     for name in partitions_in(out):
@@ -208,7 +208,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     Raises
     ------
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     for folder, of, each in (
         (RUNS, Run, sorted(runs, key=lambda run: run.id)),
@@ -295,7 +295,7 @@ def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
     Raises
     ------
     ReadError
-        Where it is none.
+        If it is none.
     """
     return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
 
@@ -303,7 +303,7 @@ def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
 def _lidars(document: ResultDoc | SiteDoc) -> list[LidarEntry]:
     """Give the pose of the source in the frame of the target, or of every LiDAR in the site's.
 
-    None where refused.
+    None if refused.
     """
     return [
         LidarEntry(

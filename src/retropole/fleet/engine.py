@@ -38,7 +38,7 @@ GATHER_WITHIN = 10.0
 """Seconds for a row to come from the worker that has it, which may have died since."""
 
 COUNT_AGAIN = 2.0
-"""Seconds after which the workers are counted again: the scheduler is asked over the network."""
+"""Seconds after which the workers are counted again: the scheduler is queried over the network."""
 
 PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
@@ -62,7 +62,7 @@ def run_task(data: bytes) -> bytes:
     Raises
     ------
     UsageError
-        Where the worker has other versions than whoever asks: its numbers would not be the same.
+        If the worker has other versions than the client: its numbers would not be the same.
     """
     task = msgspec.msgpack.decode(data, type=Task)
     if environment() != task.environment:
@@ -104,7 +104,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     MissingExtraError
         Where Dask is not installed, or what makes its credentials.
     UsageError
-        Where there is no scheduler at the address, or no worker; or where other users write to the
+        If there is no scheduler at the address, or no worker; or if other users write to the
         folder of its temporary files.
     """
     try:
@@ -116,7 +116,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         credentials = None if scheduler else temporary()
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
-    # What becomes of a site is in its row; the log of a worker that died helps nobody.
+    # The result of a site is in its row; the log of a worker that died helps nobody.
     config: dict[str, Any] = {
         "logging": {"distributed": "critical", "asyncio": "critical"},
         "distributed.worker.multiprocessing-method": "spawn",
@@ -174,7 +174,7 @@ def _own_folder() -> str:
     Raises
     ------
     UsageError
-        Where another user has it.
+        If another user has it.
     """
     if not hasattr(os, "getuid"):
         # Where each user has a folder for temporary files.
@@ -252,7 +252,7 @@ def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
     UsageError
         Where workers have other versions, or lack retropole.
     RetropoleError
-        Where the scheduler is gone for good.
+        If the scheduler is gone for good.
     """
     given: dict[Any, tuple[Task, int]] = {}
     again: list[tuple[Task, int]] = []
@@ -295,7 +295,7 @@ def _threads(client: Any) -> int:
     Raises
     ------
     RetropoleError
-        Where it stays away.
+        If it stays away.
     """
     deadline = time.monotonic() + ANSWER_WITHIN
     while True:
@@ -314,7 +314,7 @@ def _threads(client: Any) -> int:
 
 
 def _given(client: Any, task: Task) -> Any:
-    """Give a task out; None where the connection broke meanwhile."""
+    """Give a task out; None if the connection broke meanwhile."""
     try:
         return client.submit(run_task, msgspec.msgpack.encode(task), pure=False)
     except Exception:
@@ -324,7 +324,7 @@ def _given(client: Any, task: Task) -> Any:
 
 
 def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
-    """Take the outcome of a task; None where it is to be given out again."""
+    """Take the outcome of a task; None if it is to be given out again."""
     from distributed import CancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 

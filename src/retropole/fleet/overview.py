@@ -145,7 +145,7 @@ def overview_of(out: str, history: str | None = None) -> Overview:
     Raises
     ------
     ReadError
-        Where there is none, or a partition is damaged.
+        If there is none, or a partition is damaged.
     """
     out = absolute(out)
     if not (partitions := partitions_in(out)):
@@ -181,7 +181,7 @@ def overview_of(out: str, history: str | None = None) -> Overview:
 def _changed(
     out: str, sites: Iterable[Seen], history: str | None
 ) -> tuple[tuple[Changed, ...], tuple[str, ...]]:
-    """Tell which sites changed since they were calibrated, and what of the history is damaged."""
+    """Say which sites changed since they were calibrated, and what of the history is damaged."""
     place = below(out, HISTORY) if history is None else absolute(history)
     if not exists(place, as_folder=True):
         if history is not None:

@@ -1,4 +1,4 @@
-"""Calibrating in a process of its own, which is ended where it takes too long or too much.
+"""Calibrating in a separate process, which is ended where it takes too long or too much.
 
 It may hang, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
 standard input and answers on its standard output, one after the other; `Reader` starts it. It ends
@@ -49,7 +49,7 @@ def send(stream: IO[bytes], message: object) -> None:
 
 
 def receive(stream: IO[bytes]) -> bytes | None:
-    """Read a message; None where the other end has gone, in the middle of one as well."""
+    """Read a message; None if the other end has gone, in the middle of one as well."""
     head = stream.read(LENGTH.size)
     if len(head) < LENGTH.size:
         return None
@@ -122,7 +122,7 @@ class Reader:
         Raises
         ------
         RetropoleError
-            Where no such process can be started.
+            If no such process can be started.
         """
         started, attempts = time.monotonic(), 0
         outcome, why = None, list[tuple[str, str]]()

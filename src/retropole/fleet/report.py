@@ -33,16 +33,16 @@ from .overview import STATUSES, Overview, Seen
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
 
 WORST = 20
-"""So many of the largest errors are listed."""
+"""Number of the largest errors that are listed."""
 
 EXAMPLES = 3
-"""So many sites are named for each reason."""
+"""Number of sites that are named for each reason."""
 
 SHOWN = 20
-"""So many sites of a list are shown at once; the page unfolds the others."""
+"""Number of sites of a list that are shown at once; the page unfolds the others."""
 
 MOST_FAILED = 500
-"""So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
+"""Number of refusals, and of errors, that are listed with messages; a DuckDB query finds more."""
 
 
 FIRST: dict[Status, tuple[str, str, str]] = {
@@ -60,7 +60,7 @@ MOVED = (
     "calibrate it again: `retropole fleet calibrate`."
 )
 DISAGREEING = (
-    "See whether something new stands in view, or a LiDAR sways. Then record and check it again: "
+    "See whether something new is in view, or a LiDAR sways. Then record and check it again: "
     "`retropole fleet check`."
 )
 OUTDATED = (
@@ -116,7 +116,7 @@ MARGIN = 44
 """Around what is drawn."""
 
 LEAST_SPAN = 200.0
-"""A map shows at least so much, m."""
+"""A map shows at least this much, m."""
 
 FLAT_BELOW = 500e3
 """So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
@@ -154,7 +154,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         ("run", "This dataset", _dataset(overview)),
     )
     parts = [{"part": part, "title": title, "body": body} for part, title, body in every if body]
-    name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
+    name = _named(overview)
     return fill_page(
         "fleet.html",
         ("style.css", "fleet.css"),
@@ -168,6 +168,11 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         },
         share_styles(),
     )
+
+
+def _named(overview: Overview) -> str:
+    """Name the dataset by its folder alone: a page is passed on, and its path is private."""
+    return printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
 
 
 def write_fleet_report(place: str, overview: Overview, reports: str | None = None) -> None:
@@ -186,7 +191,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
     Raises
     ------
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     place = absolute(place)
     folder = None if reports is None else absolute(reports)
@@ -203,7 +208,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
 
 
 def _from(folder: str, to: str) -> str | None:
-    """Write how one folder is reached from another; None where a link cannot."""
+    """Write how one folder is reached from another; None if a link cannot."""
     if not is_url(folder) and not is_url(to):
         try:
             return Path(os.path.relpath(to, folder)).as_posix()
@@ -313,7 +318,7 @@ def _reasons(overview: Overview) -> Html:
 
 def _dataset(overview: Overview) -> Html:
     """Say what the page is of."""
-    rows = [("dataset", printable(overview.place)), ("schema", FLEET_SCHEMA)]
+    rows = [("dataset", _named(overview)), ("schema", FLEET_SCHEMA)]
     for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):
         # The ten commonest.
         for name, n in sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]:
@@ -344,7 +349,7 @@ def _listed(overview: Overview, status: Status, link: Callable[[Seen], str]) -> 
 def _table(
     caption: str, said: tuple[str, str], rows: Sequence[Sequence[object]], links: Sequence[str]
 ) -> Html:
-    """Lay out a list of sites, of a long one the first at once, the rest folded away."""
+    """Arrange a list of sites, of a long one the first at once, the rest folded away."""
     header = ("site", *said, "what to do next")
     first = table(caption, header, rows[:SHOWN], (1, 2, 3), links=links[:SHOWN])
     if not (rest := rows[SHOWN:]):
@@ -392,7 +397,8 @@ def _explained(code: str) -> tuple[str, Html]:
 
 
 def _shape(status: Status, r: float) -> str:
-    """Draw what marks a status beside its colour, from its middle: dot, triangle, square, cross."""
+    """Draw what marks a status next to its colour, from its middle: dot, triangle, square,
+    cross."""
     if status == "ok":
         return "h.01"
     if status == "warn":
@@ -476,7 +482,7 @@ def _marks(
     named: int,
     link: Callable[[Seen], str],
 ) -> Html:
-    """Draw sites of one status; those beyond the named ones only where there is none yet."""
+    """Draw sites of one status; those beyond the named ones only if there is none yet."""
     shape = _shape(status, size)
     drawn = []
     for site in sites[:named]:

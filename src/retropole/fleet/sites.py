@@ -59,13 +59,13 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     config
         Options of a pair; a site file has its own.
     latitude, longitude
-        Where it is, rad; None where that is not said.
+        Where it is, rad; None if that is not given.
     result
-        Place of the stored result that a check holds it against; a calibration takes none.
+        Place of the stored result that a check compares it with; a calibration takes none.
     time
-        When a list says that it was recorded, ISO 8601, UTC; empty where none does.
+        When a list says that it was recorded, ISO 8601, UTC; empty if none does.
     fault
-        What is wrong with its line of a list; empty where nothing is.
+        What is wrong with its line of a list; empty if nothing is.
     """
 
     id: str
@@ -112,7 +112,7 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
     ReadError
         Where something is not found or cannot be read, or two sites have the same id.
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     """
     sites: dict[str, FleetSite] = {}
     for place in (each for one in given for each in _expanded(one)):
@@ -170,7 +170,7 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
         if name.endswith(SITE_FILE):
             yield FleetSite(id=_id_of(place, inside), kind="site", site=place)
         stem, _, suffix = name.partition(".")
-        # Beside packets of an Ouster lie their metadata.
+        # Next to packets of an Ouster lie their metadata.
         if stem in ROLES and suffix != "json":
             pairs.setdefault(parent, {role: [] for role in ROLES})[stem].append(place)
     for inside, found in pairs.items():

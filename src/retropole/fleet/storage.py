@@ -45,7 +45,7 @@ _others: ContextVar[tuple[str, ...]] = ContextVar("_others", default=())
 
 
 def other_protocols() -> tuple[str, ...]:
-    """Name the protocols that are followed beside `PROTOCOLS`."""
+    """Name the protocols that are followed in addition to `PROTOCOLS`."""
     return _others.get()
 
 
@@ -143,7 +143,7 @@ def exists(place: str, *, as_folder: bool = False) -> bool:
     Raises
     ------
     ReadError
-        Where the file system cannot be asked.
+        If the file system cannot be queried.
     """
     with _asked(place, "cannot be looked for") as (system, path):
         system.invalidate_cache()
@@ -175,7 +175,7 @@ def _changed(place: str) -> Iterator[tuple[Any, str]]:
 
 
 def _why(error: Exception) -> str:
-    """Say what is wrong; of what is not there, stores name only an address of their own."""
+    """Say what is wrong; of what is not there, stores name only an internal address."""
     if isinstance(error, FileNotFoundError):
         return os.strerror(errno.ENOENT)
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -187,7 +187,7 @@ def found_below(folder: str) -> list[str]:
     Raises
     ------
     ReadError
-        Where it cannot be listed.
+        If it cannot be listed.
     """
     with _asked(folder, "cannot be listed") as (system, path):
         found = system.find(path, withdirs=True)
@@ -200,7 +200,7 @@ def matching(pattern: str) -> list[str]:
     Raises
     ------
     ReadError
-        Where the file system cannot be asked.
+        If the file system cannot be queried.
     """
     with _asked(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
@@ -218,7 +218,7 @@ def names_in(folder: str) -> list[str]:
     Raises
     ------
     ReadError
-        Where it cannot be listed.
+        If it cannot be listed.
     """
     with _asked(folder, "cannot be listed") as (system, path):
         system.invalidate_cache()
@@ -235,7 +235,7 @@ def written(place: str) -> datetime:
     Raises
     ------
     ReadError
-        Where there is none, or the file system does not know.
+        If there is none, or the file system does not know.
     """
     with _asked(place, "when it was written is not known") as (system, path):
         files = system.find(path) if system.isdir(path) else [path]
@@ -250,7 +250,7 @@ def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     Raises
     ------
     ReadError
-        Where it cannot be read, or is longer than one would be.
+        If it cannot be read, or is longer than one would be.
     """
     with _asked(place, "cannot be read") as (system, path):
         if not is_url(place):
@@ -283,7 +283,7 @@ def write_bytes(place: str, data: bytes) -> None:
     Raises
     ------
     OSError
-        Where it cannot be written; names the place.
+        If it cannot be written; names the place.
     """
     if not is_url(place):
         write_atomically(Path(absolute(place)), data)
@@ -301,7 +301,7 @@ def replace_bytes(place: str, data: bytes) -> None:
     OSError
         As `write_bytes`.
     ReadError
-        Where there is something else than a file.
+        If there is something else than a file.
     """
     if not is_url(place) and Path(absolute(place)).exists():
         check_is_file(Path(absolute(place)))
@@ -336,7 +336,7 @@ def remove(place: str) -> None:
     Raises
     ------
     OSError
-        Where it cannot be removed; names the place.
+        If it cannot be removed; names the place.
     """
     with _changed(place) as (system, path):
         system.rm_file(path)
@@ -345,7 +345,7 @@ def remove(place: str) -> None:
 def fetch(place: str, into: Path) -> Path:
     """Copy a file, or a folder with all in it, into a local folder.
 
-    The metadata of an Ouster's packets, a file of the same name beside them, comes along.
+    The metadata of an Ouster's packets, a file of the same name next to them, comes along.
 
     Returns
     -------
@@ -355,9 +355,9 @@ def fetch(place: str, into: Path) -> Path:
     Raises
     ------
     ReadError
-        Where it cannot be read.
+        If it cannot be read.
     OSError
-        Where there is no room.
+        If there is no room.
     """
     local = into / posixpath.basename(place.rstrip("/"))
     into.mkdir(parents=True, exist_ok=True)
@@ -373,15 +373,15 @@ def fetch(place: str, into: Path) -> Path:
 def alone_in(folder: str) -> Iterator[None]:
     """Keep other runs from a folder, or from a URL, from now on.
 
-    At a URL an object is the lock. Nothing removes it where a process is killed: no clock tells a
-    run that is slow from one that is no more, so whoever knows it has to.
+    At a URL an object is the lock. Nothing removes it where a process is killed: no clock
+    distinguishes a slow run from one that has ended, so whoever knows it has to.
 
     Raises
     ------
     OSError
-        Where another run has it: the message says which. Where nothing can be written there.
+        If another run has it: the message says which. If nothing can be written there.
     ReadError
-        Where the file system cannot be asked.
+        If the file system cannot be queried.
     """
     if not is_url(folder):
         with run_alone(Path(absolute(folder))):

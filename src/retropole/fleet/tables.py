@@ -70,7 +70,7 @@ def opened(
     Raises
     ------
     ReadError
-        Where it cannot be read, or what is read of it meanwhile; a `NewerError` where a newer
+        If it cannot be read, or what is read of it meanwhile; a `NewerError` if a newer
         version wrote it.
     MissingExtraError
         As `arrow`.
@@ -120,9 +120,9 @@ def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Line]:
     Raises
     ------
     ReadError
-        Where it cannot be read, has another column or one twice, or a name that is none.
+        If it cannot be read, has another column or one twice, or a name that is none.
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     """
     read = _csv if place.endswith(".csv") else _parquet
     for number, line in enumerate(read(place, columns, needed), 1):

@@ -46,7 +46,7 @@ Doc = TypeVar("Doc", ResultDoc, SiteDoc)
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """What a site is held against.
+    """What a site is compared with.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     tried
         When the run began: the time of a site whose recordings tell none.
     document
-        The stored result itself; None where it is at the place that the site names.
+        The stored result itself; None if it is at the place that the site names.
     lidars
         Target and source by their names, of the stored result of a site; None of a pair.
     known
@@ -83,7 +83,7 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 class Task(msgspec.Struct, frozen=True, kw_only=True):
     """What a worker is told: the site, and the key of the row that there is of it.
 
-    With a `check` the site is held against its stored result, and not calibrated. Of `protocols`
+    With a `check` the site is compared with its stored result, and not calibrated. Of `protocols`
     URLs are followed as by whoever gives it.
     """
 
@@ -97,7 +97,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Hashed(msgspec.Struct, frozen=True, tag=True):
-    """Inputs have been read as bytes: whatever comes, the row tells which they were."""
+    """Inputs have been read as bytes: whatever comes, the row shows which they were."""
 
     key: str
     inputs: list[InputEntry]
@@ -124,7 +124,7 @@ def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
 
 @cache
 def environment() -> str:
-    """Name what the numbers of an answer depend on, beside its inputs."""
+    """Name what the numbers of an answer depend on, in addition to its inputs."""
     libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "small_gicp"))
     python = f"Python {platform.python_version()}"
     return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
@@ -237,7 +237,7 @@ def _hashed(site: FleetSite, local: LocalFiles) -> Hashed:
 
 
 def _calibrated(task: Task, local: LocalFiles, hashed: Hashed) -> tuple[Row, Mapping[str, float]]:
-    """Calibrate, and report where that is asked for; gives the time of each step too."""
+    """Calibrate, and report where that is requested; gives the time of each step too."""
     site, result = task.site, _result(task.site, local)
     if not _is_of(result.document, hashed):
         raise ReadError(f"{site.id}: a recording changed while it was read")
@@ -265,7 +265,7 @@ def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResul
 
 
 def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) -> None:
-    """Save a result and its report; to a URL by way of a folder of our own."""
+    """Save a result and its report; to a URL by way of a separate folder."""
     if not is_url(place):
         result.save(place)
         return
@@ -274,7 +274,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
 
 
 def _is_reported(task: Task, hashed: Hashed) -> bool:
-    """Whether the result of these inputs is in its folder, or none is asked for."""
+    """Whether the result of these inputs is in its folder, or none is requested."""
     if task.reports is None:
         return True
     name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
@@ -308,7 +308,7 @@ class LocalFiles:
     Raises
     ------
     ReadError
-        Where a file is not there.
+        If a file is not there.
     """
 
     def __init__(self, site: FleetSite, folder: Path) -> None:
@@ -329,12 +329,12 @@ class LocalFiles:
         return path
 
     def inputs(self) -> list[InputEntry]:
-        """Hash the recordings; those beside a site file at a URL are copied first.
+        """Hash the recordings; those next to a site file at a URL are copied first.
 
         Raises
         ------
         ReadError
-            Where one cannot be read, or the site file is none.
+            If one cannot be read, or the site file is none.
         """
         return [
             InputEntry(
@@ -376,12 +376,12 @@ class LocalFiles:
         return path
 
     def metadata(self) -> list[str]:
-        """Hash what is beside recordings: metadata of packets, angles and a survey of a site file.
+        """Hash what is next to recordings: metadata of packets, angles and a survey of a site file.
 
         Raises
         ------
         ReadError
-            Where one that is named cannot be read.
+            If one that is named cannot be read.
         """
         beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
         found = [path for path in beside if path.is_file()]
@@ -404,7 +404,7 @@ class LocalFiles:
         return text
 
     def keep(self, data: bytes, place: str) -> Path:
-        """Write what was read of the stored result at a place into a folder of our own."""
+        """Write what was read of the stored result at a place into a separate folder."""
         path = self.folder / "stored" / posixpath.basename(place.rstrip("/"))
         path.parent.mkdir()
         path.write_bytes(data)
@@ -425,7 +425,7 @@ def local_files(site: FleetSite) -> Iterator[LocalFiles]:
     Raises
     ------
     ReadError
-        Where a file is not there.
+        If a file is not there.
     """
     with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
         local = LocalFiles(site, Path(folder))

@@ -23,7 +23,7 @@ POINT = np.dtype(
         *(("ring", np.uint16), ("lidar", np.uint16)),
     ]
 )
-"""A point of a fused cloud: place, metres; time, s, and intensity, NaN where not known; ring; index
+"""A point of a fused cloud: place, metres; time, s, and intensity, NaN if not known; ring; index
 of its LiDAR."""
 
 NO_RING = 2**16 - 1
@@ -104,7 +104,8 @@ HALF = 2**18
 """Cells that a grid has from its middle to either end, along each axis."""
 
 LIDARS = 2**5
-"""So many LiDARs may have cells of their own in a grid: as many as bits of a number in PLY."""
+"""Number of LiDARs that may have cells of their own in a grid: as many as bits of a number in
+PLY."""
 
 
 def cell_keys(xyz: Array, size: float, anchor: IntArray, lidar: IntArray | int = 0) -> IntArray:
@@ -117,12 +118,12 @@ def cell_keys(xyz: Array, size: float, anchor: IntArray, lidar: IntArray | int =
     anchor
         (3,) cell in the middle of the grid: the cube from ``anchor · size`` on.
     lidar
-        (N,) index of the LiDAR of each, for a cell of its own.
+        (N,) index of the LiDAR of each, to give each LiDAR separate cells.
 
     Raises
     ------
     UsageError
-        Where a point is farther than `HALF` cells from the middle.
+        If a point is farther than `HALF` cells from the middle.
     """
     cells = np.floor(xyz / size).astype(np.int64) - anchor
     if len(cells) and np.abs(cells).max() >= HALF:

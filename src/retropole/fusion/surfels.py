@@ -3,7 +3,7 @@
 The points of each LiDAR are summed in small cubes, and a surfel is fitted to a cube and its 26
 neighbours together. So a surface is never cut where it passes through the border of a cube, which
 would draw the two halves of its noise apart. Where two LiDARs see one surface, how far their
-surfels lie apart along the normal is what the calibration, and the LiDARs, are off there.
+surfels are apart along the normal is what the calibration, and the LiDARs, are off there.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Surfels:
     radius, thickness
         (M,) of a disc with the extent of the points, and their RMS distance from it, metres.
     intensity
-        (M,) mean, NaN where not known.
+        (M,) mean, NaN if not known.
     count
         (M,) points.
     lidars
@@ -96,7 +96,7 @@ class Surfels:
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """How far the surfaces of two LiDARs lie apart, place by place.
+    """How far apart the surfaces of two LiDARs are, place by place.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def moments_of(sweeps: Iterable[Points], size: float = DEFAULT_CELL) -> Moments:
     Raises
     ------
     UsageError
-        As `merging.cell_keys`, and where there are more LiDARs.
+        As `merging.cell_keys`, and if there are more LiDARs.
     """
     grid, anchor = Grid(summed), np.zeros(3, np.int64)
     is_first = True
@@ -394,7 +394,7 @@ def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
 
 
 def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:
-    """Give the distance (M,) that was found nearest to each surfel, NaN where none is in reach."""
+    """Give the distance (M,) that was found nearest to each surfel, NaN if none is in reach."""
     found = np.full(len(surfels.centres), np.nan)
     if not apart or not len(found):
         return found
@@ -410,7 +410,7 @@ def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array
 
 
 def distances(apart: Iterable[Apart]) -> list[Distance]:
-    """Sum up how far surfaces lie apart, by pair of LiDARs and kind of surface; none is left out.
+    """Sum up the distances of surfaces, by pair of LiDARs and kind of surface; none is left out.
 
     Medians: single objects that moved, or that both see otherwise, move them little.
     """

@@ -68,7 +68,8 @@ DIRECTIONS, TURNS = 18, (4.0, 1.5, 0.5)
 both sides then, degrees: over 10 m, 0.5° are 9 cm."""
 
 NOISES = (0.001, 0.003, 0.01)
-"""1 σ of the mean height of a cell, metres, beside the noise of ranges: of asphalt to grass."""
+"""1 σ of the mean height of a cell, metres, in addition to the noise of ranges: of asphalt to
+grass."""
 
 LEAST_FALL = 0.02
 """Beams fall by this part of their length at least, where they are counted by where they meet the
@@ -92,7 +93,7 @@ MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
 """What is not known better, rad and m, is no answer."""
 
 ROUNDS, SETTLED = 3, 0.001
-"""The rough axes are those of the plane after so many rounds at most; they are where they are not
+"""The rough axes are those of the plane after at most this many rounds; they are where they are not
 tilted against it by more than this, rad: a LiDAR 6 m high has its foot 6 mm aside."""
 
 JACOBIAN_STEP = 1e-6
@@ -208,7 +209,7 @@ def level(
         The LiDARs that see the ground, in one frame, in which each has its pose.
     poses
         (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame;
-        None where they are exact, as that of a single LiDAR.
+        None if they are exact, as that of a single LiDAR.
     radius
         Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
 

@@ -3,7 +3,7 @@
 Neighbouring squares whose heights hardly differ make pieces; pieces on one smooth surface make a
 level. A road and the pavement behind its kerb are two levels; the roofs of cars are others. The
 ground is the level that lies on all sides of the foot of the LiDARs nearest to it. Where another is
-beside it, a step higher or lower, the squares of both are parted anew, by two parallel planes, and
+next to it, a step higher or lower, the squares of both are split anew, by two parallel planes, and
 it is seen along the step which of them the foot is on: a kerb is a line.
 """
 
@@ -30,7 +30,8 @@ STEP, SLOPE = 0.03, 0.04
 of their distance, to 0.07 m a metre away: less than a kerb, more than a road's camber."""
 
 REACH = 2
-"""Squares so far apart along both axes are neighbours: between two rings some are empty."""
+"""Squares so far from each other along both axes are neighbours: between two rings some are
+empty."""
 
 MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
@@ -45,7 +46,7 @@ CLOSED = 1
 Two kerbs 3 m apart stay two."""
 
 APART, DIFFERENT = 4, 0.06
-"""Pieces that are within so many squares of each other are different levels where their heights
+"""Pieces that are within this many squares of each other are different levels where their heights
 there differ by more, metres, in the middle."""
 
 SAME_LEVEL = 0.06
@@ -55,8 +56,8 @@ RIDGE = 10.0
 """Weight with which a level is held parallel to the rough axes, cells times m²."""
 
 PARTED, PARTING_ROUNDS = 0.2, 20
-"""Two levels are told apart in one piece where both together are this thin, root mean square, as a
-part of the step between them; and rounds of parting it."""
+"""Two levels are distinguished in one piece where both together are this thin, root mean square,
+as a part of the step between them; and rounds of parting it."""
 
 LEAST_PARTED = 80
 """Pieces of more squares may be of two levels: 10 m² of each."""
@@ -65,11 +66,11 @@ LEAST_SHARE = 0.05
 """Least share of the smaller of them."""
 
 MOST_LEVELS = 6
-"""So many of the largest pieces are tried for a beginning of the ground."""
+"""Number of the largest pieces that are tried for a beginning of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
 """A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
-well, a road beside a pavement,"""
+well, a road next to a pavement,"""
 
 KERB_AREA = 10.0
 """… and seen on so much, m², where no step is seen between them,"""
@@ -79,16 +80,16 @@ NEAREST, NEARER = 0.05, 0.6
 which so much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
-"""At a step, levels are by so much of their distance apart in the middle of so many nearest pairs
-of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes fit
-(seeds 0 to 199, 3065 and 3181 of the benchmark)."""
+"""At a step, levels are apart by this part of their distance in the middle of this many nearest
+pairs of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes
+fit (seeds 0 to 199, 3065 and 3181 of the benchmark)."""
 
 STRIP, STRIP_TURNS = 0.5, 90
 """Width of strips along a kerb, metres, and directions of them that are tried over half a turn."""
 
 STRAYS, ALIKE = 0.05, 0.01
 """Part of the squares that may be of the other level than the rest of their strip, and by which
-directions count as alike."""
+directions are treated as alike."""
 
 REACHES = np.linspace(0.1, 2.0, 20)
 """Distances within which a level may lie on all sides of the foot, as parts of the radius."""
@@ -96,7 +97,7 @@ REACHES = np.linspace(0.1, 2.0, 20)
 
 @dataclass(frozen=True)
 class Level:
-    """Another surface beside the ground.
+    """Another surface next to the ground.
 
     Attributes
     ----------
@@ -147,7 +148,7 @@ def _pieces(at: Array) -> IntArray:
 
 
 def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
-    """(P, P) which pieces of cells (N, 3), of heights (N,), are beside each other with a step."""
+    """(P, P) which pieces of cells (N, 3), of heights (N,), are next to each other with a step."""
     a, b = _pairs(at, APART).T
     differ = pieces[a] != pieces[b]
     one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
@@ -172,7 +173,7 @@ class _Grown(NamedTuple):
 
 
 def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level, ...]]:
-    """Find which cells are ground, and what is beside it.
+    """Find which cells are ground, and what is next to it.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ def _level(over: Array, on: BoolArray) -> Level:
 def _beside_a_kerb(
     at: Array, best: _Grown, level: _Grown, over: Array, other: Level
 ) -> tuple[BoolArray, BoolArray] | None:
-    """Which cells (N,) are ground, and which of the level a step from it; None where no kerb is.
+    """Which cells (N,) are ground, and which of the level a step from it; None if no kerb is.
 
     `best` and `level` are a first guess; heights (N,) are over a plane without lean.
     """
@@ -270,7 +271,7 @@ def _beside_a_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels are as far apart where they are nearest as elsewhere, as at no slope."""
+    """Whether two levels differ as much where they are nearest as elsewhere, unlike a slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]
@@ -282,7 +283,7 @@ def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
 
 
 def _below(at: Array, lower: BoolArray, upper: BoolArray) -> bool | None:
-    """Whether the upper of two levels is below the middle of places (N, 2); None where not known.
+    """Whether the upper of two levels is below the middle of places (N, 2); None if not known.
 
     A kerb is a line: what is seen along it, in the strip that the middle lies in, goes on below.
     """
@@ -337,8 +338,9 @@ def _parted(
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N, 3) are of the lower and the upper of two parallel levels; None of one.
 
-    Where rings are far apart, one that climbs along the face of a kerb links road and pavement.
-    What lies between the levels is of none. From the guesses (N,) of the upper the best is found.
+    Where rings are far from each other, one that climbs along the face of a kerb links road and
+    pavement. What lies between the levels is of none. From the guesses (N,) of the upper the best
+    is found.
     """
     own = at[both]
     table, found = np.c_[np.ones(len(own)), own[:, :2]], []

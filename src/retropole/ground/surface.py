@@ -22,11 +22,12 @@ from ..surfaces.registration import voxel_downsample
 from .steps import CELL, Level, at_steps, is_around, levels, plane_of_cells
 
 LOW, HIGH = 0.1, 0.9
-"""Quantiles of the heights in a cell that count as its bottom and its top: single returns err."""
+"""Quantiles of the heights in a cell that are treated as its bottom and its top: single returns
+err."""
 
 FLAT = 0.06
-"""Bottom and top of a square of ground are no farther apart, metres: less than the least kerb,
-0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
+"""Bottom and top of a square of ground are no further apart, metres: less than the least
+kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3
 """Fewer returns show no square of ground: one may lie on the face of a kerb."""
@@ -89,7 +90,7 @@ class Ground:
     beside
         (n, 2) middles of the squares of the level that is a step higher or lower, rough axes.
     others
-        Levels beside it, the largest first.
+        Levels next to it, the largest first.
     ceiling
         Height of a plane above the LiDAR that was taken for no ground, metres; None without.
     """
@@ -123,7 +124,7 @@ def find_ground(
     ------
     Refusal
         ``too_little_ground`` where nothing level is seen below them; ``two_grounds`` where two
-        levels are, and nothing tells which of them is below.
+        levels are, and no observation shows which of them is below.
     """
     origins = np.stack([viewer.origin for viewer in viewers])
     rough, ceiling = _rough_axes(viewers) if axes is None else axes

@@ -2,7 +2,7 @@
 
 A half turn about the bisector of two poles that lean alike lays them on each other, and level
 ground on itself. The third pole then stands where the other LiDAR looked through: so many of its
-beams pass there that some would have met it.
+beams pass there that some would have hit it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def without_absent(
     Returns
     -------
     tuple of Hypothesis
-        In the same order. Where the scene rules out, beside a hypothesis, all that pair three poles
-        or more and leave none absent, it stays.
+        In the same order. A hypothesis stays where the scene rules out all others that pair
+        three poles or more and leave none absent.
     """
     whole = [
         each
@@ -75,10 +75,10 @@ def absent(placement: Placement, match: Match) -> int:
 
 
 def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
-    """Whether a LiDAR looks through where a pole stands that ``T`` (4, 4) moves into its frame.
+    """Whether a LiDAR looks through a pole that ``T`` (4, 4) moves into its frame.
 
     Of the beams that pass within `SAME_POSE_DISTANCE` of the pole, and that nothing before it
-    stops, the share ``r / SAME_POSE_DISTANCE`` meets a pole of radius r. Those without any return
+    stops, the share ``r / SAME_POSE_DISTANCE`` hits a pole of radius r. Those without any return
     are not known, nor counted.
     """
     cloud, found = seer.cloud, seer.detection

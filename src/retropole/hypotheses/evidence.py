@@ -1,11 +1,11 @@
-"""Whether what stands in the scene confirms a pose, and how much of it could have contradicted it.
+"""Whether the objects in the scene confirm a pose, and how much of it could have contradicted it.
 
-That nothing conflicts with a pose says little where nothing could: in a corridor of plain walls a
-pose may slide along them. So the same voxels are counted at other poses: the best shifts along the
-ground and off it, small turns about the vertical, and the other ways of laying the poles on each
-other. The pose must be better than all of them. Two measures, the share of the voxels that conflict
-with the pose and by how many σ it is better, make one figure: how many of such answers are wrong in
-simulation.
+That nothing conflicts with a pose shows little where nothing could: in a corridor of plain
+walls a pose may slide along them. So the same voxels are counted at other poses: the best shifts
+along the ground and off it, small turns about the vertical, and the other ways of laying the poles
+on each other. The pose must be better than all of them. Two measures, the share of the voxels that
+conflict with the pose and by how many σ it is better, make one figure: how many of such answers
+are wrong in simulation.
 """
 
 from __future__ import annotations
@@ -36,19 +36,20 @@ from .correspondence import are_alike
 from .placements import PairedPlacement, is_by_place
 
 MAX_CONFLICTING, MIN_TOTAL = 0.2, 60
-"""From this share on, of at least so many voxels, the scene conflicts with a pose. At the right
+"""From this share on, of at least this many voxels, the scene conflicts with a pose. At the right
 pose of 200 hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share was 0.8 % in the
-median and 5.7 % at most."""
+median and at most 5.7 %."""
 
 BETTER = 1.05
 """By this factor more voxels agree where the scene fits better: by 1.09 and more for poles carried
 by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
 
 TURN = np.radians(15.0)
-"""Poses turned by so much about the vertical are held against the pose, rad."""
+"""Poses turned by this amount about the vertical are compared with the pose, rad."""
 
 MAX_RIVALS = 3
-"""So many other hypotheses are, too; all other angles about a pole, where the place gave that."""
+"""Number of other hypotheses that are compared as well; all other angles about a pole, where the
+surroundings gave the pose."""
 
 REDUNDANT_POLES = 3
 """So many poles check each other: two fit a wrong pose as exactly as the right one."""
@@ -68,7 +69,7 @@ def confirm(
     trusted: bool = False,
     deceiving: float | None = None,
 ) -> Confirmation:
-    """Hold an answer against what stands in the scene of all placements.
+    """Compare an answer with the objects in the scene of all placements.
 
     Parameters
     ----------
@@ -168,9 +169,9 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
 
 
 def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
-    """Poses beside a pose: the best shifts along the ground and off it.
+    """Poses near a pose: the best shifts along the ground and off it.
 
-    Off the ground only where the pose lifts the grounds off each other, and more coincides there.
+    Off the ground only if the pose lifts the grounds off each other, and more coincides there.
     """
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
@@ -184,7 +185,7 @@ def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[
 def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
     """Whether a pose lifts the grounds of some scene off each other.
 
-    Grounds that lie on each other conflict with all lifts, and are not among the points.
+    Grounds that coincide conflict with all lifts, and are not among the points.
     """
     return any(
         abs((target.ground - se3.apply(T, source.ground)) @ target.up) > OVERLAP_DISTANCE
@@ -214,7 +215,7 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
 
 
 def _apart(T: Array, other: Array, points: Array) -> float:
-    """How far apart two poses put the points of the source, metres: the median."""
+    """Median distance of the points of the source under two poses, metres."""
     points = points if len(points) else np.zeros((1, 3))
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
 
@@ -222,7 +223,7 @@ def _apart(T: Array, other: Array, points: Array) -> float:
 def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """Whether the poles check each other: three of them, or two placements that differ.
 
-    Files of two placements on one stand, mixed up, tell the same lie twice: both LiDARs must see
+    Files of two placements on one stand, mixed up, repeat the same error: both LiDARs must see
     that the shapes differ by more than their noise. Parallel ones may be posts of a row.
     """
     if is_by_place(paired):
@@ -258,7 +259,7 @@ def is_in_conflict(found: Confirmation) -> bool:
 
 
 def check_confirmation(found: Confirmation) -> None:
-    """Refuse a pose that what stands in the scene conflicts with.
+    """Refuse a pose that the objects in the scene conflict with.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Hypotheses settle: the scene moves each as far as its poles allow.
 
 Poles with few returns leave degrees of the pose open, and a scene that is turned by three degrees
-overlaps little. Registered from the right hypothesis, the scenes come to lie on each other where
+overlaps little. Registered from the right hypothesis, the scenes come to coincide where
 the poles still fit; from a wrong one they end elsewhere, or fit no better. See
 docs/evidence/detection.md, Candidate poles.
 """
@@ -29,9 +29,9 @@ from .correspondence import exact_rms, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is
-3° at 20 m, what poles of few returns leave open. With it alone sparse scans slide: from 12 right
-hypotheses of hard scenes (benchmarks/hard_scenes.py, seeds below 1000) three ended more than 3° off
-and one 0.3 m, with all three no more than 1.5° and 0.09 m."""
+3° at 20 m, what poles of few returns do not determine. With it alone sparse scans slide: from 12
+right hypotheses of hard scenes (benchmarks/hard_scenes.py, seeds below 1000) three ended more than
+3° off and one 0.3 m, with all three no more than 1.5° and 0.09 m."""
 
 ICP_REACH = 3.0
 """Source points farther from the target at the start take no part, metres. What is farther than the
@@ -39,12 +39,12 @@ first of these distances and 2 m can only come into it where the pose moves by m
 allow, and looking for the neighbours of such points is what takes the time of a registration."""
 
 ICP_STEPS, STEPS_AT_ONCE = 30, 5
-"""Steps of one registration, and after how many of them is asked whether it has moved too far: most
-that do have by the tenth."""
+"""Steps of one registration, and after how many of them the motion is checked: most
+that move too far have done so by the tenth."""
 
 MOST_REFINED = 4
-"""So many hypotheses may settle, the best first: each takes three registrations. In those 12 scenes
-the right one was the first."""
+"""Number of hypotheses that are refined, the best first: each takes three registrations. In those
+12 scenes the right one was the first."""
 
 
 def refine_by_icp(
@@ -133,7 +133,7 @@ def registered(
     Returns
     -------
     Array or None
-        (4, 4); None where fewer than `MIN_CLOUD_POINTS` lie on each other at the start or the end,
+        (4, 4); None if fewer than `MIN_CLOUD_POINTS` coincide at the start or the end,
         and where it moves too far.
     """
     apart, _ = tree.query(se3.apply(T, source), distance_upper_bound=ICP_REACH)

@@ -4,7 +4,7 @@ What one pair of LiDARs cannot decide the others may: around a loop the poses of
 compose to the identity, and a third LiDAR that both see ties them. Poses are given to one LiDAR
 after the other, each from a hypothesis of a pair with one that has its pose already; where a
 hypothesis of a pair is met, the poles that agree under it count. The choice with the largest count
-is found by branch and bound, and with it every other one that counts as much: then the data do not
+is found by branch and bound, and with it every other one with the same count: then the data do not
 decide.
 
 Before that it is checked whether the LiDARs are linked at all.
@@ -27,24 +27,25 @@ from .scans import SiteScans
 
 WITHOUT_SCENE = 0.25
 """Poles of a pair whose scenes do not overlap count so much: that they have one shape may be
-chance, but more of it is less."""
+chance, but the more poles, the less likely that is."""
 
 UNLIKELY = 0.6
-"""A hypothesis that the scene does not leave standing beside the best, but does not rule out, has
+"""A hypothesis that fits the scene less well than the best, but is not ruled out, has
 this part of the count: a loop that closes with two of them is more than one that does not close."""
 
 EQUAL = 0.02
 """Choices whose counts differ by less are equally good: by less than any pole of a pair counts."""
 
 ELSEWHERE = 2.0
-"""A LiDAR lies elsewhere in another choice beyond so many times what poles leave open: from two
-LiDARs that see it poorly its pose may come out twice, one on each side of the right one."""
+"""A LiDAR is at another place in another choice beyond this many times the poles' uncertainty:
+from two LiDARs that see it poorly its pose may come out twice, one on each side of the right
+one."""
 
 MOST_STEPS = 60_000
 """Steps of the search at most: cranes and posts with 12 LiDARs took 26,000 and 50,000."""
 
 MOST_RIVALS = 8
-"""So many equally good choices are enough to tell where they differ."""
+"""Number of equally good choices that suffice to show where they differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Choices:
     best
         The one with the largest count, and of those the largest score of the scene.
     rivals
-        Others that count as much, in which at least one LiDAR lies elsewhere.
+        Others with the same count, in which at least one LiDAR is at another place.
     complete
         Whether the search came to its end.
     """
@@ -233,7 +234,7 @@ class _Search:
         return self.same[key]
 
     def _gain(self, lidar: int, T: Array, other: int, T_other: Array) -> float:
-        """What a LiDAR's pose counts beside one other."""
+        """What a LiDAR's pose counts together with one other."""
         key = id(T), id(T_other)
         if key not in self.gains:
             pair = self._pair(other, lidar)
@@ -249,7 +250,7 @@ class _Search:
         return self.pairs.get((min(a, b), max(a, b)))
 
     def _most_of(self, placed: Iterable[int], lidar: int) -> float:
-        """Most that a LiDAR can count beside others."""
+        """Most that a LiDAR can count together with others."""
         return sum(self.most.get((other, lidar), 0.0) for other in placed)
 
     def _most(self, left: Sequence[int]) -> float:
@@ -283,7 +284,7 @@ def _scene_score(choice: Choice, search: _Search) -> float:
 
 
 def _differs(one: Choice, other: Choice, poles: Sequence[Array]) -> bool:
-    """Whether some LiDAR lies elsewhere, as its poles show."""
+    """Whether some LiDAR is at another place, as its poles show."""
     return any(
         not is_same_pose(T, other.poses[i], poles[i], ELSEWHERE) for i, T in one.poses.items()
     )

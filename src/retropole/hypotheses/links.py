@@ -6,8 +6,8 @@ distance, under a pose at which the scenes coincide and at no other.
 
 LiDARs that share a single pole with others are linked where the surroundings of that pole give the
 rest of the pose. As for a pair alone (`by_place`): the surroundings must lead all other angles
-about the pole, and what stands in the scene must confirm the pose. Only LiDARs that nothing else
-links are asked, so that all others are answered as without.
+about the pole, and the objects in the scene must confirm the pose. Only LiDARs that nothing else
+links are tried, so that all others are answered as without.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .search import (
 )
 
 MOST_TRIED = 12
-"""So many pairs are tried at most: each takes as long as half of a pair's calibration."""
+"""At most this many pairs are tried: each takes as long as half of a pair's calibration."""
 
 
 def link_by_candidates(
@@ -94,7 +94,7 @@ def between_groups(
     scans: SiteScans, pairs: Sequence[Pair], *, by_two: bool = True
 ) -> Iterator[tuple[int, int]]:
     """Pairs of LiDARs of different groups: those first whose recordings have most poles of either
-    kind. Where one has two confirmed ones, and two are asked for, a lower threshold may show those
+    kind. Where one has two confirmed ones, and two are requested, a lower threshold may show those
     of the other.
     """
     groups = linked_groups(len(scans.by_lidar), pairs)
@@ -128,7 +128,7 @@ def _candidates(scan: Scan) -> int:
 def _linked(
     scans: SiteScans, lidars: tuple[int, int], radius: float, *, by_place: bool
 ) -> tuple[SiteScans, Pair] | None:
-    """Link two LiDARs by the first placement that does; None where none does.
+    """Link two LiDARs by the first placement that does; None if none does.
 
     By candidate poles that are confirmed, or `by_place`, whose answer is the same in all of them.
     """
@@ -191,10 +191,10 @@ def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
 def link_by_place(
     scans: SiteScans, pairs: Sequence[Pair], radius: float
 ) -> tuple[SiteScans, tuple[Pair, ...]]:
-    """Link groups of LiDARs by one pole that both see, where the place tells the rest.
+    """Link groups of LiDARs by one pole that both see, where the surroundings give the rest.
 
-    Every pair between two groups is asked: where two of them tell different poses, they do not go
-    together (`joint_choice.choose_poses`), and the site has no answer.
+    Every pair between two groups is tried: where two of them give different poses, they do not
+    fit together (`joint_choice.choose_poses`), and the site has no answer.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def link_by_place(
 
 
 def _is_confirmed(chosen: Chosen) -> bool:
-    """Whether what stands in the scene confirms the pose, and no other angle about the pole."""
+    """Whether the objects in the scene confirm the pose, and no other angle about the pole."""
     first, *others = chosen.hypotheses
     T = first.match.T_target_source
     found = confirm(chosen.paired, T, others, np.random.default_rng(0))

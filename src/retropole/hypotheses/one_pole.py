@@ -1,14 +1,14 @@
-"""One pole that both LiDARs see: the place says how far about it, and how far along it.
+"""One pole that both LiDARs see: the surroundings give the angle about it and the shift along it.
 
-A line laid on a line leaves a rotation about it, a slide along it, and which end is up. What stands
-off the ground in each cloud is sorted into cells about the pole, by distance, angle and height, and
-all rotations and slides are compared at once: the cross-correlation over angle and height, summed
-over the distances (by FFT). The best few settle on the scene.
+A line aligned with a line leaves a rotation about it, a slide along it, and which end is up. The
+objects above the ground in each cloud are sorted into cells about the pole, by distance, angle and
+height, and all rotations and slides are compared at once: the cross-correlation over angle and
+height, summed over the distances (by FFT). The best few converge on the scene.
 
-Without any pole, what stands off the ground, seen from above, gives the pose. The ground that both
-LiDARs see leaves a rotation about its normal and a shift along it. What stands off it in each cloud
-is sorted into cells by place and height, and all rotations and shifts are compared at once: the
-cross-correlation over the ground, summed over the heights. The best few settle on the scene.
+Without any pole, the objects above the ground, seen from above, give the pose. The ground that both
+LiDARs see leaves a rotation about its normal and a shift along it. The objects above it in each
+cloud are sorted into cells by place and height, and all rotations and shifts are compared at once:
+the cross-correlation over the ground, summed over the heights. The best few converge on the scene.
 """
 
 from __future__ import annotations
@@ -52,29 +52,29 @@ POSES_APART = np.radians(8.0), 1.2
 """Peaks nearer to each other than this are one, rad and m."""
 
 MOST_POLES, MOST_SETTLED = 4, 6
-"""So many poles of each LiDAR are laid on the other's, the best supported first; and so many of the
-peaks with either end up, the highest first, are looked at. Of 121 poles (benchmarks/hard_scenes.py,
-seeds 0 to 59) the right pose is the highest with its end up for 120, and of 67 before LiDARs on
-masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the ground among the points for 61,
-since that lies on itself at many angles. With three peaks, the like of the right pose on a quay
-that a half turn maps onto itself was missed."""
+"""Number of poles of each LiDAR that are aligned with the other's, the best supported first; and
+number of the peaks with either end up, the highest first, that are looked at. Of 121 poles
+(benchmarks/hard_scenes.py, seeds 0 to 59) the right pose is the highest with its end up for 120,
+and of 67 before LiDARs on masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the ground
+among the points for 61, since that lies on itself at many angles. With three peaks, the like of
+the right pose on a quay that a half turn maps onto itself was missed."""
 
 LOW = 0.6
 """A peak below this part of the highest with the same end up does not settle: it is only compared
 with. Each takes three registrations."""
 
 SETTLES = se3.PoseDifference(float(np.radians(5.0)), 1.0)
-"""Scenes that lie on each other settle within this about the pole, rad and m. The poses of 17
+"""Scenes that coincide converge within this about the pole, rad and m. The poses of 17
 recordings with one alone that came to anything (benchmarks/deception.py, "one pole, nothing wrong",
-seeds 100 to 131) moved by 1.3° and 0.26 m at most, most of the others by 10° or 2 m and more."""
+seeds 100 to 131) moved by at most 1.3° and 0.26 m, most of the others by 10° or 2 m and more."""
 
 LAID_RMS = 0.1
-"""Residual of the poles where the scenes lie on each other, at most, metres, beside what the sides
-of a pole are apart: registrations of sparse clouds are off by so much. What the poles say more
-exactly is asked later."""
+"""Residual of the poles where the scenes coincide, at most, metres, in addition to what the sides
+of a pole are apart: registrations of sparse clouds are off by this amount. What the poles
+determine more exactly is used later."""
 
 NOTHING_SAID = np.zeros((6, 6))
-"""What such a match says of how sure its pose is."""
+"""Information that such a match gives about its pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,21 +90,21 @@ class Peak:
 def matches_about(
     placement: Placement, standing: tuple[Standing, Standing], radius: float
 ) -> list[Match]:
-    """Find the poses that lay one pole on one pole and the place on the place.
+    """Find the poses that lay one pole on one pole and the surroundings on each other.
 
     Parameters
     ----------
     placement
         With the poles of both LiDARs, the best supported first.
     standing
-        What stands off the ground there, in either cloud.
+        Objects above the ground there, in either cloud.
     radius
         Of the poles, metres: the lines that two LiDARs see of one lie up to π r/2 apart.
 
     Returns
     -------
     list of Match
-        In the order of how much of the place coincides: where the scenes lie on each other and the
+        In the order of how much of the place coincides: where the scenes coincide and the
         poles still do, `exact`; as the poles were laid, and not `exact`, where they no longer do.
     """
     target, source = placement.scans
@@ -165,7 +165,7 @@ def match_under(
     target, source, T
         Poles of both LiDARs, and (4, 4) the pose.
     apart
-        How far apart the lines of one pole may lie, metres, before any error.
+        Largest distance of the lines of one pole, metres, before any error.
     """
     pairs = extended(target, source, T, EXTENSION_RMS + apart)
     if not pairs:
@@ -190,7 +190,7 @@ def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> I
         spectra.append([_spectrum(se3.apply(frame, seen.points)) for frame in frames[-1]])
     for i, near in enumerate(spread(each, (ANGLES, RINGS)) for each in spectra[0]):
         for j, is_flipped in product(range(len(spectra[1])), (False, True)):
-            # Upside down, angle and height run the other way.
+            # Upside down, angle and height run in the opposite direction.
             other = spectra[1][j] if is_flipped else np.conj(spectra[1][j])
             total = fft.irfft2(np.einsum("rak,rak->ak", near, other), s=(ANGLES, RINGS))
             for turn, slide, height in _highest(total[:, np.r_[-SLIDE : SLIDE + 1]]):
@@ -262,7 +262,7 @@ TURNS = 240
 """Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
 
 CELLS = RINGS * 4
-"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point beside one
+"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point near one
 that lies there only since FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
@@ -286,7 +286,7 @@ def matches_from_above(
     radius: float | None = None,
     prior: PosePrior | None = None,
 ) -> list[Match]:
-    """Find the poses that lay the ground on the ground and the place on the place.
+    """Find the poses that lay the ground on the ground and the surroundings on each other.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def matches_from_above(
     grounds
         What stands off each plane that may be the ground, in either cloud.
     radius
-        Of the poles, metres, of which one at least must lie on one, too; None asks for none.
+        Of the poles, metres, of which one at least must lie on one, too; None requires none.
     prior
         Others than the poses that it allows are not looked for.
 
@@ -315,7 +315,7 @@ def matches_from_above(
             T = None if is_low else settled(peak.T, origin)
             match = _laid(peak.T)
             if T is not None and is_ground_on_ground(*standing, T):
-                # Where no pole lies on one it is compared with as it settled, at its best.
+                # Where no pole lies on one it is compared as it converged, at its best.
                 match = replace(_laid(T), exact=radius is None, icp_refined=True)
                 on_poles = None if radius is None else match_under(*poles, T, FACING_SIDES * radius)
                 match = on_poles if on_poles is not None and on_poles.exact else match
@@ -341,7 +341,7 @@ def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[
         for quarter in quarters[:2]
     ]
     over = [*half, *np.conj(half)]
-    # Shifts of more than half of the cells are those the other way.
+    # Shifts of more than half of the cells are those in the opposite direction.
     shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
     reach = SIGMAS * prior.distance_sigma + POSES_APART[1]
     near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)

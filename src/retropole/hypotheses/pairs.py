@@ -1,7 +1,7 @@
 """What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
 
 A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
-same pose from several placements is one hypothesis. The scene is asked once for each.
+same pose from several placements is one hypothesis. The scene scores each once.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from .placements import AGREE_ANGLE, AGREE_DISTANCE
 from .scans import SiteScans, Views
 
 SPARSE, SPARSE_ERROR = 8, 0.03
-"""First every so many of the points are compared, and all of them where the first may be off by so
-much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by 0.025 at most."""
+"""First one in this many of the points is compared, and all of them where the first may be off by
+so much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by at most 0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,10 @@ class Pair:
     overlaps
         Whether the scenes overlap under the best, so that they can be asked.
     refusal
-        Why there is no hypothesis; None where there is one.
+        Why there is no hypothesis; None if there is one.
     by_place
-        Whether the place gives a part of the pose that one pole, or parallel ones, leave open.
+        Whether the surroundings give a part of the pose that one pole, or parallel ones, do not
+        determine.
     """
 
     lidars: tuple[int, int]
@@ -80,18 +81,18 @@ class Pair:
 
 
 def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
-    """Whether two poses are one up to what the poles of one placement leave open.
+    """Whether two poses are one up to the uncertainty that the poles of one placement leave.
 
     Parameters
     ----------
     T, other
         (4, 4) each.
     points
-        (N, 3) where the poles stand.
+        (N, 3) where the poles are.
     slack
-        So many times what poles leave open is allowed.
+        Factor on the difference that the poles' uncertainty allows.
     """
-    # Asked a hundred thousand times: the angle by the trace, and places only where it is small.
+    # Called a hundred thousand times: the angle by the trace, and places only if it is small.
     cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
     if cosine < np.cos(slack * AGREE_ANGLE):
         return False
@@ -212,7 +213,7 @@ def _overlaps(best: Hypothesis) -> bool:
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
 
-    Scenes that do not overlap tell nothing apart.
+    Scenes that do not overlap distinguish no poses.
     """
     return (_is_possible if best.overlap < LEAST_OVERLAP else is_as_possible)(each, best)
 

@@ -1,10 +1,10 @@
 """Several placements of the poles before the same two LiDARs: one pose for all of them.
 
-Each placement has its own hypotheses; only the right pose recurs in all. What the scene says of a
+Each placement has its own hypotheses; only the right pose recurs in all. What the scene shows of a
 pose is averaged over the placements.
 
-A refusal says how much was tried of what the poles allow. Beside bright things that may be poles
-hundreds of ways of laying some on others are possible. So many of each kind are tried, the best
+A refusal says how much was tried of what the poles allow. With bright things that may be poles
+hundreds of ways of matching them are possible. A fixed number of each kind is tried, the best
 first: counts, not seconds, so that the same recordings give the same answer on any machine.
 """
 
@@ -38,9 +38,9 @@ class Tried(NamedTuple):
     Attributes
     ----------
     pairs
-        Of pairs of poles that have the shape of a pair of the other LiDAR: laid on each other.
+        Of pairs of poles that have the shape of a pair of the other LiDAR: matched.
     ways
-        Of the ways of laying the poles on each other: scored by the scene.
+        Of the ways of matching the poles: scored by the scene.
     fitting
         Of those that fit exactly: registered.
     """
@@ -70,7 +70,7 @@ def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
     refusal
         Why there is no answer.
     tried
-        In each attempt; what counts is the one that had the most ways.
+        In each attempt; the figures are of the one that had the most ways.
     """
     most = max(tried, key=lambda each: (each.ways.found, each.fitting.found), default=NOTHING)
     cut = {name: share for name, share in most._asdict().items() if share.tried < share.found}
@@ -85,8 +85,8 @@ def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
 
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
-"""Poses of two placements are one if they differ by less, rad, and metres where the poles stand.
-Right ones differ by what the poles of one placement leave open, wrong ones by half turns."""
+"""Poses of two placements are one if they differ by less, rad, and metres where the poles are.
+Right ones differ by the uncertainty of the poles of one placement, wrong ones by half turns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Chosen:
     choices, place
         All that could be taken, the best first, and the place of the one that was.
     scored
-        Every placement with its hypotheses, as the scene scored them; empty where none match.
+        Every placement with its hypotheses, as the scene scored them; empty if none match.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -241,7 +241,8 @@ def align(
 ) -> BeamAlignment:
     """Align the paired poles of all placements by where the beams can have met them.
 
-    Where those of every placement leave a part of the pose to the place, `T_start` is held there.
+    Where those of every placement leave a part of the pose to the surroundings, `T_start` is held
+    there.
     """
     if has_no_poles(paired):
         return without_poles(T_start, radius)
@@ -262,18 +263,19 @@ def align(
 
 
 def left_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
-    """What is left of the sway of target and source, (6, 6) each; none where both stood."""
+    """What is left of the sway of target and source, (6, 6) each; empty if neither swayed."""
     both = zip(*(each.scans for each in placements), strict=True)
     return left_of_each([[scan.sway for scan in own] for own in both])
 
 
 def is_by_place(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the place gives a part of the pose that the poles of every placement leave open."""
+    """Whether the surroundings give a part of the pose that the poles of every placement do not
+    determine."""
     return all(each.hypothesis.match.by_place for each in paired)
 
 
 def has_no_poles(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the place gives all of the pose."""
+    """Whether the surroundings give all of the pose."""
     return not any(each.hypothesis.match.pairs for each in paired)
 
 

@@ -20,7 +20,7 @@ class PosePrior:
     Attributes
     ----------
     rotation
-        (3, 3) the expected rotation; None where only the tilt is expected, to be zero: both LiDARs
+        (3, 3) the expected rotation; None if only the tilt is expected, to be zero: both LiDARs
         stand upright.
     sigma
         1 σ of the angle, rad; infinite where no rotation is expected.
@@ -63,7 +63,7 @@ def pose_prior(
     Raises
     ------
     UsageError
-        Where both are given.
+        If both are given.
     """
     if up and rpy_deg is not None:
         raise UsageError("up and prior_rpy_deg (--up, --prior-rpy-deg) exclude each other")

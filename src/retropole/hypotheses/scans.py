@@ -29,7 +29,7 @@ class SiteScans:
     Attributes
     ----------
     by_lidar
-        For each LiDAR and placement; None where nothing was recorded or it cannot be used.
+        For each LiDAR and placement; None if nothing was recorded or it cannot be used.
     origins
         (L, 3) where the beams of each LiDAR start in the frame of its clouds.
     faults
@@ -134,7 +134,7 @@ def _checked(name: str, scan: Scan | None) -> Scan | None:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What each LiDAR saw, downsampled, to compare one with another; None where it saw nothing.
+    """What each LiDAR saw, downsampled, to compare one with another; None if it saw nothing.
 
     `every` has one view for each placement, `first` that of the first which was recorded.
     """
@@ -182,6 +182,6 @@ def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array,
 
 
 def patches_of(scans: SiteScans) -> list[Patches | None]:
-    """Fit surface patches to what each LiDAR recorded; None where it recorded nothing."""
+    """Fit surface patches to what each LiDAR recorded; None if it recorded nothing."""
     scenes = (scans.scene(lidar) for lidar in range(len(scans.by_lidar)))
     return [None if scene is None else surface_patches(scene) for scene in scenes]

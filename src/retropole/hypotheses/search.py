@@ -42,11 +42,12 @@ RESCUED = {
 """Refusals after which candidate poles are tried: other poles may give what these did not."""
 
 BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
-"""Refusals after which poles that leave some of the pose open are laid on each other, and the place
-gives the rest."""
+"""Refusals after which poles that do not determine the whole pose are matched, and the
+surroundings give the rest."""
 
 ENOUGH_CONFIRMED = 2
-"""With so many confirmed poles in a cloud its threshold is right, and lower ones are not tried."""
+"""With this many confirmed poles in a cloud its threshold is right, and lower ones are not
+tried."""
 
 
 def choose_with_candidates(
@@ -60,8 +61,8 @@ def choose_with_candidates(
 ) -> Chosen:
     """Choose by the confirmed poles; where they give nothing, by the candidates too.
 
-    Where these are not confirmed either, the hypotheses first settle on the scene. At last one pole
-    will do where the place tells the rest.
+    Where these are not confirmed either, the hypotheses are first refined by the scene. At last one
+    pole will do where the surroundings give the rest.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def choose_with_candidates(
     count, prior
         How many poles both LiDARs see, and what is known of the rotation.
     by_place
-        Whether the place may give what one pole leaves open.
+        Whether the surroundings may give what one pole does not determine.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def choose_with_candidates(
                     and not has_rival(attempt.paired, radius)
                 ):
                     return attempt
-        # The last settled, and by all poles.
+        # The last refined, and by all poles.
         for confirmed in map(confirmed_by_place, reversed(attempts)):
             if (
                 confirmed is not None
@@ -165,7 +166,7 @@ def choose_about_one_pole(
     Returns
     -------
     Chosen or None
-        None where nothing lies on each other so.
+        None if nothing coincides so.
     """
     return _first_by_place(
         chain([placements], _looks(placements, radius, step)), radius, step, None, None
@@ -179,9 +180,9 @@ def _first_by_place(
     count: int | None,
     prior: PosePrior | None,
 ) -> Chosen | None:
-    """Choose by the place with the first poles that lie on each other.
+    """Choose by the place with the first poles that coincide.
 
-    That the place does not tell where a candidate pole stands refuses nothing: it may be no pole.
+    A candidate pole whose surroundings do not give the pose refuses nothing: it may be no pole.
     """
     before: list[Pole] = []
     for found in looks:
@@ -319,7 +320,7 @@ def _without(scan: Scan, pole: Pole) -> Scan:
 
 
 def _searched(scan: Scan, radius: float, is_dimmer: bool) -> Scan:
-    """A scan with its candidate poles; the `is_dimmer` ones only where few are sure."""
+    """A scan with its candidate poles; the `is_dimmer` ones only if few are certain."""
     if scan.detection is None or (is_dimmer and len(scan.poles) >= ENOUGH_CONFIRMED):
         return scan
     look = with_dimmer_candidates if is_dimmer else with_candidates

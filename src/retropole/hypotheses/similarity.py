@@ -75,9 +75,9 @@ ON_SURFACE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What fits: the factor of the source, the pose (4, 4) then, and what the scene says.
+    """What fits: the factor of the source, the pose (4, 4) then, and what the scene shows.
 
-    `support` is the number of points that stand in the source and lie on the target's surfaces.
+    `support` is the number of points of objects in the source that lie on the target's surfaces.
     """
 
     factor: float
@@ -149,7 +149,7 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
-    # Lines that are nearer tell no scale. Of a cloud that is scaled down the error is scaled, too.
+    # Nearer lines determine no scale. Of a cloud that is scaled down the error is scaled, too.
     alike &= np.maximum(pairs.distance[:, None], others.distance[None]) > DISTANCE_TOLERANCE
     alike &= np.minimum(pairs.distance[:, None], others.distance[None]) > 0
     rows, columns = np.nonzero(alike)
@@ -184,7 +184,7 @@ def find_change(placement: Placement, rigid: Sequence[Array]) -> tuple[Found, Fo
             starts = [T for T, _ in pair_starts((target[0], target[1]), (source[0], source[1]))]
     changes = -1.0, *factors_of(target, source)
     tried = [(change, _matches(placement, change)) for change in changes]
-    # Poles that nearly meet tell no factor; the scene may.
+    # Poles that nearly meet determine no factor; the scene may.
     return _better(placement, starts, [*tried, (1.0, starts)])
 
 
@@ -225,7 +225,7 @@ def _better(
 
 
 def _scene_of(placement: Placement) -> _Scene | None:
-    """Prepare a placement; None where the target has too few points."""
+    """Prepare a placement; None if the target has too few points."""
     view = scoring_view(placement.target.cloud)
     surfaces = surfaces_of(view.tree)
     if surfaces is None:
@@ -294,7 +294,7 @@ def _counterparts(scene: _Scene, found: Found) -> list[Array]:
 
 
 def surfaces_of(tree: cKDTree) -> Surfaces | None:
-    """Estimate the normals of the points of a tree; None where they are too few."""
+    """Estimate the normals of the points of a tree; None if they are too few."""
     points = np.asarray(tree.data)
     if len(points) < MIN_CLOUD_POINTS:
         return None
@@ -314,7 +314,7 @@ def fit_similarity(
     -------
     tuple of array and float, or None
         Pose (4, 4) of the source once that is multiplied by the factor, which is 1 unless it is
-        free. None where too little corresponds, or the factor leaves `MAX_CHANGE`.
+        free. None if too little corresponds, or the factor leaves `MAX_CHANGE`.
     """
     moved, T, factor = se3.apply(T_start, source), T_start, 1.0
     for limit in DISTANCES:
@@ -342,13 +342,13 @@ def fit_similarity(
 
 
 def support(target: Surfaces, moved: Array) -> float:
-    """How many of some points (N, 3) lie on the target's surfaces, those beside them in part."""
+    """How many of some points (N, 3) lie on the target's surfaces, those near them in part."""
     _, _, off = _off(target, moved, DISTANCES[0])
     return float(np.sum(1.0 / (1.0 + (off / ON_SURFACE) ** 2)))
 
 
 def _off(target: Surfaces, moved: Array, limit: float) -> tuple[Array, Array, Array]:
-    """Which points are near, the normals beside these, and how far these are off the surface."""
+    """Which points are near, the normals there, and how far these are off the surface."""
     distance, index = target.tree.query(moved, distance_upper_bound=limit)
     near = np.isfinite(distance)
     normals, points = target.normals[index[near]], np.asarray(target.tree.data)[index[near]]

@@ -74,10 +74,10 @@ def open_recording(
     ReadError
         Naming the file and what was expected.
     UsageError
-        Where a topic is given, and the path is neither a bag nor a capture; where angles are, and
+        If a topic is given, and the path is neither a bag nor a capture; where angles are, and
         it holds no packets.
     MissingExtraError
-        Where the format needs an extra that is not installed.
+        If the format needs an extra that is not installed.
     """
     path = Path(path)
     files = _files(path)
@@ -193,10 +193,10 @@ def read_cloud(
     ReadError
         Naming the file, the line or the field, and what was expected.
     UsageError
-        Where a topic is given and the path is not a bag, frames are asked for backwards, or a unit
+        If a topic is given and the path is not a bag, frames are requested backwards, or a unit
         is given that the file cannot have.
     MissingExtraError
-        Where the format needs an extra that is not installed.
+        If the format needs an extra that is not installed.
     """
     wanted = Wanted(intensity)
     read = read_recording(
@@ -271,7 +271,7 @@ def frames_of(folder: Path) -> list[Path]:
     Raises
     ------
     ReadError
-        Where there are none, or files of different formats.
+        If there are none, or files of different formats.
     """
     named = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_dir()]
     for path in named:
@@ -297,7 +297,8 @@ def frames_of(folder: Path) -> list[Path]:
 
 
 def _natural_key(path: Path) -> tuple[list[str | int], str]:
-    """Make a sort key: digits in a name count as numbers; equal ones are sorted by the name."""
+    """Make a sort key: digits in a name are treated as numbers; equal ones are sorted by the
+    name."""
     words = re.split(r"([0-9]+)", path.name)
     return [int(word) if k % 2 else word for k, word in enumerate(words)], path.name
 
@@ -308,7 +309,7 @@ def sha256_of(path: str | Path) -> str:
     Raises
     ------
     ReadError
-        Where the file or folder cannot be read.
+        If the file or folder cannot be read.
     """
     digest = hashlib.sha256()
     for file in _files(Path(path)):

@@ -1,7 +1,7 @@
 """Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
 
 Nothing in a ``.bin`` says how long a point is, and a wrong length gives a cloud of nonsense. So a
-length counts only where its values are those of points, and one of two that could be is no guess.
+length is used only if its values are those of points, and one of two that could be is no guess.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
     Raises
     ------
     UsageError
-        Where it has another shape or no numbers, and where no point in it is a return.
+        If it has another shape or no numbers, and if no point in it is a return.
     """
     are_numbers = array.dtype.kind in REAL_KINDS and array.size > 0
     if array.dtype.names is None and not (_is_table(array) and are_numbers):
@@ -146,7 +146,7 @@ def read_npy(path: Path, wanted: Wanted = USUAL) -> PointCloud:
 def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """Read an NPZ: x, y and z, or one table xyz or points (N, 3 or 4); intensity, ring, time.
 
-    Where there is only one array, its name does not matter. Arrays with other names are skipped.
+    If there is only one array, its name does not matter. Arrays with other names are skipped.
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
@@ -411,7 +411,7 @@ def read_bin(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     ReadError
-        Where the values are neither's, or could be both's.
+        If the values are neither's, or could be both's.
     """
     data = read_whole(path)
     fitting = [

@@ -59,7 +59,7 @@ def check_extra() -> None:
     Raises
     ------
     MissingExtraError
-        Where it is not.
+        If it is not.
     """
     try:
         import mcap.records  # noqa: F401
@@ -75,9 +75,9 @@ def opened(path: Path) -> Iterator[Bag]:
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
-        Where it cannot be read, or takes more memory or time than a file of its size can need.
+        If it cannot be read, or takes more memory or time than a file of its size can need.
     """
     if path.is_file() and path.stat().st_size == 0:
         raise ReadError(f"{path}: is empty, expected a bag")
@@ -145,7 +145,7 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
     Raises
     ------
     ReadError
-        Where its topics and messages are not plain tables, or where to read it takes more than a
+        If its topics and messages are not plain tables, or where to read it takes more than a
         file of its size can need.
     """
     # An address, since only that can say that the file does not change; as_uri quotes the path.
@@ -212,7 +212,7 @@ def _text(column: str) -> str:
 def _check_tables(database: sqlite3.Connection) -> None:
     """Refuse topics or messages that are computed when they are read."""
     for name in TABLES:
-        # SQLite goes by this text and not by the type that stands beside it.
+        # SQLite goes by this text and not by the type that is next to it.
         found = database.execute(
             "SELECT sql FROM sqlite_master WHERE lower(name) = ? LIMIT 1", [name]
         ).fetchone()
@@ -271,7 +271,7 @@ def open_mcap(path: Path) -> Iterator[Bag]:
     Raises
     ------
     ReadError
-        Where a chunk, or all of them, unpack to more than `unpacking` allows.
+        If a chunk, or all of them, unpack to more than `unpacking` allows.
     """
     with opened_within(path) as file:
         size = path.stat().st_size
@@ -301,7 +301,7 @@ def open_mcap(path: Path) -> Iterator[Bag]:
 
 
 def _index(file: BinaryIO) -> Summary:
-    """Read the index at the end of a file; empty where it has none."""
+    """Read the index at the end of a file; empty if it has none."""
     from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
     from mcap.stream_reader import StreamReader
     from mcap.summary import Summary
@@ -484,7 +484,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     Raises
     ------
     ReadError
-        Where they are longer than any, nested without end, or have aliases, which grow.
+        If they are longer than any, nested without end, or have aliases, which grow.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent

@@ -29,7 +29,7 @@ sensor's frame."""
 
 
 def rings_fault(cloud: PointCloud) -> str:
-    """Say why the rings of a cloud are no rings; nothing where they are, or where it has none.
+    """Say why the rings of a cloud are no rings; nothing if they are, or if it has none.
 
     A cloud that another program has moved keeps its rings: their elevations are lost, but the
     points of one ring still follow each other.
@@ -171,8 +171,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
 
 @kept
 def _told_by_rings(cloud: PointCloud) -> Cones | None:
-    """The cones of the rings of a cloud, their axis to the side of its own; None where it has these
-    origin and axis already, and where there are none.
+    """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
+    origin and axis already, and if there are none.
     """
     assert cloud.ring is not None
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
@@ -292,19 +292,19 @@ start in one point."""
 
 POINT_TOLERANCE, MIN_SEPARATION = np.radians(0.1), 4
 """Without rings: how far a point's elevation may be from that of a ring of the table, rad; for
-sensors whose rings are at least this many times as far apart."""
+sensors whose rings are at least this many times as far from each other."""
 
 MIN_SEEN_SHARE = 0.5
 """Share of the sensor's rings that must have returns: outdoors the sky gives none."""
 
 
 def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
-    """Name the sensors whose elevations a cloud has; empty where no sensor fits.
+    """Name the sensors whose elevations a cloud has; empty if no sensor fits.
 
     With rings, the elevation of each ring is compared with the table; without, the elevations of
     all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
     are all named. A cloud that was rotated out of its sensor's frame fits none, unless its rings
-    tell where it was.
+    show where it was.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
 def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[int, float]:
     """Find the median elevation of each ring's farther half, rad.
 
-    Empty where the points of a ring do not share one elevation.
+    Empty if the points of a ring do not share one elevation.
     """
     elevations: dict[int, float] = {}
     spreads: list[float] = []

@@ -53,14 +53,14 @@ class Oddity:
 
 
 def oddity_of(cloud: PointCloud) -> Oddity | None:
-    """Say why coordinates cannot be metres about the LiDAR; None where they can.
+    """Say why coordinates cannot be metres about the LiDAR; None if they can.
 
     A hint, and no proof: a LiDAR of long range on open ground may look the same.
 
     Parameters
     ----------
     cloud
-        In any frame; where its rings tell where the beams start, that is taken.
+        In any frame; where its rings show where the beams start, that is taken.
     """
     if len(cloud) == 0:
         return None
@@ -83,7 +83,7 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
         return Oddity(
             f"all points lie in one heap {half:,.0f} m from the origin, as in the frame of a map; "
             + ("a LAS file does not say" if las else "nothing in it says")
-            + " where the LiDAR stood, so beams have no origin",
+            + " where the LiDAR was, so beams have no origin",
             half,
             is_map=True,
         )

@@ -55,7 +55,7 @@ MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
 
 LARGEST = 1e9
-"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
+"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also if a file means
 millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
 
 SMALLEST = 1e-9
@@ -68,7 +68,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 class MapPlace(NamedTuple):
-    """The place of a map that is read, roughly, metres in its coordinates; None where not known."""
+    """The place of a map that is read, roughly, metres in its coordinates; None if not known."""
 
     at: tuple[float, float, float] | None = None
 
@@ -84,7 +84,7 @@ class Wanted(NamedTuple):
     angles
         Of packets, the file of the unit's own angles; None takes those of the table.
     if_any
-        Those of both, by name, that are left out where a file has no use for them: they are known
+        Those of both, by name, that are left out if a file has no use for them: they are known
         from an older recording, and were not given for this one.
     place
         Of a map, the place that is read; None for a recording of one LiDAR.
@@ -101,7 +101,7 @@ class Wanted(NamedTuple):
         Raises
         ------
         ReadError
-            Where a field is wanted that is not there; lists those there are.
+            If a field is wanted that is not there; lists those there are.
         """
         if not self.intensity:
             return INTENSITY
@@ -174,7 +174,7 @@ def _bare(name: str) -> str:
 
 
 def _unit(name: str) -> str:
-    """Give the unit in brackets after a name; empty where there is none."""
+    """Give the unit in brackets after a name; empty if there is none."""
     found = IN_BRACKETS.search(name.lower())
     return found[1].strip() if found else ""
 
@@ -204,9 +204,9 @@ def cloud_from_columns(
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
     Of several values of a field (a dual return's intensities), the first is taken. An intensity
-    that is not finite counts as 0, or as the lowest where there are lower ones: a return without a
-    measured strength cannot be tape. Where none is finite, the file has no intensity. Colours (rgb)
-    are not an intensity.
+    that is not finite is treated as 0, or as the lowest where there are lower ones: a return
+    without a measured strength cannot be tape. Where none is finite, the file has no intensity.
+    Colours (rgb) are not an intensity.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     """Give a cloud that was made in memory what readers promise of theirs.
 
     Points that are not finite or at zero range are dropped and counted, and an intensity that is
-    not finite counts as 0.
+    not finite is treated as 0.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     Raises
     ------
     UsageError
-        Where no point is a return.
+        If no point is a return.
     """
     kept = _is_return(cloud.xyz, cloud.origin)
     if not kept.any():
@@ -399,7 +399,7 @@ def _intensity(values: NDArray[Any]) -> Array | None:
 
 
 def _ring(values: NDArray[Any]) -> IntArray | None:
-    """Take ring numbers, which a table stores as floats; None where they are not whole numbers."""
+    """Take ring numbers, which a table stores as floats; None if they are not whole numbers."""
     if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
     numbers = floats(values)

@@ -45,9 +45,9 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     MissingExtraError
-        Where laspy is not installed.
+        If laspy is not installed.
     ReadError
-        Where laspy cannot read the file, or the file is shorter than its header promises.
+        If laspy cannot read the file, or the file is shorter than its header promises.
     """
     try:
         import laspy
@@ -111,7 +111,7 @@ def _columns(
 def _check_header(file: BinaryIO, size: int) -> None:
     """Check that the file is long enough for the records and chunks that the header promises.
 
-    The decoder allocates memory for as many chunks as the file says, and where there is not enough,
+    The decoder allocates memory for as many chunks as the file says, and if there is not enough,
     it ends the process: no exception could be caught. A chunk starts with one uncompressed point.
     """
     if size == 0:

@@ -68,7 +68,7 @@ def lvx_topics(path: Path) -> tuple[Topic, ...]:
     Raises
     ------
     ReadError
-        Where it is no such file.
+        If it is no such file.
     """
     found = _look(path)
     return tuple(Topic(name, KIND, len(found.frames)) for name in sorted(found.names.values()))
@@ -80,7 +80,7 @@ def open_lvx(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Re
     Raises
     ------
     ReadError
-        Where it is no such file, or not exactly one LiDAR fits; lists those there are.
+        If it is no such file, or not exactly one LiDAR fits; lists those there are.
     """
     found = _look(path)
     own = [number for number, name in found.names.items() if topic in (None, name)]
@@ -171,7 +171,7 @@ def _columns(
 
 
 def _package(is_new: bool, data: bytes, at: int) -> tuple[int, float, int, tuple[int, int]] | None:
-    """LiDAR, time, type of points and their bytes, first and end; None where it is cut."""
+    """LiDAR, time, type of points and their bytes, first and end; None if it is cut."""
     try:
         if is_new:
             _, lidar, _, _, time, _, kind, size = struct.unpack_from("<BIBBQHBI", data, at)

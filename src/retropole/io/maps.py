@@ -30,7 +30,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
     Raises
     ------
     ReadError
-        Where hardly any point lies near the place, and where a map without one is too large.
+        If hardly any point lies near the place, and where a map without one is too large.
     """
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     if place.at is None and (high - low)[:2].max() > 2 * REACH:

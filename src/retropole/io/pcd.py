@@ -34,7 +34,7 @@ from .fields import (
 )
 
 MAX_HEADER = 64 * 1024
-"""Bytes; a file without a DATA line in so many is not a PCD."""
+"""Bytes; a file without a DATA line in this many is not a PCD."""
 
 MAX_VALUES = 10_000
 """Values of a point; more are an error in the header, and would take the memory."""
@@ -66,7 +66,7 @@ class Header:
 
     @property
     def record(self) -> np.dtype[np.void]:
-        """Data type of one point; padding and repeated names get names of their own."""
+        """Data type of one point; padding and repeated names get separate names."""
         seen: set[str] = set()
         fields = []
         for k, (name, kind, count) in enumerate(
@@ -85,7 +85,7 @@ def read_pcd(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     ReadError
-        Where the header or the data are not what they should be.
+        If the header or the data are not what they should be.
     """
     data = read_whole(path, "a PCD header")
     header = _parse_header(data)
@@ -248,7 +248,7 @@ def _read_compressed(body: memoryview, header: Header) -> Columns:
     """Read compressed data, which are stored field by field, not point by point."""
     names = header.record.names or ()
     fields = list(zip(names, header.kinds, header.counts, strict=True))
-    # PCL leaves padding out of compressed data, other writers keep it: the size tells which.
+    # PCL leaves padding out of compressed data, other writers keep it: the size shows which.
     bare = [field for field, name in zip(fields, header.names, strict=True) if name != "_"]
     sizes = {
         header.points * sum(np.dtype(kind).itemsize * count for _, kind, count in layout): layout
@@ -305,7 +305,7 @@ def pcd_of(cloud: PointCloud) -> bytes:
     Raises
     ------
     UsageError
-        Where a value does not fit float32 or uint16.
+        If a value does not fit float32 or uint16.
     """
     columns: list[tuple[str, str, NDArray[Any] | None]] = [
         *((name, "<f4", cloud.xyz[:, axis]) for axis, name in enumerate("xyz")),

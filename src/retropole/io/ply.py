@@ -33,7 +33,7 @@ class _Property:
     name: str
     kind: str
     length: str = ""
-    """Type of the count in front of a list; empty where there is one value."""
+    """Type of the count in front of a list; empty if there is one value."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def read_ply(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Raises
     ------
     ReadError
-        Where the header or the data are not what they should be.
+        If the header or the data are not what they should be.
     """
     data = read_whole(path, "a PLY header")
     encoding, elements, start, lines = _parse_header(data)
@@ -190,7 +190,7 @@ def _read_ascii(
     body: bytes, before: list[_Element], vertex: _Element, line: int
 ) -> tuple[dict[str, NDArray[Any]], bytes]:
     """Read the vertices of a text, and give what follows them."""
-    # One row per line, as all writers have it; blank lines do not count.
+    # One row per line, as all writers have it; blank lines are not used.
     if b"\r" in body:
         body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     skipped = sum(element.count for element in before)

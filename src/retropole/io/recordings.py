@@ -60,7 +60,7 @@ PACKET_MESSAGES = frozenset(
 """Types of the messages in which drivers publish packets."""
 
 PACKETS_OF = "packets of "
-"""So begins what stands in the place of a type where a capture has several LiDARs."""
+"""So begins what is in the place of a type where a capture has several LiDARs."""
 
 
 class FrameHeader(NamedTuple):
@@ -71,12 +71,12 @@ class FrameHeader(NamedTuple):
     number
         Its place in the recording, from 0.
     stamp
-        Time of recording, seconds of the recorder's clock, or None where the file does not say.
+        Time of recording, seconds of the recorder's clock, or None if the file does not say.
     frame_id
-        Name of the coordinate frame; empty where the recording has none.
+        Name of the coordinate frame; empty if the recording has none.
     clock
         When the frame was made by the LiDAR's own clock, or by that of its driver, seconds; None
-        where the recording does not have it beside the recorder's.
+        where the recording does not have it next to the recorder's.
     """
 
     number: int
@@ -195,7 +195,7 @@ class ReadRecording:
     recording
         What was read.
     asked, numbers
-        Which frames were asked for, and which of them were read.
+        Which frames were requested, and which of them were read.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
@@ -211,7 +211,7 @@ class ReadRecording:
 
     @property
     def left_out(self) -> int:
-        """How many frames were asked for, and not read since all have too many points."""
+        """How many frames were requested, and not read since all have too many points."""
         return len(self.asked) - len(self.numbers)
 
     @property
@@ -228,9 +228,9 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
     Raises
     ------
     ReadError
-        Where the recording has none of the given frames.
+        If the recording has none of the given frames.
     UsageError
-        Where the step of the slice is not positive.
+        If the step of the slice is not positive.
     """
     if frames is not None:
         if frames.step is not None and frames.step < 1:
@@ -254,12 +254,12 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
 
 
 def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
-    """Combine frames into one cloud; its `frame` is their number, None where there is only one.
+    """Combine frames into one cloud; its `frame` is their number, None if there is only one.
 
     Raises
     ------
     ReadError
-        Where no frame has a return, where origins differ, and where only some have an intensity.
+        If no frame has a return, where origins differ, and where only some have an intensity.
     """
     dropped = sum(frame.cloud.dropped for frame in frames)
     full = [frame for frame in frames if len(frame.cloud)]
@@ -309,7 +309,7 @@ def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
 
 
 def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
-    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None where nothing says it.
+    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if nothing says it.
 
     By up to some tenths of a second it is not that of the clocks: frames are recorded when they
     have come.
@@ -328,11 +328,11 @@ def is_unix(seconds: float) -> bool:
 
 
 def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
-    """First and last time at which a cloud was recorded, Unix seconds; None where it is not known.
+    """First and last time at which a cloud was recorded, Unix seconds; None if it is not known.
 
     The points' own times go first, where they are Unix time, unless they are far from the
     recorder's: clocks that were never set count from a date of the maker's, which two LiDARs may
-    share. When a file was written says nothing.
+    share. When a file was written gives no information.
     """
     if cloud.time is not None and len(cloud.time):
         first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))
@@ -343,16 +343,16 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
 
 
 MAX_POINTS = 1_500_000
-"""Points of one cloud that are worked on unless more are asked for. Of four streets recorded with
+"""Points of one cloud that are worked on unless more are requested. Of four streets recorded with
 30 sweeps of 100,000 points, thinned to so many, the refined pose came out as well as of all
 (0.001° to 0.009° off instead of 0.002° to 0.005°), in less than half the time."""
 
 LEAST_POINTS = 1000
-"""No fewer are asked for: they show no pole."""
+"""No fewer are requested: they show no pole."""
 
 FEWEST_FRAMES = 20
 """Of more frames, every second is left out before any is downsampled: whole frames keep the pattern
-of the beams, and so many tell what moved."""
+of the beams, and so many show what moved."""
 
 BRIGHT_SHARE = 0.01
 """Part of the points that are left which the brightest may be: 15,000 of them. Returns on

@@ -52,14 +52,14 @@ def bag_topics(path: Path) -> tuple[Topic, ...]:
 def open_bag(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Recording:
     """Open a bag, and choose the topic of point clouds: the given one, or the only one.
 
-    Where none has point clouds, one is chosen on which a driver publishes packets.
+    If none has point clouds, one is chosen on which a driver publishes packets.
 
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
-        Where the bag cannot be read, or not exactly one topic fits; lists those there are.
+        If the bag cannot be read, or not exactly one topic fits; lists those there are.
     UsageError
         Where angles are given, and the topic has no packets.
     """
@@ -135,7 +135,7 @@ def frame_of(
     Parameters
     ----------
     source
-        What stands before the topic's name in the cloud's source: ``drive.bag: ``.
+        What is before the topic's name in the cloud's source: ``drive.bag: ``.
     topic, number, stamp
         Where and as which it came, and when, ns.
     data, encoding
@@ -148,7 +148,7 @@ def frame_of(
     Raises
     ------
     ReadError
-        Where it is no such message; names the topic and the number.
+        If it is no such message; names the topic and the number.
     """
     where = f"message {number} of {topic}"
     with naming(where):
@@ -226,7 +226,7 @@ def columns_of(message: Any) -> Columns:
     Raises
     ------
     ReadError
-        Where the layout contradicts itself or the size of the data.
+        If the layout contradicts itself or the size of the data.
     """
     data = np.asarray(message.data, np.uint8)
     height, width, step, row = message.height, message.width, message.point_step, message.row_step
@@ -238,7 +238,7 @@ def columns_of(message: Any) -> Columns:
             f"{height * width:,} points of {step} bytes; of more than {MAX_SMALL_POINTS:,}, each "
             f"has {SMALLEST_POINT} or more: x, y and z as float32"
         )
-    # Drivers set row_step wrong; it matters only where there are several rows with padding.
+    # Drivers set row_step wrong; it matters only if there are several rows with padding.
     if height == 1 or len(data) == height * width * step:
         row = width * step
     if row < width * step or (height - 1) * row + width * step > len(data):

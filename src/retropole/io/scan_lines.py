@@ -38,16 +38,16 @@ START_DISTANCE = 3.0
 """The apex is looked for, among other places, so far from the middle of the points, metres."""
 
 LEVEL_SPREAD, LEVEL_GAP = float(np.radians(0.002)), float(np.radians(0.02))
-"""Points of one level lie within the first of its middle, rad, and levels farther apart than the
-second. Drivers compute points from the angles of the beams: 0.0004° on a Pandar64; the rings of the
-densest LiDARs of the table of sensors are 0.1° apart. About a wrong apex, on the axis of the
-circles on a floor, range noise leaves 0.008° and more (staged clouds of benchmarks/detection.py,
-seeds 1 and 2)."""
+"""Points of one level lie within the first of its middle, rad, and levels farther from each other
+than the second. Drivers compute points from the angles of the beams: 0.0004° on a Pandar64; the
+rings of the densest LiDARs of the table of sensors are 0.1° apart. About a wrong apex, on the axis
+of the circles on a floor, range noise leaves 0.008° and more (staged clouds of
+benchmarks/detection.py, seeds 1 and 2)."""
 
 MAX_LEVEL_SHARE, FARTHER = 0.5, 1.5
-"""Of the points, at most so many are on one ring, and some are so many times as far away as others:
-from beside a plane, or from far away, all have one elevation. Points within 4 m of a place that is
-3 to 8 m away have 1.7 of the second."""
+"""Of the points, at most this many are on one ring, and some are so many times as far away as
+others: from next to a plane, or from far away, all have one elevation. Points within 4 m of a
+place that is 3 to 8 m away have 1.7 of the second."""
 
 
 def with_rings(cloud: PointCloud, sensor: Sensor | None) -> PointCloud:
@@ -103,9 +103,9 @@ def chains(xyz: Array) -> IntArray:
 
 
 def levels(xyz: Array, cones: Cones) -> IntArray | None:
-    """Number (N,) the levels on which the elevations of points (N, 3) lie; None where they do not.
+    """Number (N,) the levels on which the elevations of points (N, 3) lie; None if they do not.
 
-    Seen from far away, or from beside a plane, most points have one elevation: that is no level.
+    Seen from far away, or from next to a plane, most points have one elevation: that is no level.
     """
     ray = xyz - cones.apex
     near, far = np.quantile(lengths(ray), [0.05, 0.95])

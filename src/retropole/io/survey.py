@@ -53,7 +53,7 @@ MOST_BEFORE, SHOWN = 50, 10
 
 
 class SurveyPoint(NamedTuple):
-    """A point (3,) east, north, height, and 1 σ of each, (3,), metres; None where not stated."""
+    """A point (3,) east, north, height, and 1 σ of each, (3,), metres; None if not stated."""
 
     at: Array
     sigma: Array | None
@@ -68,7 +68,7 @@ def read_survey(
     ----------
     path
         Values are separated by semicolons, tabs, commas or else blanks. Lines that start with ``#``
-        or ``//`` are comments; what stands before the names of the columns is skipped.
+        or ``//`` are comments; what is before the names of the columns is skipped.
     ids
         Which points are read. No other has to be whole.
     columns
@@ -80,7 +80,7 @@ def read_survey(
     Raises
     ------
     ReadError
-        Where it does not say which column is what, where a point is missing or there twice, and
+        If it does not say which column is what, where a point is missing or there twice, and
         where a value is no number; names the file, the line, the column and what was expected.
     """
     with naming(path):

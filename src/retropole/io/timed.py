@@ -35,7 +35,7 @@ NAME = re.compile(r"(?:^|\D)(?:(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}|\d{6}|\d{3}))
 """How names end that are Unix times: seconds and a fraction, or milli-, micro- or nanoseconds."""
 
 LONGEST = 0.5
-"""Times that begin farther from zero, s, do not count from their sweep's stamp: their own begin is
+"""Times that begin farther from zero, s, are not used from their sweep's stamp: their own begin is
 taken off, as of those that begin again with each second."""
 
 
@@ -119,7 +119,7 @@ def stamp_of(frame: Frame) -> float | None:
 
 
 def time_in(name: str) -> float | None:
-    """Read the Unix time, s, that the name of a file ends with; None where it does not.
+    """Read the Unix time, s, that the name of a file ends with; None if it does not.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def _period(frames: Sequence[Frame], stamps: Sequence[float | None]) -> float:
 def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
     """Times (N,) of points since the first beam, s, of a LiDAR that turns once in a period, s.
 
-    Points follow each other as they were measured, all together or ring by ring. None where they
+    Points follow each other as they were measured, all together or ring by ring. None if they
     do not turn one way.
 
     Parameters
@@ -174,7 +174,7 @@ def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
     if abs(turned_in_all) <= ONE_WAY * np.abs(step).sum():
         return None
     way = np.sign(turned_in_all)
-    # Rings begin together, but for those whose first beams met nothing: before the others none.
+    # Rings begin together, but for those whose first beams hit nothing: before the others none.
     begun = azimuth[is_first]
     middle = np.angle(np.exp(1j * begun).mean())
     off = way * ((begun - middle + np.pi) % (2 * np.pi) - np.pi)

@@ -19,7 +19,7 @@ MAX_UNPACKED = 2**26
 and a sweep of a sensor with 128 rings has 10 MiB."""
 
 LARGEST_RECORD = MAX_UNPACKED + 2**20
-"""Bytes of a record that are read at once: with what stands before a chunk."""
+"""Bytes of a record that are read at once: with what is before a chunk."""
 
 ALLOWED, ALLOWED_RATIO = 2**29, 100
 """Bytes that all of a bag may unpack to: so many, and so many times its size. Scans compress 2 to
@@ -39,7 +39,7 @@ class BoundedFile(io.BufferedReader):
         Raises
         ------
         ReadError
-            Where they are more than `LARGEST_RECORD`.
+            If they are more than `LARGEST_RECORD`.
         """
         if size is None or not 0 <= size <= LARGEST_RECORD:
             raise ReadError(
@@ -50,7 +50,7 @@ class BoundedFile(io.BufferedReader):
 
 
 def opened_within(path: Path) -> BoundedFile:
-    """Open a file to read no more of it at once than a record can have.
+    """Open a file to read no more at once than a record can have.
 
     Raises
     ------
@@ -86,12 +86,12 @@ def unpacked(kind: str, data: bytes, spend: Spend) -> bytes:
     data
         The compressed bytes.
     spend
-        Where the decompressed ones are counted.
+        If the decompressed ones are counted.
 
     Raises
     ------
     ReadError
-        Where there are more than `MAX_UNPACKED`, or than the file may have in all.
+        If there are more than `MAX_UNPACKED`, or than the file may have in all.
     """
     if kind not in ("bz2", "lz4", "zstd"):
         if len(data) > LARGEST_RECORD:

@@ -21,7 +21,7 @@ from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of
 
 UNSURE = 0.3, 3.0
-"""1 σ of a pose that nothing is known of, rad and m: poles are compared before they hold it."""
+"""1 σ of an unknown pose, rad and m: poles are compared before they determine it."""
 
 MOST_ROUNDS = 10
 """Of exchanges of all poles; most sets are at rest after two or three."""
@@ -37,7 +37,7 @@ MOST_TRIED = 10
 """Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
 
 DEARER = 1.25
-"""So many times the error may be where a LiDAR hangs on one pole less."""
+"""Factor by which the error may grow if one LiDAR fewer depends on a single pole."""
 
 HANGS = 1.0
 """A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
@@ -48,8 +48,8 @@ two or three stand. A half turn about the vertical lays two of equal leans on ea
 ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
 TOLD_APART = float(np.radians(6.0)), 0.3
-"""Angles between poles, rad, or distances, metres, that differ by so much tell which is which. Two
-poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
+"""Angles between poles, rad, or distances, metres, that differ by this amount show which is which.
+Two poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
 
 NOT_BEHIND = float(np.radians(2.0))
 """No LiDAR sees two poles of one placement nearer to each other than this, rad: one might hide the
@@ -57,7 +57,7 @@ other."""
 
 
 def unsure(unknowns: Unknowns) -> Array:
-    """(6 L,) precision of poses that nothing is known of."""
+    """(6 L,) precision of unknown poses."""
     return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
 
 
@@ -84,7 +84,7 @@ class Rules:
     gap: Array
 
     def allow(self, k: int, others: Sequence[int]) -> bool:
-        """Whether one pole may stand beside others."""
+        """Whether one pole may stand next to others."""
         if 0 < len(others) <= 2 and not self.differ[k, list(others)].all():
             return False
         # Two LiDARs are linked by two poles that both see.
@@ -121,7 +121,7 @@ class Design:
     rules
         Which of them may stand together.
     feet
-        (C, 2) where each stands, metres.
+        (C, 2) where each is, metres.
     found
         What was found so far with each pole more: an exchange often asks again.
     """
@@ -160,8 +160,8 @@ class Design:
     def change(self, inverse: Array, k: int, sign: float) -> Array:
         """(L - 1,) by how much one pole more (1), or less (-1), changes the squared errors.
 
-        Of what the pole says, ``u uᵀ``, the covariance ``C`` changes by ``C u (1 ± uᵀ C u)⁻¹ uᵀ C``
-        (Woodbury).
+        By the information ``u uᵀ`` of a pole the covariance ``C`` changes by
+        ``C u (1 ± uᵀ C u)⁻¹ uᵀ C`` (Woodbury).
         """
         place, root = self.roots[k]
         own = inverse[: self.unknowns.poses, place] @ root
@@ -203,7 +203,7 @@ def choose(
     Returns
     -------
     list of list of int
-        For each placement the numbers of its poles; None where so many may not stand together.
+        For each placement the numbers of its poles; None if that many may not stand together.
     """
     chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
     for count in range(poles):
@@ -255,9 +255,10 @@ def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
 
 
 def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
-    """Exchange poles where LiDARs hang on one, as far as that helps.
+    """Exchange poles where LiDARs depend on one, as far as that helps.
 
-    A blunder of a pole that nothing checks does not show. Two poles always hang on each other.
+    A blunder of a pole that no observation checks does not show. Two poles always depend on each
+    other.
     """
     now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
     most = DEARER * error_of(design, chosen)
@@ -289,20 +290,20 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
     """Geometric mean of the errors with the surfaces and without, metres.
 
     Each is the root mean square over all LiDARs: the largest would not say which pole is the first
-    step where several LiDARs are held by none yet. What the surfaces alone hold says the same of
-    all poles. Then the poles decide: they are what the surfaces are checked by.
+    step where several LiDARs are constrained by none yet. What the surfaces alone hold says the
+    same of all poles. Then the poles decide: they are what the surfaces are checked by.
     """
     together, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
     return float(np.sqrt(together * alone))
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
-    """Find the best pole more for a placement, and the error with it; None where none may stand."""
+    """Find the best further pole for a placement, and the error with it; None if none may stand."""
     return next(_ranked(design, chosen, p), None)
 
 
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
-    """Yield the poles that may stand in a placement, too, and the error with each, best first."""
+    """Yield the poles that may join a placement, and the error with each, best first."""
     taken = [k for each in chosen for k in each]
     error = design.beside(taken) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():

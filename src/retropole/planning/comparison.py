@@ -34,7 +34,7 @@ class Deviation:
     name
         Of the planned pole.
     offset
-        (2,) of its foot from the planned one, metres, place frame; None where it was not found.
+        (2,) of its foot from the planned one, metres, place frame; None if it was not found.
     turned
         Angle between both axes, rad.
     words
@@ -128,7 +128,7 @@ def _match(
     away = np.linalg.norm(offsets, axis=2)
     planned = np.array([plan.direction for plan in wanted]).reshape(-1, 3)
     turn = np.arccos(np.clip(np.abs(planned @ axes.T), 0.0, 1.0))
-    # One that was put where the other should stand is told by how it leans.
+    # One that was put where the other should stand is identified by how it leans.
     cost = away + NEAR / ALIKE * turn
     pairs = dict(zip(*(each.tolist() for each in linear_sum_assignment(cost)), strict=True))
     found = []
@@ -152,7 +152,7 @@ def _missing(plan: PlannedPoleDoc) -> str:
 
 
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
-    """Say how a pole stands, and where to move it as somebody sees it from the first LiDAR."""
+    """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
     far = float(np.linalg.norm(offset))
     stands = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
     if far <= NEAR and turned <= ALIKE:

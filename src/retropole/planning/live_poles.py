@@ -115,7 +115,7 @@ class Looked:
         Where fewer than two poles are found: lines that may be poles, in words why each is doubted,
         and lines whose tape is too dim for the threshold.
     threshold
-        Intensity from which a return counted as tape; NaN where it was not searched.
+        Intensity from which a return counted as tape; NaN if it was not searched.
     """
 
     at: float
@@ -158,7 +158,7 @@ def look(
 
 
 def _why(pole: Pole, found: Detection) -> str:
-    """Why a candidate is no pole: what was said of the cluster with most of its returns."""
+    """Why a candidate is no pole: the reason given for the cluster with most of its returns."""
     shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
     return max(shared, default=(0, ""))[1]
 
@@ -213,7 +213,7 @@ def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
 
 
 def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
-    """How far away what stands before a pole is, metres; None where nothing does.
+    """Distance of what hides a pole, metres; None if nothing does.
 
     0 where it is too near to be measured.
     """
@@ -236,7 +236,7 @@ def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
     strip = (across < np.sin(beside)) & (ahead > np.cos(half + beside))
     before = strip & (ranges < away - 0.4)
     if np.count_nonzero(before) < 3:
-        # With so few returns at any distance, something is nearer than the LiDAR measures.
+        # With this few returns at any distance, something is nearer than the LiDAR measures.
         return 0.0 if np.count_nonzero(strip) < 0.1 * len(pole.xyz) else None
     return float(np.median(ranges[before]))
 
@@ -276,9 +276,9 @@ class View:
     silent
         Why nothing comes; empty while sweeps come.
     fault
-        What is wrong with what comes; empty where nothing is.
+        What is wrong with what comes; empty if nothing is.
     sensor
-        Its model; None where it is not known.
+        Its model; None if it is not known.
     """
 
     name: str
@@ -298,7 +298,7 @@ class View:
 
 
 def word_on(track: Tracked, now: float) -> str:
-    """What is wrong with a pole, in two or three words; empty where nothing is."""
+    """What is wrong with a pole, in two or three words; empty if nothing is."""
     if now - track.seen > LATELY:
         return "lost"
     if not track.is_still(now):
@@ -352,12 +352,12 @@ class Watched:
 
     @property
     def frame_id(self) -> str | None:
-        """Of the newest sweep, empty where it names none; None before the first sweep."""
+        """Of the newest sweep, empty if it names none; None before the first sweep."""
         return self.origin.frame_id if self.origin else None
 
 
 class Taken(NamedTuple):
-    """What came of a LiDAR: a sweep that is of use, or None; what is to be said of it; whether it
+    """What came from a LiDAR: a sweep that is of use, or None; what to report of it; whether it
     is of another frame than those before."""
 
     frame: Frame | None = None
@@ -463,7 +463,7 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
 
 
 def _skipped(name: str, came: int, taken: int, seconds: float) -> str:
-    """Say how many sweeps were not taken of those that came; nothing where all were."""
+    """Say how many sweeps were not taken of those that came; nothing if all were."""
     if taken >= came:
         return ""
     return (

@@ -1,7 +1,7 @@
 """The place as it was recorded without poles: its ground, and the poles that could stand on it.
 
-All is in the frame of the place, whose z axis points up from the ground. Of each pole that could
-stand it is known what the beams of each LiDAR meet of it.
+All is in the frame of the scene, whose z axis points up from the ground. For each possible pole
+it is known which beams of each LiDAR hit it.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ CELL = 0.25
 """Side of a cell of the ground, metres."""
 
 FOOT, FOOT_POINTS = 0.5, 3
-"""The ground at a foot is what lies within so many metres of it, of at least so many returns."""
+"""The ground at a foot is what lies within this many metres of it, of at least this many
+returns."""
 
 SPREAD = 0.25
 """Ground is bare and flat where its cells within `FOOT` reach no higher above each other, metres:
-a pole's foot stands on it, and on a slope of 14°."""
+a pole's foot is on it, and on a slope of 14°."""
 
 STEP, AROUND = 0.4, 3.0
-"""Ground lies no higher than this above the lowest within so many metres: else it is the top of
+"""Ground lies no higher than this above the lowest within this many metres: else it is the top of
 something, such as a car."""
 
 FARTHEST = 15.0
-"""Ground farther from every LiDAR is not looked at, metres: hardly a beam meets a pole there."""
+"""Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
 
 ABOVE = 0.3
 """Returns so high above the ground are of something that stands there, metres."""
@@ -56,7 +57,7 @@ MIN_FEET = 4
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A LiDAR where it stands, and what it recorded there without poles.
+    """A LiDAR at its pose, and what it recorded there without poles.
 
     Attributes
     ----------
@@ -65,11 +66,11 @@ class Station:
     cloud
         In its own frame, the beams starting at its origin (0, 0, 0).
     sensor
-        What recorded it; None where not known.
+        What recorded it; None if not known.
     beams
         In the same frame.
     T
-        (4, 4) its pose in the frame of the place.
+        (4, 4) its pose in the frame of the scene.
     origin
         (3,) where its beams start in the frame of its recording, metres.
     is_settled
@@ -91,11 +92,11 @@ class Station:
 
     @property
     def at(self) -> Array:
-        """(3,) where it is in the place."""
+        """(3,) its position in the frame of the scene."""
         return np.asarray(self.T[:3, 3])
 
     def seen_from_place(self) -> RecordedBeams:
-        """Its beams in the frame of the place."""
+        """Its beams in the frame of the scene."""
         return in_frame(self.beams, self.T)
 
 
@@ -113,7 +114,7 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What is known of the ground, and what stands on it.
+    """What is known of the ground, and what is on it.
 
     Attributes
     ----------
@@ -142,7 +143,7 @@ def survey(
     Parameters
     ----------
     stations
-        All LiDARs, in the frame of the place.
+        All LiDARs, in the frame of the scene.
     allowed, forbidden
         Where poles may stand, anywhere if empty; and where they may not.
 
@@ -159,7 +160,7 @@ def survey(
     if not (near < FARTHEST).any():
         raise Refusal(
             "no_ground",
-            f"no LiDAR recorded anything within {FARTHEST:g} m beside it, the nearest return is "
+            f"no LiDAR recorded anything within {FARTHEST:g} m of it, the nearest return is "
             f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
@@ -189,7 +190,7 @@ def survey(
             "stand",
             {"places": int(np.count_nonzero(flat)), "allowed": int(np.count_nonzero(kept))},
         )
-    # Where nothing low is near, what was recorded stands on something.
+    # Where nothing low is near, what was recorded is on something.
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
     return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
@@ -202,19 +203,19 @@ def _disc(radius: float) -> BoolArray:
 
 
 LEANS = (np.radians(20.0), np.radians(35.0))
-"""Leans that are tried beside upright, rad (docs/poles.md)."""
+"""Leans that are tried in addition to upright, rad (docs/poles.md)."""
 
 DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""
 
 MOST_FEET = 40
-"""Places that are looked at first: they are as far apart as that takes."""
+"""Places that are looked at first: their spacing is as wide as that takes."""
 
 FEET_OF_TWO = 8
 """Of several LiDARs, those that every two see together: with less, far ones had none."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""How far apart that may be, metres."""
+"""Spacings that are tried for them, metres."""
 
 MIN_RETURNS, MIN_RINGS = 14, 4
 """Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as
@@ -237,7 +238,7 @@ IN_FIELD = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poles that stand free on the ground, in the frame of the place.
+    """Poles that stand free on the ground, in the frame of the scene.
 
     Attributes
     ----------
@@ -270,7 +271,7 @@ class Candidates:
 
 
 class Met(NamedTuple):
-    """The beams of one LiDAR that meet a pole, and their ranges (M,); how many pointed at it."""
+    """The beams of one LiDAR that hit a pole, and their ranges (M,); how many pointed at it."""
 
     beam: IntArray
     ranges: Array
@@ -278,7 +279,7 @@ class Met(NamedTuple):
 
 
 def beams_met(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Met:
-    """Find the beams that meet a pole before anything else."""
+    """Find the beams that hit a pole before anything else."""
     toward = pole.centre - beams.origin
     away = float(np.linalg.norm(toward))
     if away <= pole.bounding_radius:
@@ -301,7 +302,7 @@ def is_seen(met: Met, beams: RecordedBeams) -> bool:
 
 
 def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
-    """Whether enough of the beams that met a pole do so with their middle, not only an edge."""
+    """Whether enough of the beams that hit a pole do so with their middle, not only an edge."""
     ranges = pole.intersect(beams.origin, beams.directions[met], 0.0).ranges
     rings = beams.rings[met[ranges < beams.ranges[met]]]
     return len(rings) >= MIN_CORE and (rings.min() < 0 or len(np.unique(rings)) >= MIN_RINGS)
@@ -310,7 +311,7 @@ def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
 def who_sees(
     candidates: Candidates, stations: Sequence[Station], divergences: Sequence[float]
 ) -> BoolArray:
-    """Tell which LiDAR sees which pole, (C, L), each pole by itself."""
+    """Say which LiDAR sees which pole, (C, L), each pole by itself."""
     seen = np.zeros((len(candidates), len(stations)), dtype=bool)
     for i, (station, divergence) in enumerate(zip(stations, divergences, strict=True)):
         beams = station.seen_from_place()
@@ -385,7 +386,7 @@ def seen_together(feet: Array, seen: BoolArray) -> Array:
 def leaning(
     feet: Array, leans: Sequence[float], directions: int, length: float, radius: float
 ) -> Candidates:
-    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in so many directions."""
+    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
     axes = [np.array([0.0, 0.0, 1.0])]
     for lean in leans:
         for toward in 2 * np.pi * np.arange(directions) / directions:
@@ -397,7 +398,7 @@ def leaning(
 
 
 def at_most(feet: Array, count: int) -> Array:
-    """Keep so many feet (F, 3) at most, as near to each other as that allows."""
+    """Keep at most this many feet (F, 3), as near to each other as that allows."""
     kept = feet
     for spacing in SPACINGS:
         if len(kept) <= count:

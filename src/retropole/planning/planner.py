@@ -53,7 +53,7 @@ def recordings_with(
     *,
     again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles that stand in the place into the recording of each LiDAR.
+    """Put poles, in the frame of the scene, into the recording of each LiDAR.
 
     The place was recorded once. Recorded `again`, for another placement, its ranges have other
     noise: number for number the same, it would be refused as one recording given twice.
@@ -120,9 +120,9 @@ class More:
     gain
         Part of the error that it takes away.
     status
-        The verdict of its rehearsal; None where that of the plan is ok, and none was made.
+        The verdict of its rehearsal; None if that of the plan is ok, and none was made.
     is_better
-        Whether that verdict is better than the plan's; None where it is as good.
+        Whether that verdict is better than the plan's; None if it is as good.
     """
 
     what: Literal["pole", "placement"]
@@ -146,7 +146,7 @@ class Planned:
     Attributes
     ----------
     stations
-        The LiDARs, settled, in the frame of the place.
+        The LiDARs, their poses refined, in the frame of the scene.
     place
         Its ground.
     candidates, seen
@@ -201,7 +201,7 @@ def plan(
     Parameters
     ----------
     stations
-        The LiDARs, in the frame of the place; the first is the reference.
+        The LiDARs, in the frame of the scene; the first is the reference.
     poles, placements
         How many stand at once, and how often they are moved.
     length, radius
@@ -268,7 +268,7 @@ def plan(
     rehearsal = run(chosen)
     _check_poses(rehearsal)
     if rehearsal.status != "ok":
-        # What the place cannot decide, one pole more may.
+        # What the surroundings cannot decide, one pole more may.
         for k, each in enumerate(more):
             progress(f"rehearse with one {each.what} more")
             status = run(each.chosen).status
@@ -351,7 +351,7 @@ def _check_linked(
 
 
 def _check_poses(rehearsal: Rehearsal) -> None:
-    """Refuse poses that what stands in the place denies: no pole moved here."""
+    """Refuse poses that the surroundings contradict: no pole moved here."""
     for reason in rehearsal.reasons:
         if rehearsal.status == "refused" and reason.code == "scene_contradicts":
             said = reason.message.partition(": did a pole move")[0]

@@ -1,4 +1,5 @@
-"""What poles tell of the poses, and the error to expect: by the code that states it afterwards.
+"""What poles determine of the poses, and the error to expect: by the code that states it
+afterwards.
 
 At the poses as they are known the returns of a pole have an information (`alignment.network`), with
 its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
@@ -37,7 +38,7 @@ LATERAL_NOISE = 0.3
 """Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
 
 LEAST = 0.01
-"""What a pole says of a direction counts from this part of what is known of it beforehand."""
+"""What a pole shows of a direction counts from this part of what is known of it beforehand."""
 
 
 TOGETHER, ROUNDS = 400, 5
@@ -53,7 +54,7 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
 
 
 def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
-    """Give what a LiDAR would record of a pole that stands in the frame of the place.
+    """Give what a LiDAR would record of a pole that is in the frame of the scene.
 
     The returns on it, in the LiDAR's own frame, and the cloud around them.
     """
@@ -94,7 +95,7 @@ def network_of(
     candidates, seen
         The poles, and (C, L) which LiDAR sees which.
     placement
-        (C,) which each stands in.
+        (C,) which each is in.
     scene_bands
         Bands of elevation that each LiDAR has other returns in.
     quickly
@@ -130,9 +131,9 @@ def network_of(
 
 
 def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray, Array]]:
-    """Eliminate the axis of each of so many poles: root (P, R) of its information, and its place.
+    """Eliminate the axis of each of `count` poles: root (P, R) of its information, and its place.
 
-    Every pole has a placement of its own in the network; `known` (K,) is the precision of all
+    Every pole has a separate placement in the network; `known` (K,) is the precision of all
     unknowns before.
     """
     kept = network.unknowns.kept
@@ -163,13 +164,14 @@ def roots_of(network: Network, count: int, known: Array) -> list[tuple[IntArray,
 def prior_of(unknowns: Unknowns, known: Array) -> Array:
     """(E,) precision of the errors, counted whole as in what is stated; `known` is 1 σ of groups.
 
-    What is considered and not estimated (`error_sizes.CONSIDERED`) counts as if it were estimated.
+    What is considered and not estimated (`error_sizes.CONSIDERED`) is treated as if it were
+    estimated.
     """
     return np.asarray(known[unknowns.groups().label] ** -2.0)
 
 
 KNOWN = np.radians(2.0), 0.3
-"""1 σ of a pose that the place gave, before the surfaces settle it, rad and m."""
+"""1 σ of a pose that the surroundings gave, before the surfaces refine it, rad and m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +236,7 @@ def problem_of(
 
 
 def scene_information(stations: Sequence[Station], surfaces: Surfaces, unknowns: Unknowns) -> Array:
-    """(K, K) what the surfaces say of poses and errors where the LiDARs are settled."""
+    """(K, K) what the surfaces show of poses and errors where the LiDARs' poses are refined."""
     end = minimise(problem_of(known_poses(stations, unknowns.bands), stations, surfaces))
     information = np.zeros((unknowns.kept, unknowns.kept))
     for term in end.scene:
@@ -270,9 +272,9 @@ def predict(
     Parameters
     ----------
     stations, surfaces
-        The LiDARs, settled, and what they share.
+        The LiDARs, their poses refined, and what they share.
     poles, seen, placement
-        Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each stands in.
+        Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each is in.
 
     Returns
     -------

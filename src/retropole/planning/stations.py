@@ -1,4 +1,4 @@
-"""Where the LiDARs stand in the place: rough poses, settled on what all recorded."""
+"""Where the LiDARs are in the surroundings: rough poses, refined by what all recorded."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
-"""A rough pose is good to 10° and 1 m; what settles farther away than this is another."""
+"""A rough pose is good to 10° and 1 m; what converges farther away than this is another."""
 
 MOVERS = 30
-"""So many voxels of the scene conflict with a pose that is right, since people walk and plants
-move between the recordings: 17 at most on bare ground (benchmarks/plan.py, seeds 0 to 3)."""
+"""This many voxels of the scene may conflict with a right pose, since people walk and plants
+move between the recordings: at most 17 on bare ground (benchmarks/plan.py, seeds 0 to 3)."""
 
 
 FEW = 0.1
 """Part of what agrees that may conflict with a clear pose. Of three LiDARs on a crane the nearest
-settled one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
+converged one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
 
 
 UPWARD = 0.1
@@ -55,7 +55,7 @@ def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
 
 
 def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -> list[Station]:
-    """Stand all LiDARs in the frame of the place, on the ground below the first.
+    """Place all LiDARs in the frame of the scene, on the ground below the first.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def stand_drawn(
 
 
 def station(name: str, scan: Scan, T: Array) -> Station:
-    """Stand a LiDAR at a pose (4, 4) in the frame of the place, of its file's frame."""
+    """Place a LiDAR at a pose (4, 4) in the frame of the scene, of its file's frame."""
     cloud = scan.cloud
     shift = se3.from_rt(np.eye(3), cloud.origin)
     cloud = cloud.transformed(se3.inverse(shift))
@@ -166,8 +166,8 @@ def place_frame(cloud: PointCloud) -> Array:
 
 
 class Settled(NamedTuple):
-    """A pose (4, 4), and how many parts of the scene agree and conflict with it where what stands
-    in the place gave it; none of either where only the ground did."""
+    """A pose (4, 4), and how many parts of the scene agree and conflict with it where
+    the surroundings gave it; none of either where only the ground did."""
 
     T: Array
     agreeing: int = 0
@@ -175,7 +175,7 @@ class Settled(NamedTuple):
 
     @property
     def by_place(self) -> bool:
-        """Whether what stands in the place gave it."""
+        """Whether the surroundings gave it."""
         return self.agreeing > 0
 
     @property
@@ -192,12 +192,12 @@ class Settled(NamedTuple):
 def settle(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Settled:
     """Settle a rough pose (4, 4), target from source, on what both recorded.
 
-    Where they share too little, the ground is laid on the ground.
+    If they share too little, the ground is aligned with the ground.
 
     Raises
     ------
     Refusal
-        ``pose_contradicted`` where the ground, or what stands on it, conflicts with the pose.
+        ``pose_contradicted`` where the ground, or what is on it, conflicts with the pose.
     """
     grounds = grounds_of(Placement(target, source), np.random.default_rng(0))
     check_grounds(first, second, grounds[0][0], grounds[1][0], rough)

@@ -1,4 +1,4 @@
-"""The plan as a person reads it: where each pole stands, and what to expect."""
+"""The plan as a person reads it: where each pole is, and what to expect."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LEAST_LINE = 0.5
 """LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
 
 BY_EYE = 4.0
-"""Poles that lean as it comes are best from 1 m to this far apart, metres (docs/poles.md)."""
+"""Poles that lean as it comes are best from 1 m to this distance apart, metres (docs/poles.md)."""
 
 WALK = (
     "Set up no pole, and walk with one in view of both: retropole watch TARGET SOURCE --carried. "
@@ -71,7 +71,7 @@ def plan_document(
     planned
         The plan.
     recordings
-        Path and SHA-256 of each LiDAR's recording; empty where the place was drawn.
+        Path and SHA-256 of each LiDAR's recording; empty if the place was drawn.
     need
         How accurate the answer must be.
     """
@@ -202,7 +202,7 @@ class Viewpoint(NamedTuple):
     lidar
         The LiDAR that the person is at.
     azimuth
-        Of the line that angles are counted from, rad, in the frame of the place.
+        Of the line that angles are counted from, rad, in the frame of the scene.
     line
         The line, in words: ``the line to rear``.
     """
@@ -273,7 +273,7 @@ def _level_distance(a: Array, b: Array) -> float:
 
 
 def _steps(angle: float, step_deg: int) -> int:
-    """Round an angle, rad, to steps: degrees above −180, 180 at most."""
+    """Round an angle, rad, to steps: degrees above −180, at most 180."""
     turn = step_deg * round(float(np.degrees(angle)) / step_deg) % 360
     return turn - 360 if turn > 180 else turn
 

@@ -1,4 +1,4 @@
-"""How far apart the surfaces lie that two LiDARs see, under the poses of the answer."""
+"""How far from each other the surfaces lie that two LiDARs see, under the poses of the answer."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ FARTHEST = 300.0
 """No surface is looked at that is farther from its LiDAR, metres: points are too sparse there."""
 
 FEWEST_SURFELS = 20
-"""Fewer say nothing: each is off by some millimetres."""
+"""Fewer give no information: each is off by some millimetres."""
 
 
 def apart(subject: Subject) -> Html:
-    """Say how far surfaces lie apart; nothing where no two LiDARs see any, or none has a pose."""
+    """Say how far from each other surfaces lie; nothing if no two LiDARs see any, or none has a
+    pose."""
     found = [each for each in found_apart(subject) if each.surfels >= FEWEST_SURFELS]
     if not found:
         return EMPTY

@@ -33,7 +33,7 @@ class ErrorCurve(NamedTuple):
     """The error of a point of a LiDAR at `RANGES`, metres.
 
     `bounds` hold for all points up to there with a probability of `CONFIDENCE`, as a need does;
-    None where nothing holds with it, since the pose may be another one.
+    None if nothing holds with it, since the pose may be another one.
     """
 
     sigmas: Sequence[float]
@@ -50,7 +50,7 @@ class ErrorCurve(NamedTuple):
 def error_curve(subject: Subject) -> ErrorCurve | None:
     """Work out the error over the distance, of a site that of the LiDAR with the largest.
 
-    None where no covariance is stated, and where refused.
+    None if no covariance is stated, and where refused.
     """
     pair, lidar = subject.pair, worst_lidar(subject.site.lidars)
     if pair is not None:
@@ -75,7 +75,7 @@ def error_curve(subject: Subject) -> ErrorCurve | None:
 
 
 def curve_sentence(curve: ErrorCurve | None) -> str:
-    """Say how far off a point is, in one sentence; empty where no probability can be given."""
+    """Say how far off a point is, in one sentence; empty if no probability can be given."""
     if curve is None or curve.bounds is None:
         return ""
     of = "" if curve.whose == f"the {LIDARS[1]}" else f"of {curve.whose}, the least certain LiDAR, "
@@ -86,7 +86,7 @@ def curve_sentence(curve: ErrorCurve | None) -> str:
 
 
 def curve_figure(curve: ErrorCurve | None) -> Html:
-    """Draw the error over the distance, with what was asked for; nothing where none is stated."""
+    """Draw the error over the distance, with what was requested; nothing if none is stated."""
     if curve is None:
         return EMPTY
     most = max([*curve.sigmas, *(curve.bounds or ())])
@@ -122,7 +122,7 @@ def _curves(chart: Chart, curve: ErrorCurve) -> Iterator[Html]:
 
 
 def _need(chart: Chart, need: Need) -> Html:
-    """Draw what was asked for, as far as it was asked for."""
+    """Draw what was requested, as far as it was requested."""
     x, y = chart.at(np.array([[min(need.at, RANGES[-1]), need.within]]))[0]
     left, top, _, _ = chart.box
     beside = y + 20 if y < top + 20 else y - 8
@@ -150,7 +150,7 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
 
 
 def sways(subject: Subject) -> Html:
-    """Draw what was seen of each recording, name what was stated; nothing where all stood."""
+    """Draw what was seen of each recording, name what was stated; nothing if all stood."""
     if not subject.site.sways:
         return EMPTY
     several = len(subject.site.placements) > 1

@@ -24,10 +24,10 @@ FAR_ORIGIN = 100.0
 """An origin further than this from the points, metres, is not where the beams start."""
 
 MAX_ZOOMED = 6
-"""Poles, or failing those rejected clusters, that get a panel of their own."""
+"""Poles, or failing those rejected clusters, that get a separate panel."""
 
 SHADES = 5
-"""Intensities of the points on a pole are told apart by so many colours."""
+"""Intensities of the points on a pole are distinguished by this many colours."""
 
 
 def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title: str) -> None:

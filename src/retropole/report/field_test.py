@@ -17,7 +17,8 @@ from .text import table as text_table
 from .verdict import reason_item, verdict_box
 
 LISTED = 16
-"""So many distances are printed, those nearest to their limits, and so many pairs of a site."""
+"""Number of distances that are printed, those nearest to their limits, and so many pairs of a
+site."""
 
 VERDICTS: dict[Verdict, tuple[str, str, str]] = {
     "pass": ("ok", "✓", "Pass: the LiDARs measure as stated"),
@@ -57,7 +58,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
 
 
 def _unnamed(document: FieldTestDoc) -> str:
-    """Say whose sensor is not named; empty where both are."""
+    """Say whose sensor is not named; empty if both are."""
     inputs = zip(LIDARS, document.inputs, strict=False)
     auto = [lidar for lidar, given in inputs if given.sensor == "auto"]
     if not auto:
@@ -69,7 +70,8 @@ def _unnamed(document: FieldTestDoc) -> str:
 
 
 def _tested(document: FieldTestDoc) -> str:
-    """Count the pairs that could be tested, and those that failed: the others say nothing."""
+    """Count the pairs that could be tested, and those that failed: the others give no
+    information."""
     tested = sum(pair.status != "refused" for pair in document.pairs)
     failed = sum(pair.status == "fail" for pair in document.pairs)
     said = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
@@ -77,7 +79,7 @@ def _tested(document: FieldTestDoc) -> str:
 
 
 def _untested(document: FieldTestDoc) -> str:
-    """Name the LiDARs that are in no pair that was tested; nothing where none was."""
+    """Name the LiDARs that are in no pair that was tested; nothing if none was."""
     if len(document.untested) == 0 or document.status == "refused":
         return ""
     rest = len(document.untested) - LISTED
@@ -90,7 +92,7 @@ def _pairs(document: FieldTestDoc) -> Listing:
     rows = [
         (
             f"{pair.target}, {pair.source}",
-            # Beside the name: on a phone the last columns are out of sight.
+            # Next to the name: on a phone the last columns are out of sight.
             pair.status if not pair.reasons else f"{pair.status}: {pair.reasons[0].code}",
             len(pair.distances),
             f"{_largest(pair):.2f}" if pair.distances else UNKNOWN,
@@ -158,7 +160,7 @@ def _variances(test: SpreadTest) -> str:
     verdict = "may be equal" if test.passed else "differ"
     return (
         f"one sweep repeats a distance within {1e3 * test.target.sigma:.1f} mm (target) and "
-        f"{1e3 * test.source.sigma:.1f} mm (source), 1 σ; held against what their returns allow, "
+        f"{1e3 * test.source.sigma:.1f} mm (source), 1 σ; compared with what their returns allow, "
         f"the variances {verdict}: F = {test.ratio:.2f}, passes from {test.low:.2f} to "
         f"{test.high:.2f}"
     )

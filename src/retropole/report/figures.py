@@ -37,12 +37,12 @@ AROUND = 12.0
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure, inches, that a notebook draws also where pyplot was not imported.
+    """Make an empty figure, inches, that a notebook draws also if pyplot was not imported.
 
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -86,7 +86,7 @@ def result_figure(
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     count = max(len(poles[0]), 1)
     figure = new_figure(16, 9)
@@ -155,7 +155,7 @@ def site_figure(
     Raises
     ------
     MissingExtraError
-        Where matplotlib is not installed.
+        If matplotlib is not installed.
     """
     figure = new_figure(11, 11)
     grid: Any = figure.add_gridspec(2, 1, height_ratios=(4, 1))
@@ -215,7 +215,7 @@ def _draw(
         xyz = every_nth(near, MAX_FIGURE_POINTS)
         style: dict[str, Any] = {"s": cloud.size, "c": cloud.color, "marker": cloud.marker}
         style |= {"linewidths": 0, "rasterized": True}
-        # Of what is often not there, the legend says nothing then.
+        # Of what is often not there, the legend gives no information then.
         name = cloud.name if len(xyz) or cloud.size < 1 else None
         above.scatter(xyz[:, 0], xyz[:, 1], label=name, **style)
         beside.scatter(xyz[:, 0], xyz[:, 2], **style)
@@ -231,5 +231,5 @@ def _draw(
     legend: Any = above.legend(loc="upper right", fontsize=9)
     for handle in legend.legend_handles[: len(clouds)]:
         if hasattr(handle, "set_sizes"):
-            # Large enough to tell the colours.
+            # Large enough to show the colours.
             handle.set_sizes([60.0])

@@ -1,4 +1,4 @@
-"""The ways of laying the poles of a pair on each other, and what decides between them."""
+"""The ways of matching the poles of a pair, and what decides between them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""
 
 SAME_AXIS = math.radians(10.0)
-"""Within this of the vertical, or of level, an axis is called so, rad: it stands between poses that
+"""Within this of the vertical, or of level, an axis is called so, rad: it is between poses that
 the poles alone give, and the normal of the ground that is taken for the vertical is off by some
 degrees, too."""
 
@@ -44,7 +44,7 @@ def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
-    """Say how the source stands under a hypothesis, as against the first of all."""
+    """Say how the source is under a hypothesis, as against the first of all."""
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
@@ -150,7 +150,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
 
 
 def margin_words(result: ResultDoc) -> str:
-    """Say which hypothesis is chosen, and by how much it leads; empty where none leads another."""
+    """Say which hypothesis is chosen, and by how much it leads; empty if none leads another."""
     chosen = [hypothesis_name(k) for k, each in enumerate(result.hypotheses) if each.chosen]
     if not chosen or result.margin is None:
         return ""
@@ -161,7 +161,7 @@ TRIED = {
     (
         "pairs",
         "pairs_laid",
-    ): "the {} most alike of {} pairs of possible poles were laid on each other",
+    ): "the {} most similar of {} pairs of possible poles were matched",
     ("ways", "ways_tried"): "the best {} of {} ways of pairing possible poles were tried",
     ("fitting", "fitting_registered"): "the best {} of {} that fit were registered",
 }
@@ -169,7 +169,7 @@ TRIED = {
 
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
-    """Say what a refusal left out to bound the time; empty where it tried all."""
+    """Say what a refusal left out to bound the time; empty if it tried all."""
     said = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons

@@ -38,7 +38,7 @@ UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
 
 NAMED = 3
-"""So many observations that stand out are named; the page lists them all."""
+"""Number of observations that stand out and are named; the page lists them all."""
 
 
 class Listing(NamedTuple):
@@ -136,7 +136,7 @@ def _found(each: FoundDoc) -> str:
 
 
 def hypotheses(result: ResultDoc) -> Listing:
-    """List the ways of laying the poles of a pair on each other, the best first."""
+    """List the ways of matching the poles of a pair, the best first."""
     rows = [
         [
             name_of(k, each),
@@ -297,7 +297,7 @@ def _both(pair: ResultDoc, placement: int) -> str:
 
 
 def left_out_words(document: InputDoc) -> str:
-    """Say how many points and frames of too many were left out; nothing where none were."""
+    """Say how many points and frames of too many were left out; nothing if none were."""
     parts = [
         counted(count, what)
         for count, what in ((document.thinned, "point"), (document.frames_left_out, "frame"))
@@ -329,7 +329,7 @@ class ErrorParts(NamedTuple):
 def error_parts(
     stated: Sequence[ErrorAtRange] | None, parts: Uncertainty | None
 ) -> list[ErrorParts]:
-    """Part the predicted error at each range; empty where its parts are not stated."""
+    """Part the predicted error at each range; empty if its parts are not stated."""
     if not stated or parts is None:
         return []
     ranges = tuple(each.range_m for each in stated)
@@ -343,13 +343,13 @@ def error_parts(
 
 
 def far_error(stated: Stated) -> float | None:
-    """Predicted error of a point at `BUDGET_RANGE`, 1 σ, metres; None where none is stated."""
+    """Predicted error of a point at `BUDGET_RANGE`, 1 σ, metres; None if none is stated."""
     errors = stated.predicted_error or []
     return next((each.sigma_m for each in errors if each.range_m == BUDGET_RANGE), None)
 
 
 def worst_lidar(lidars: Sequence[LidarDoc]) -> LidarDoc | None:
-    """Find the LiDAR with the largest predicted error; None where none is stated."""
+    """Find the LiDAR with the largest predicted error; None if none is stated."""
     stated = [each for each in lidars if each.predicted_error]
     return max(stated, key=lambda each: far_error(each) or 0.0, default=None)
 
@@ -363,7 +363,7 @@ def largest_error(stated: Stated) -> str | None:
 
 
 def radius_words(result: ResultDoc) -> str | None:
-    """Say the radius as given and as estimated; None where it was not estimated."""
+    """Say the radius as given and as estimated; None if it was not estimated."""
     radius = result.radius
     if radius is None:
         return None
@@ -387,7 +387,7 @@ def carried_words(found: CarriedWalk) -> str:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many patches agree or contradict the pose; None where the scene was not asked."""
+    """Say how many patches agree or contradict the pose; None if the scene was not used."""
     return None if result.confirmation is None else result.confirmation.words
 
 
@@ -399,7 +399,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     subject
         The answer, or the refusal.
     verbose
-        Whether the kinds of error and the radius are told as well.
+        Whether the kinds of error and the radius are reported as well.
     """
     site, pair = subject.site, subject.pair
     if subject.answered and pair is None:
@@ -459,7 +459,7 @@ def clocks(subject: Subject) -> Iterator[str]:
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
-    """Say what only a pair states: its weakest direction, the radius, what the scene says."""
+    """Say what only a pair states: its weakest direction, the radius, what the scene shows."""
     if pair.weakest is not None:
         yield f"weakest direction, 1 sigma: {pair.weakest.words}"
     if pair.walk is not None:
@@ -473,7 +473,7 @@ def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
 
 
 def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
-    """Say what pairs, loops and tests showed, or which LiDARs nothing links."""
+    """Say what pairs, loops and tests showed, or which LiDARs no observation links."""
     if len(site.groups) > 1:
         groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
         yield f"not linked with each other: {' | '.join(groups)}"
@@ -526,7 +526,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
 
 
 def fitness_words(subject: Subject) -> str:
-    """Answer whether every pose is as accurate as was asked for; empty where nothing was."""
+    """Answer whether every pose is as accurate as was requested; empty if nothing was."""
     asked = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
     if not asked:
         return ""

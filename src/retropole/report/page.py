@@ -20,7 +20,7 @@ from ..base.reasons import unlinked
 from .listings import Listing
 
 PIECE = re.compile(r"^<!-- ([\w-]+) -->", re.MULTILINE)
-"""What stands before each piece of `pieces.html`: its name."""
+"""What is before each piece of `pieces.html`: its name."""
 
 
 NO_BREAK = "\u00a0"
@@ -29,7 +29,8 @@ CODE = re.compile(r"`([^`]+)`")
 EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
 
 SHOWN = 12
-"""So many rows of a long table are shown at once, the worst first; the page unfolds the others."""
+"""Number of rows of a long table that are shown at once, the worst first; the page unfolds the
+others."""
 
 
 class Html(str):
@@ -136,7 +137,7 @@ def table(
     bars: Sequence[tuple[str, float]] = (),
     links: Sequence[str] = (),
 ) -> Html:
-    """Lay out a table that scrolls sideways on narrow screens.
+    """Arrange a table that scrolls sideways on narrow screens.
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ def table(
 
 
 def listed(listing: Listing) -> Html:
-    """Lay out a table; of a long one the first `SHOWN` rows, the rest folded away."""
+    """Arrange a table; of a long one the first `SHOWN` rows, the rest folded away."""
     caption, header, rows, words = listing
     if len(rows) <= SHOWN:
         return table(caption, header, rows, words) if rows else EMPTY
@@ -180,7 +181,7 @@ def listed(listing: Listing) -> Html:
 
 
 def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:
-    """Fold markup away under a summary; nothing where there is none."""
+    """Fold markup away under a summary; nothing if there is none."""
     opened = Html(" open" if is_open else "")
     return fill("details", opened=opened, summary=summary, body=body) if body else body
 

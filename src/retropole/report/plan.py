@@ -21,7 +21,7 @@ class Plan:
     words
         What was taken for up.
     north
-        What the y axis points to, ``north`` or ``grid north``; None where nobody knows.
+        What the y axis points to, ``north`` or ``grid north``; None if nobody knows.
     """
 
     R_plan_site: Array

@@ -69,9 +69,10 @@ class PackedCloud(PackedPoints, frozen=True):
     Attributes
     ----------
     levels
-        Intensities in full; None where the page has no threshold to move.
+        Intensities in full; None if the page has no threshold to move.
     intensity
-        Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None where that says nothing.
+        Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None if that gives no
+        information.
     on_poles
         How many points are on poles; they come first, then those in rejected clusters.
     shown, total, far
@@ -134,7 +135,7 @@ def pack_cloud(
         At most this many points are packed.
     threshold
         Intensity from which points are kept before those that are dimmer, up to half of all, and
-        from which the reader of the page may move it; None where he may not.
+        from which the reader of the page may move it; None if he may not.
     """
     offset = cloud.xyz - cloud.origin
     ranges = np.sqrt(np.einsum("ij,ij->i", offset, offset))

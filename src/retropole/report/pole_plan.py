@@ -29,7 +29,7 @@ from .text import table as text_table
 from .verdict import verdict_box
 
 LISTED_SOURCES = 4
-"""So many sources of error are listed, the largest first."""
+"""Number of sources of error that are listed, the largest first."""
 
 CARD_MM = 178.0, 126.0
 """The picture on the card is at most so wide and high: with all else, a sheet of A4 or Letter."""
@@ -95,7 +95,7 @@ def _kind(document: PolePlanDoc) -> str:
 def _verdict(document: PolePlanDoc) -> Html:
     first, *others = document.words or [""]
     kind, need = _kind(document), document.need
-    asked = "" if need is None else f"; asked for: {need.words}"
+    asked = "" if need is None else f"; requested: {need.words}"
     title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){asked}"
     return verdict_box(
         kind,
@@ -110,7 +110,7 @@ def _verdict(document: PolePlanDoc) -> Html:
 
 
 def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
-    """Write the picture, and beside it where each pole stands."""
+    """Write the picture, and next to it where each pole is."""
     rows = [
         fill("plan-row", name=pole.name, words=_where(pole.words), kind=p % 4)
         for p, placement in enumerate(document.placements)
@@ -123,7 +123,7 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
     if len(document.placements) == 1:
         said += " Lines: lengths to measure."
     if sum(map(len, picture.points)):
-        said += " Grey: what was recorded, darker where it stands higher than 0.3\u00a0m."
+        said += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
     return fill(
         "plan-section",
         width=f"{WIDTH:g}",

@@ -24,7 +24,7 @@ HEIGHTS = 300.0, 620.0
 """Least and greatest height of the picture."""
 
 MARGIN = 46.0
-"""Around all that stands there: room for names."""
+"""Around all that is there: room for names."""
 
 SURROUNDED = 2.5
 """What is drawn around LiDARs and poles, metres: enough to know the place again."""
@@ -36,7 +36,7 @@ FINE = 2
 """Dots of what was recorded in a unit of the picture, across and down."""
 
 ABOVE = 0.3
-"""What was recorded so high above the ground stands there, metres."""
+"""What was recorded so high above the ground is there, metres."""
 
 ARROW = 30.0
 """Length of a LiDAR's x axis in the picture."""
@@ -47,14 +47,14 @@ LEAST_STROKE = 25.0
 
 @dataclass(frozen=True, eq=False)
 class PlanPicture:
-    """What the page of a plan is drawn from, in the frame of the place.
+    """What the page of a plan is drawn from, in the frame of the scene.
 
     Attributes
     ----------
     lidars
         (L, 4, 4) where the beams of each LiDAR start, and its axes.
     points
-        Of each LiDAR (N, 3) what it recorded, metres; empty where the place was drawn.
+        Of each LiDAR (N, 3) what it recorded, metres; empty if the place was drawn.
     feet
         (C, 3) where poles could stand, metres: they follow the ground.
     """
@@ -180,7 +180,7 @@ def _poles(
     placements: Sequence[PlannedPlacementDoc],
     labels: Labels,
 ) -> list[Html]:
-    """Draw each pole where it stands; of the placements the first has a number."""
+    """Draw each pole where it is; of the placements the first has a number."""
     poles = []
     for p, placement in enumerate(placements, first):
         for pole in placement.poles:

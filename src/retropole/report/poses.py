@@ -61,7 +61,8 @@ FOLDED_BELOW = 0.005
 """Sources of error with a smaller share, written ``< 1 %``, are folded away."""
 
 LISTED_SOURCES = 8
-"""So many sources of error are listed one by one, the largest first: the sheet stays one page."""
+"""Number of sources of error that are listed one by one, the largest first: the sheet stays one
+page."""
 
 
 def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
@@ -138,7 +139,7 @@ def _pose(subject: Subject, k: int) -> Html:
 
 
 def transform_matrix(T: Array, name: str = "T_target_source") -> Html:
-    """Lay out a transform (4, 4) as a matrix under its name."""
+    """Arrange a transform (4, 4) as a matrix under its name."""
     rows = (join(fill("td", kind=EMPTY, text=f"{v:.6f}") for v in row) for row in T)
     return fill("matrix", name=name, rows=join(fill("row", cells=cells) for cells in rows))
 
@@ -350,7 +351,7 @@ def certificate(subject: Subject, place: str = "") -> Html:
     subject
         What the page is of, with the serial numbers of its LiDARs; a line to fill in where empty.
     place
-        Where it was calibrated; likewise. Of a site, its name where empty.
+        If it was calibrated; likewise. Of a site, its name where empty.
     """
     site, pair = subject.site, subject.pair
     if not subject.answered or subject.chance_wrong is not None:

@@ -24,7 +24,7 @@ from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, ta
 from .subject import Subject, colour_class, pair_name, pole_name
 
 UNFOLDED_CLUSTERS = 4
-"""Up to so many rejected clusters of a pair are listed unfolded."""
+"""Up to this many rejected clusters of a pair are listed unfolded."""
 
 HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units; `pieces.html` has the same."""
@@ -36,18 +36,19 @@ SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
 
 SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it stands as far beside a found one as the other LiDAR's
-poles stand beside each other, within this, metres: two poles leaning by 15°, of which the LiDARs
+"""A cluster may be the missing pole where it is as far next to a found one as the other LiDAR's
+poles stand next to each other, within this, metres: two poles leaning by 15°, of which the LiDARs
 see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
 
 TOO_LITTLE = ("too_few_points", "too_few_rows")
 """Codes of clusters of which too little was seen."""
 
 NAMED = 3
-"""So many candidates are named of each LiDAR; the page lists all clusters below."""
+"""Number of candidates that are named of each LiDAR; the page lists all clusters below."""
 
 NEAREST = 2.0
-"""No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
+"""No pole is required to stand nearer than this, metres: what would have to is too little to go
+by."""
 
 
 def poles(subject: Subject) -> Html:
@@ -180,7 +181,7 @@ def _options(subject: Subject) -> list[tuple[str, str]]:
             "frame": site.frame.name,
             "reference": site.lidars[site.reference].name,
             "radius": f"{1000 * site.radius_m:g} ± {1000 * site.radius_sigma_m:g} mm",
-            "asked for": f"{100 * need.within:g} cm at {need.at:g} m" if need else "",
+            "requested": f"{100 * need.within:g} cm at {need.at:g} m" if need else "",
             "surveyed poles": len(site.surveyed_poles),
             "control points": len(site.control_points),
         }
@@ -346,11 +347,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside"
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m next to"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
-    there = f"The other LiDAR sees poles {told} m beside each other"
+    there = f"The other LiDAR sees poles {told} m next to each other"
     if fitting:
         yield f"{there}: what is named here fits that."
     else:
@@ -386,7 +387,7 @@ def _nearer(distance: float, share: float) -> str:
     """Say how much nearer a pole has so many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
-    LiDAR, too: by this much nearer there are enough, on average at least.
+    LiDAR, too: by this amount nearer there are enough, on average at least.
     """
     enough = share * distance
     if enough < NEAREST:

@@ -23,7 +23,7 @@ from .listings import (
     rejected_row,
 )
 from .map import pairs, site_map
-from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
+from .page import EMPTY, Html, fill, fill_page, folded, join, listed, share_styles
 from .plan import plan_of
 from .poses import certainty, certificate, poses, transform
 from .recorded import missing_poles, poles, run
@@ -53,7 +53,7 @@ def render_report(
         The result document, of a pair or of a site.
     recorded
         What was recorded and found, each cloud in its own frame: of a pair in each placement of the
-        poles, of a site by each LiDAR, None where it is not shown. The first placement of a pair is
+        poles, of a site by each LiDAR, None if it is not shown. The first placement of a pair is
         the one whose poles the result lists; of several, the page lets its reader choose. A
         detection brings the rejected clusters and the points on the poles into the page; leave it
         out where its poles are not those of the result. Without any, the page of a site has no view
@@ -64,7 +64,7 @@ def render_report(
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
-        Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
+        If it was calibrated, and serial numbers by the names of LiDARs, those of a pair
         ``target`` and ``source``, for the certificate; without, what the document says, or a line
         to fill in.
 
@@ -80,7 +80,7 @@ def render_report(
         Of a pair, without a placement; of a site, where there are not as many LiDARs and placements
         of scans as of the document.
     UsageError
-        Where a serial number is given of a LiDAR that is none of the site.
+        If a serial number is given of a LiDAR that is none of the site.
     """
     if isinstance(document, ResultDoc) and not recorded:
         raise ValueError("a report shows at least one placement of the poles")
@@ -182,8 +182,9 @@ def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
 
 
 def _checked(piece: str, listing: Listing) -> Html:
-    """Show what was checked; nothing where nothing was."""
-    return fill(piece, table=listed(listing)) if listing.rows else EMPTY
+    """Show what was checked, a table for surveyors, folded; nothing if nothing was."""
+    rows = folded(f"{listing.caption}: {len(listing.rows)}", listed(listing))
+    return fill(piece, table=rows) if listing.rows else EMPTY
 
 
 def render_page(
@@ -198,7 +199,7 @@ def render_page(
     view: PageView | None = None,
     sheet: Html = EMPTY,
 ) -> str:
-    """Lay out a page: its head, the verdict, links to every part that there is, and the parts.
+    """Arrange a page: its head, the verdict, links to every part that there is, and the parts.
 
     Parameters
     ----------
@@ -207,7 +208,7 @@ def render_page(
     status, verdict
         Of what it is of.
     parts
-        Sections under a heading each, empty where there is nothing to say.
+        Sections under a heading each, empty if there is nothing to say.
     title
         Of the page in a browser; the heading where empty.
     view

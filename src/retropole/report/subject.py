@@ -18,7 +18,7 @@ LONGEST_IN_SENTENCE = 40
 """Characters of the name of a recording in a sentence."""
 
 COLOURS = 8
-"""So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
+"""So many LiDARs have a separate colour; more begin again. Each has its name next to it."""
 
 Scans = Sequence[Sequence[Scan | None]]
 Recorded = Sequence[Placement] | Scans
@@ -36,7 +36,7 @@ class Subject:
     pair
         The document of a pair, for what only two LiDARs have; None of a site.
     scans
-        What each LiDAR recorded of each placement; empty where the page shows no clouds.
+        What each LiDAR recorded of each placement; empty if the page shows no clouds.
     """
 
     site: SiteDoc
@@ -108,9 +108,9 @@ def as_subject(
     Raises
     ------
     ValueError
-        Where there are not as many LiDARs and placements of scans as of the document of a site.
+        If there are not as many LiDARs and placements of scans as of the document of a site.
     UsageError
-        Where a serial number is given of a LiDAR that is none of the site.
+        If a serial number is given of a LiDAR that is none of the site.
     """
     scans = _by_lidar(recorded)
     pair = document if isinstance(document, ResultDoc) else None

@@ -113,7 +113,7 @@ def short(name: str) -> str:
 
 @dataclass
 class Labels:
-    """Labels of one picture of so many units across and down; none covers another if it can."""
+    """Labels of one picture of this many units across and down; none covers another if it can."""
 
     width: float
     height: float
@@ -134,7 +134,7 @@ class Labels:
         size: float = FONT,
         away_y: float | None = None,
     ) -> Html:
-        """Write a label beside a mark at x, y, where it covers least."""
+        """Write a label next to a mark at x, y, where it covers least."""
         away_y = away if away_y is None else away_y
         spots = (
             (x + _beyond(dx, away), y + _beyond(dy, away_y), anchor) for dx, dy, anchor in _AROUND

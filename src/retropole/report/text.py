@@ -59,7 +59,7 @@ def legible(value: Any) -> Any:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows under a header, each column as wide as it needs, numbers to the right.
+    """Arrange rows under a header, each column as wide as it needs, numbers to the right.
 
     A name of the header may have several lines, one for each word where a screen is too narrow.
     """
@@ -252,7 +252,7 @@ def _more(subject: Subject) -> list[str]:
 
 
 def _lines(listing: Listing) -> list[str]:
-    """Lay out a table and its caption below a blank line; nothing where it has no rows."""
+    """Arrange a table and its caption below a blank line; nothing if it has no rows."""
     caption, header, rows, _ = listing
     if not rows:
         return []
@@ -288,7 +288,7 @@ def reasons_within(status: str, reasons: Sequence[ReasonDoc], room: int, report:
     if len(whole) < room:
         return whole + lines
     cut = [shortened(f"  {reason.code}: {reason.message}", WIDTH) for reason in reasons]
-    # Never fewer than one: a verdict without its reason says nothing.
+    # Never fewer than one: a verdict without its reason gives no information.
     shown = cut if len(cut) < room else cut[: max(room - 2, 1)]
     if len(shown) < len(cut):
         shown.append(f"  and {counted(len(cut) - len(shown), 'more reason')}")
@@ -399,7 +399,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
     ]
     if cloud.intensity is None:
-        return [*lines, "intensity  none: tape cannot be told from the rest"]
+        return [*lines, "intensity  none: tape cannot be distinguished from the rest"]
     return lines + _intensity_lines(cloud.intensity)
 
 
@@ -435,7 +435,7 @@ def _intensity_lines(intensity: IntensityDoc) -> list[str]:
         instead = " or ".join(f"--intensity {name}" for name in intensity.others)
         lines.append(f"           of the field {intensity.field}; {instead} takes another")
     if intensity.threshold is None:
-        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
+        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be distinguished"]
     lines += [
         f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
         f"{counted(intensity.retro_points, 'point')}",

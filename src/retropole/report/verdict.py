@@ -16,12 +16,12 @@ VERDICTS = {
     "warn": (
         "!",
         "Calibrated, with a warning",
-        "There is an answer, and a reason to look twice before you use it.",
+        "There is a pose, and a reason to look at before you use it.",
     ),
     "refused": (
         "✕",
         "Refused: no pose",
-        "The data do not support an answer that could be trusted, so none is given.",
+        "The data do not determine a pose that can be trusted.",
     ),
 }
 """Symbol, title and meaning of each status."""
@@ -39,7 +39,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
     notes
         What a reader has to know of the page itself before all else.
     sentence
-        How far off points are, where that is known and nobody asked for more.
+        How far off points are, if that is known.
     """
     site = subject.site
     symbol, title, words = VERDICTS.get(site.status, ("?", site.status, ""))
@@ -51,8 +51,10 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
     said, meaning = asked and f"{asked}.", words.format(subject.frame)
     if subject.chance_wrong is not None:
         title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
-    elif is_short and site.status == "ok":
-        said, meaning = "", said or sentence or meaning
+    elif is_short:
+        # What a reason states is not stated twice.
+        stated = any(asked and asked in reason.message for reason in site.reasons)
+        said, meaning = "", sentence if stated else said or sentence or meaning
     body = fill(
         "said-of-verdict",
         fitness=fill("strong", text=said) if said else "",
@@ -79,7 +81,7 @@ def instead_words(subject: Subject) -> str:
     )
     return (
         f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
-        "Add another pole or another placement, or record where more stands around that both "
+        "Add another pole or another placement, or record where more objects are around that both "
         f"LiDARs see.{trusted}"
     )
 

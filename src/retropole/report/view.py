@@ -42,7 +42,7 @@ SHOWN_RADIUS = (4.0, 60.0)
 
 
 class LidarView(msgspec.Struct, frozen=True):
-    """A LiDAR: its name, the number of its colour, and its pose in the plan; null where refused."""
+    """A LiDAR: its name, the number of its colour, and its pose in the plan; null if refused."""
 
     name: str
     colour: int
@@ -59,7 +59,7 @@ class LineView(msgspec.Struct, frozen=True):
 
 
 class MarkView(msgspec.Struct, frozen=True):
-    """A marked place (3,), metres, and what is written beside it."""
+    """A marked place (3,), metres, and what is written next to it."""
 
     at: Array
     label: str
@@ -117,7 +117,7 @@ class PageView(msgspec.Struct, frozen=True):
     poses, ellipsoid, places
         Of a pair; the places alone decide a direction of the pose, target frame.
     centre, radius
-        Where the camera looks in a site, in the plan; metres.
+        If the camera looks in a site, in the plan; metres.
     """
 
     kind: str
@@ -135,7 +135,7 @@ class PageView(msgspec.Struct, frozen=True):
 
 
 def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) -> PageView | None:
-    """Pack what the view shows; None where nothing was recorded.
+    """Pack what the view shows; None if nothing was recorded.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def recordings_view(names: Sequence[str], scans: Sequence[Scan]) -> PageView:
 
 
 def _threshold(scan: Scan) -> float | None:
-    """Intensity from which poles were searched for, or would be; None where there is none."""
+    """Intensity from which poles were searched for, or would be; None if there is none."""
     level = scan.cloud.intensity
     if level is None or not np.ptp(level) > 0:
         return None
@@ -336,7 +336,7 @@ def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
 
 
 def _look(points: Sequence[Array]) -> tuple[Array, float]:
-    """Choose where the camera looks: the middle of all that stands there, and how far around."""
+    """Choose where the camera looks: the middle of all that is there, and how far around."""
     if not points:
         return np.zeros(3), SHOWN_RADIUS[0]
     stacked = np.array(points)

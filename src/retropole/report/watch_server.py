@@ -1,6 +1,6 @@
 """The page of `retropole watch`, served to those who know its address, and how a phone finds it.
 
-The page holds nothing of a watch itself: it fetches ``state`` beside it, a `WatchDoc`, again and
+The page holds nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again and
 again. One request a connection, few connections, and none for long: whoever else is in the network
 can neither ask for it without its address nor keep others from it for more than moments. It is
 plain HTTP: who can read the traffic of the network reads it, too.
@@ -64,12 +64,12 @@ class WatchServer(ThreadingMixIn, TCPServer):
     Attributes
     ----------
     url
-        Where the page is. Whoever knows it sees the watch.
+        If the page is. Whoever knows it sees the watch.
 
     Raises
     ------
     UsageError
-        Where the address cannot be listened on.
+        If the address cannot be listened on.
     """
 
     allow_reuse_address = True
@@ -123,7 +123,8 @@ class WatchServer(ThreadingMixIn, TCPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close what is open for too long, which ends its thread: called again and again."""
+        """Close what is open for too long, which ends its thread: called again and
+        again."""
         self._close_older(LONGEST_SECONDS)
 
     def _close_older(self, seconds: float) -> None:
@@ -183,7 +184,7 @@ class _Answering(BaseHTTPRequestHandler):
             "Content-Type": kind,
             "Content-Length": str(len(body)),
             "Connection": "close",
-            # A page loads what its policy allows alone, is kept nowhere, and does not tell its
+            # A page loads what its policy allows alone, is kept nowhere, and does not show its
             # address.
             "Content-Security-Policy": policy,
             "Cross-Origin-Resource-Policy": "same-origin",
@@ -204,12 +205,12 @@ class _Answering(BaseHTTPRequestHandler):
 
 
 def local_address() -> str:
-    """Tell the address of this machine in the local network; nothing is sent.
+    """Say the address of this machine in the local network; nothing is sent.
 
     Raises
     ------
     UsageError
-        Where it is in none.
+        If it is in none.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         try:
@@ -238,7 +239,7 @@ def qr_code(url: str) -> str:
         raise MissingExtraError("live", "a QR code") from None
 
     code = segno.make(url, error="l", micro=False)
-    # Its standard asks for four modules of light around it.
+    # Its standard requires four modules of light around it.
     rows = [[bool(module) for module in row] for row in code.matrix_iter(border=4)]
     light = [False] * len(rows[0])
     lines = (

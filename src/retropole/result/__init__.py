@@ -78,7 +78,7 @@ def sway_documents(scans: Sequence[Sequence[Scan | None]]) -> list[SwayDoc]:
 
 
 def chance_wrong(reasons: Sequence[ReasonDoc]) -> float:
-    """Give the largest chance of a wrong pose that a warning states; 0 where none does."""
+    """Give the largest chance of a wrong pose that a warning states; 0 if none does."""
     stated = (each.values.get("probability_wrong") for each in reasons)
     return max((float(each) for each in stated if isinstance(each, int | float)), default=0.0)
 
@@ -116,9 +116,9 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 class InputDoc(msgspec.Struct, frozen=True):
     """What was read, what was left out of too many, and in `notes` what was lost.
 
-    `frame_id` is the frame of its points by the recording's own words; empty where it has none, or
+    `frame_id` is the frame of its points by the recording's own words; empty if it has none, or
     several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the
-    recorder's; null where the recording does not have both.
+    recorder's; null if the recording does not have both.
     """
 
     path: Text
@@ -144,7 +144,7 @@ class StagesDoc(msgspec.Struct, frozen=True, eq=False):
 class HypothesisDoc(msgspec.Struct, frozen=True, eq=False):
     """One way of laying the source poles on the target poles.
 
-    It stands where it is the best, or where the scene does not rule it out beside the best.
+    It stands where it is the best, or where the scene does not rule it out next to the best.
     """
 
     pairs: Annotated[list[tuple[Count, Count]], Meta(max_length=LONGEST_LIST)]
@@ -235,12 +235,12 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
 
     @property
     def chosen(self) -> HypothesisDoc | None:
-        """The hypothesis that was chosen; None where the run was refused."""
+        """The hypothesis that was chosen; None if the run was refused."""
         return next((hypothesis for hypothesis in self.hypotheses if hypothesis.chosen), None)
 
     @property
     def whole_uncertainty(self) -> Uncertainty | None:
-        """`uncertainty` with the budget; None where they are not stated."""
+        """`uncertainty` with the budget; None if they are not stated."""
         return self.uncertainty and structs.replace(
             self.uncertainty, budget=tuple(self.budget or ())
         )
@@ -267,7 +267,7 @@ def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
 
 
 def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
-    """Write several placements; a single one is told by the rest of the document."""
+    """Write several placements; a single one is identified by the rest of the document."""
     if len(placements) < 2:
         return []
     return [
@@ -305,7 +305,7 @@ def result_document(
         ResultDoc,
         made_now(seconds),
         calibration,
-        # The budget stands beside it.
+        # The budget is next to it.
         uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
         predicted_error=list(calibration.predicted_error) or None,
@@ -367,7 +367,7 @@ class Provenance(NamedTuple):
 
 
 def made_now(seconds: Mapping[str, float] | None = None) -> Provenance:
-    """Say that a document is made now, by this version, in so many seconds of each step."""
+    """Say that a document is made now, by this version, in this many seconds of each step."""
     rounded = {name: round(value, 4) for name, value in (seconds or {}).items()}
     return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), rounded)
 
@@ -438,7 +438,7 @@ def any_result_file(path: Path) -> Path:
     Raises
     ------
     UsageError
-        Where the folder holds both.
+        If the folder holds both.
     """
     if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
         return result_file(path)

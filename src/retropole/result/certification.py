@@ -32,7 +32,7 @@ class PairTestDoc(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FieldTestDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """The test of all pairs of LiDARs: fail where one fails, refused where none could be tested,
+    """The test of all pairs of LiDARs: fail where one fails, refused if none could be tested,
     partial where some LiDARs, `untested`, are in no pair that was.
 
     Of a site file, `site` is its name, and `serials` are the serial numbers by the names of LiDARs.

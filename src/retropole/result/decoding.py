@@ -53,7 +53,7 @@ def decode(data: bytes) -> ResultDoc:
     Raises
     ------
     ReadError
-        Where it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and says what is wrong with it.
     """
     document = parsed(data, ResultDoc, "result document")
     _check_verdict(document, {"T_target_source": document.T_target_source})
@@ -76,7 +76,7 @@ def decode_site(data: bytes) -> SiteDoc:
     Raises
     ------
     ReadError
-        Where it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and says what is wrong with it.
     """
     document = parsed(data, SiteDoc, "result document of a site")
     stated = {
@@ -97,7 +97,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
     Raises
     ------
     ReadError
-        Where it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and says what is wrong with it.
     """
     plan = parsed(data, PolePlanDoc, "plan of poles")
     names = [lidar.name for lidar in plan.lidars]
@@ -119,7 +119,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
 
 
 def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
-    """Let every pole have a name of its own, point up, and be seen by LiDARs of the plan."""
+    """Let every pole have a separate name, point up, and be seen by LiDARs of the plan."""
     of_poles = [pole.name for placement in plan.placements for pole in placement.poles]
     if len(set(of_poles)) < len(of_poles):
         raise ReadError("placements: two poles have the same name")
@@ -179,7 +179,7 @@ def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | N
 
 
 def _check_names(document: SiteDoc) -> None:
-    """Let every LiDAR have a name of its own, which names its rows of the joint covariance."""
+    """Let every LiDAR have a separate name, which names its rows of the joint covariance."""
     names = [lidar.name for lidar in document.lidars]
     if len(set(names)) < len(names):
         raise ReadError("lidars: two have the same name")
@@ -248,7 +248,7 @@ def parsed(data: bytes, kind: type[Document], what: str) -> Document:
     Raises
     ------
     ReadError
-        Where it is not one; names the field.
+        If it is not one; names the field.
     """
     try:
         return msgspec.json.decode(data, type=kind, dec_hook=_array)
@@ -285,7 +285,7 @@ def check_covariance(name: str, C: Array, *, is_part: bool = False) -> None:
     Raises
     ------
     ReadError
-        Where it is none; says why.
+        If it is none; says why.
     """
     fault = covariance_fault(C, is_part=is_part)
     if fault is not None:

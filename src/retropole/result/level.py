@@ -35,7 +35,7 @@ class LidarLevelDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
     `covariance` is of `T_ground_lidar`, over the document's `covariance_order`; what the definition
     of the frame fixes has no variance. `roll_pitch_height` is (3, 3), rad and m. The pose in
-    ``base_footprint`` and its covariance are null where the vehicle's axes were not given.
+    ``base_footprint`` and its covariance are null if the vehicle's axes were not given.
     """
 
     name: Text
@@ -54,7 +54,7 @@ class LevelDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
     `disc_radius_m` and `disc_middle_m`, in the frame `frame`, are of the disc that the plane is the
     best for; `area_m2` of it are seen. `bend_m` is how far the edge of the disc lies below its
-    middle where the ground is bent most, `other_levels` are beside the ground.
+    middle where the ground is bent most, `other_levels` are next to the ground.
     """
 
     schema: Literal["retropole/level/1"] = LEVEL_SCHEMA
@@ -137,9 +137,9 @@ def level_of(data: bytes, lidars: Sequence[LidarDoc]) -> LevelDoc:
     Raises
     ------
     ReadError
-        Where it is none.
+        If it is none.
     UsageError
-        Where it is of another result.
+        If it is of another result.
     """
     found = parsed(data, LevelDoc, "level document")
     poses = {lidar.name: lidar.T_site_lidar for lidar in lidars}

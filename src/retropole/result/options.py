@@ -27,7 +27,8 @@ LARGEST_WHOLE = 2**53
 """Of a whole number: JSON of other programs holds none beyond."""
 
 MIN_POLES = 0
-"""What poles leave open the place gives, without any all (docs/method.md, One pole or none)."""
+"""What poles do not determine the surroundings give, without any all (docs/method.md, One pole or
+none)."""
 
 MaxPoints = Annotated[int, Meta(ge=LEAST_POINTS, le=LARGEST_WHOLE)]
 Radius = Annotated[float, Meta(ge=MIN_RADIUS, le=MAX_RADIUS)]
@@ -49,7 +50,7 @@ THINNEST = 0.005
 def radius_in_metres(given: float) -> str:
     """Say of a radius above the limit which unit it was probably typed in, and what to give.
 
-    Empty where it is not above, or no radius of a pole in centimetres or millimetres.
+    Empty if it is not above, or no radius of a pole in centimetres or millimetres.
     """
     meant = {unit: given * METRES[unit] for unit in ("mm", "cm")}
     likely = {unit: r for unit, r in meant.items() if THINNEST <= r <= MAX_RADIUS}
@@ -102,7 +103,7 @@ class Reading(NamedTuple):
     sensor
         Name of the sensor, or ``auto``.
     threshold
-        Intensity from which a return counts as retro-reflective; None to find it.
+        Intensity from which a return is treated as retro-reflective; None to find it.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
@@ -125,7 +126,7 @@ class Reading(NamedTuple):
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not asked for: any number of poles, no prior, the scene's own choice,
+    None stands for what was not given: any number of poles, no prior, the scene's own choice,
     the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
     that is needed, for the source the unit of the target. Frames are start, stop and step.
     """

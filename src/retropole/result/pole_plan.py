@@ -1,7 +1,7 @@
 """Where the poles should stand, as ``retropole plan`` writes it: a JSON document of its own.
 
-Schema ``retropole/plan/1``: metres and radians, in the frame of the place: its origin on the ground
-below the first LiDAR, z up, x where that LiDAR's x axis points.
+Schema ``retropole/plan/1``: metres and radians, in the frame of the scene: its origin on
+the ground below the first LiDAR, z up, x where that LiDAR's x axis points.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ SHORTEST, LONGEST = 0.5, 10.0
 
 
 class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """A LiDAR where it stands.
+    """A LiDAR where it is.
 
     The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
-    empty where the place was drawn.
+    empty if the place was drawn.
     """
 
     name: Name
@@ -54,7 +54,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 
 class SightDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """What a LiDAR will have of a pole: returns, rings (None where not known), and its distance."""
+    """What a LiDAR will have of a pole: returns, rings (None if not known), and its distance."""
 
     lidar: Text
     returns: Count
@@ -135,7 +135,7 @@ class PredictedDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 class MoreDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What one ``pole`` or ``placement`` more would bring: largest 1 σ of all LiDARs at the range,
     the same by the poles alone, the part of the error that it takes away, whether that is worth it.
-    `status` is the verdict of its rehearsal; None where the plan's own is ok, and none is needed.
+    `status` is the verdict of its rehearsal; None if the plan's own is ok, and none is needed.
     """
 
     what: Literal["pole", "placement"]

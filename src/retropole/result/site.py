@@ -1,8 +1,8 @@
 """The result document of a site: every LiDAR's pose in one frame, and what was checked, as JSON.
 
 Schema ``retropole/site-result/1``: metres and radians, matrices row by row. LiDARs, placements and
-poles are told by their index in the lists of the document. What is no number is null, and so is
-every pose where the run was refused.
+poles are identified by their index in the lists of the document. What is no number is null, and so
+is every pose where the run was refused.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LidarDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """One LiDAR and its pose in the frame of the site; the pose is null where refused.
+    """One LiDAR and its pose in the frame of the site; the pose is null if refused.
 
     `covariance` is over the document's `covariance_order`, in its `covariance_frame`; it is zero
     for the LiDAR whose frame is the site's.
@@ -96,7 +96,7 @@ class LidarDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     fitness: Fitness | None = None
 
     def pose(self, lidar: int) -> LidarPose | None:
-        """Its pose, where it is the LiDAR of this index; None where it has none."""
+        """Its pose, where it is the LiDAR of this index; None if it has none."""
         if self.T_site_lidar is None or self.covariance is None:
             return None
         stated = tuple(self.budget or ()), tuple(self.predicted_error or ())
@@ -124,7 +124,7 @@ class RecordingDoc(InputDoc, frozen=True, kw_only=True):
     angles: Text | None = None
 
     def reading(self, max_points: int) -> Reading:
-        """How it was read, with at most so many points of a cloud."""
+        """How it was read, with at most this many points of a cloud."""
         how = slice_of(self.frames), max_points, self.unit, Wanted(self.intensity, self.angles)
         return Reading(self.sensor, self.threshold, self.topic, *how)
 
@@ -284,7 +284,7 @@ def site_document(
     Raises
     ------
     ValueError
-        Where a pose or a covariance of an answer is not finite.
+        If a pose or a covariance of an answer is not finite.
     """
     site = calibration.site
     answered = calibration.status != "refused"
@@ -321,12 +321,12 @@ def site_document(
 
 
 def lidar_document(lidar: SiteLidar, pose: LidarPose | None) -> LidarDoc:
-    """Write a LiDAR and its pose; None where it has none.
+    """Write a LiDAR and its pose; None if it has none.
 
     Raises
     ------
     ValueError
-        Where the pose is not finite: that is no answer.
+        If the pose is not finite: that is no answer.
     """
     if pose and not (np.isfinite(pose.T_site_lidar).all() and np.isfinite(pose.covariance).all()):
         raise ValueError(f"{lidar.name}: a number of the answer is not finite")
@@ -335,7 +335,7 @@ def lidar_document(lidar: SiteLidar, pose: LidarPose | None) -> LidarDoc:
 
 
 def found_document(scan: Scan | None) -> FoundDoc | None:
-    """Write what was found in a recording; None where there is none."""
+    """Write what was found in a recording; None if there is none."""
     if scan is None:
         return None
     return FoundDoc(

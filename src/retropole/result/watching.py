@@ -31,12 +31,12 @@ class PoleNow(msgspec.Struct, frozen=True, kw_only=True):
     name
         What it is called in words: ``1``, of a plan ``A``.
     rings
-        None where the LiDAR does not number them.
+        None if the LiDAR does not number them.
     is_still, is_good
         Whether it stood where it does for as long as a capture asks, and whether nothing is to be
         done about it.
     word
-        What is wrong with it, in two or three words; empty where nothing is.
+        What is wrong with it, in two or three words; empty if nothing is.
     """
 
     name: Text
@@ -54,15 +54,15 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     source
-        Where its sweeps come from.
+        If its sweeps come from.
     sweeps_per_s, age_s
-        How many come, and how old the newest is; None where none came.
+        How many come, and how old the newest is; None if none came.
     points
         Of the newest sweep.
     word
-        Why nothing comes, or what is wrong with what comes; empty where all is well.
+        Why nothing comes, or what is wrong with what comes; empty if all is well.
     skipped
-        In words, how many sweeps were left out of those that came lately; empty where none was.
+        In words, how many sweeps were left out of those that came lately; empty if none was.
     """
 
     name: Text
@@ -121,9 +121,9 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
     code, next
         What is to be done, as a name that stays the same and in words.
     angle_rad
-        Between the two poles that differ most in direction; None where no two are seen.
+        Between the two poles that differ most in direction; None if no two are seen.
     captured, wanted
-        Sweeps of each LiDAR kept of this placement, and how many are asked for.
+        Sweeps of each LiDAR kept of this placement, and how many are requested.
     placements
         How many are kept whole.
     predicted_error, bound_m

@@ -133,8 +133,8 @@ FIELD = NoiseModel(
     movers=2,
     intensity_falloff=True,
 )
-"""All that a LiDAR meets on a site where its mast stands still. The sizes are assumptions: of the
-order that LiDARs' manuals allow, but measured on no instrument."""
+"""All that a LiDAR encounters on a site where its mast stands still. The sizes are assumptions: of
+the order that LiDARs' manuals allow, but measured on no instrument."""
 
 NOISE_MODELS = {"field": FIELD, "typical": TYPICAL, "none": EXACT}
 """Noise models by name."""

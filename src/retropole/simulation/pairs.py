@@ -141,7 +141,7 @@ def _draw(
     radius: float,
     symmetric: bool,
 ) -> Arrangement | None:
-    """Draw surroundings, poles and LiDARs; None where this draw has none."""
+    """Draw surroundings, poles and LiDARs; None if this draw has none."""
     place = SURROUNDINGS[scene](rng)
     if min(place.clear) <= 0:
         return None
@@ -182,7 +182,8 @@ def facing_poles(
 def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
     """Turn a LiDAR about the vertical until a point (3,) is in the middle of its field of view.
 
-    It stays beside it by `off` as a part of the field; a LiDAR that sees all around as it is.
+    The point is off the middle by `off`, as a part of the field. A LiDAR that sees all around is
+    left as it is.
     """
     if sensor.sees_all_around:
         return pose
@@ -195,7 +196,7 @@ def turned_to(pose: Array, sensor: Sensor, point: Array, off: float) -> Array:
 
 
 MIN_RETURNS, MIN_RINGS = 6, 3
-"""A LiDAR sees a pole with at least so many returns on so many rings: fewer give no line."""
+"""A LiDAR sees a pole with at least this many returns on this many rings: fewer give no line."""
 
 MAX_RECORDINGS = 20
 """Recordings of an arrangement before a `SimulationError`: noise seldom leaves too few returns of a
@@ -222,7 +223,7 @@ class SimulatedPair:
         The taped poles.
     labels
         For the target and the source, the index of the surface that each point lies on; −1 for a
-        point on something that moves, or beside tape that blooms.
+        point on something that moves, or next to tape that blooms.
     returns_on_poles
         Per pole, how many points the target and the source have on it.
     sensors
@@ -326,7 +327,7 @@ def poles_in_view(
 ) -> tuple[bool, ...]:
     """Which poles a LiDAR at a pose (4, 4) sees along thin, exact beams.
 
-    Only beams that may meet a pole are cast.
+    Only beams that may hit a pole are cast.
     """
     everything, first = [*surroundings, *poles], len(surroundings)
     surface, rings = [], []

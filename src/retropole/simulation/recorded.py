@@ -22,7 +22,7 @@ TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
 cloud's z axis: clouds come in the frame of a vehicle rather than of the LiDAR."""
 
 SHARPNESS_POINTS = 20_000
-"""The axis is searched with at most so many points (chosen: 10 ms a step)."""
+"""The axis is searched with at most this many points (chosen: 10 ms a step)."""
 
 LEVEL_BIN = float(np.radians(0.02))
 """Elevations are counted in bins of this size, rad: a fifth of the closest rings (chosen)."""
@@ -36,7 +36,7 @@ ON_RING = float(np.radians(0.2))
 by tenths of a degree."""
 
 MIN_GAP = 1.5
-"""A ring has lost returns where two of its neighbours are more than so many steps apart."""
+"""A ring has lost returns where two of its neighbours are more than this many steps apart."""
 
 MAX_GAP = float(np.radians(45.0))
 """Wider gaps are not filled, rad: behind them may be the vehicle itself, or no beam at all
@@ -71,7 +71,7 @@ class RecordedBeams:
 def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedBeams:
     """Find the beams of a recording.
 
-    A recording tells nothing of a beam without a return. Where neighbours on one ring are more
+    A recording shows nothing of a beam without a return. Where neighbours on one ring are more
     than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
     both, so that a pole against the sky is met. Rings come from the cloud, or else from
     elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
@@ -142,7 +142,7 @@ def _sent_beams(
     basis = np.stack([*_level(cloud.axis), cloud.axis])
     flat = directions @ basis.T
     column = np.arctan2(flat[:, 1], flat[:, 0]) / sensor.azimuth_step
-    # Beams keep their phase from ring to ring, near enough to tell which of them returned.
+    # Beams keep their phase from ring to ring, near enough to determine which of them returned.
     seen = np.zeros((len(sensor.elevations), count), dtype=bool)
     seen[own, np.round(column).astype(np.int64) % count] = True
     ring, turn = np.nonzero(~seen)
@@ -173,7 +173,7 @@ def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
 
 
 def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
-    """Cast the beams at the poles; the index is of those that meet one before their return."""
+    """Cast the beams at the poles; the index is of those that hit one before their return."""
     hits = cast(beams.origin, beams.directions, poles, width)
     return hits, np.flatnonzero(hits.ranges < beams.ranges)
 
@@ -222,7 +222,7 @@ def levels(sines: Array) -> IntArray:
     # Rings of the table of sensors are 8 bins apart or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
-        # A bin beside it holds what fell over its edge.
+        # A neighbouring bin holds what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
     if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
         rings[:] = -1
@@ -232,7 +232,7 @@ def levels(sines: Array) -> IntArray:
 def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
-    """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) beside."""
+    """Directions (K, 3) of beams that are missing in each ring, and a neighbour (K,) of each."""
     across, beside = _level(axis)
     azimuth = np.arctan2(directions @ beside, directions @ across)
     sines = directions @ axis
@@ -320,7 +320,7 @@ def with_poles(
     arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
     labels[place] = hits.surface[met]
     if cloud.ring is not None and np.array_equal(cloud.ring, beams.rings[:count]):
-        # A beam that the sensor sends has no return beside it on a ring that met nothing.
+        # A beam that the sensor sends has no return next to it on a ring that hit nothing.
         arrays["ring"][place] = beams.rings[met]
     return replace(cloud, **arrays), labels
 

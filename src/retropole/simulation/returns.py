@@ -1,7 +1,7 @@
 """What a beam returns: at edges, where pixels mix near and far, and with which intensity.
 
 Diffuse surfaces are on a sensor's own scale, tape above its threshold. The glow around tape is
-false bright returns in beams that pass close beside it.
+false bright returns in beams that pass close next to it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def turned(rays: Array, right: Array, up: Array) -> Array:
 
 
 def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
-    """Index of the beams beside which another surface begins, nearer or farther by `EDGE`."""
+    """Index of the beams next to which another surface begins, nearer or farther by `EDGE`."""
 
     def differ(a: tuple[Array, IntArray], b: tuple[Array, IntArray]) -> BoolArray:
         with np.errstate(invalid="ignore"):
@@ -90,7 +90,7 @@ def report(
 ) -> tuple[Hits, Array]:
     """Replace hits at edges by what the parts of the beam meet.
 
-    Surfaces that a pulse does not tell apart return one range, the mean of theirs weighted with the
+    Surfaces that a pulse does not separate return one range, the mean of theirs weighted with the
     power that returns. Of those it does, the first is reported or the strongest.
 
     Parameters
@@ -162,7 +162,7 @@ thresholds of `sensors` are for about 5 m."""
 
 RAW_FALLOFF, CALIBRATED_FALLOFF = 2.0, 0.5
 """Power of the range by which intensity falls: the inverse square where a sensor states raw signal,
-and what is left of it where it states a reflectivity that it has compensated (chosen)."""
+and what remains where it states a reflectivity that it has compensated (chosen)."""
 
 TAPE_REACH = 12.0
 """Range to which tape at normal incidence saturates a sensor, metres. Chosen so that tape at 3 to
@@ -213,7 +213,7 @@ def intensities(
     ranges
         (N,) metres.
     share
-        (N,) part of the beam that meets the surface.
+        (N,) part of the beam that hits the surface.
     rng, noise
         Relative noise, and whether there is falloff.
     """
@@ -241,7 +241,7 @@ def intensities(
 
 
 BLOOM_NOISE = 0.02
-"""1 σ of the range of a false return beside tape, metres (chosen)."""
+"""1 σ of the range of a false return next to tape, metres (chosen)."""
 
 
 class Echoes(NamedTuple):
@@ -256,7 +256,7 @@ class Echoes(NamedTuple):
 def bloom(
     rays: Array, on_tape: BoolArray, half_width: float, rng: np.random.Generator
 ) -> tuple[IntArray, IntArray]:
-    """Draw the beams that return falsely because they pass close beside tape.
+    """Draw the beams that return falsely because they pass close next to tape.
 
     The chance falls linearly from 1 at the beam on tape to 0 at the half width of the glow.
 
@@ -308,7 +308,7 @@ def with_glow(
     nothing: int,
     rng: np.random.Generator,
 ) -> Echoes:
-    """Add false returns beside tape, at the tape's range, in place of what their beams met.
+    """Add false returns next to tape, at the tape's range, in place of what their beams hit.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class LabelledScan:
         In the sensor's frame.
     labels
         (N,) index of the surface of each point in the scene; −1 for one that lies on none of them:
-        on something that moves, or beside tape that blooms.
+        on something that moves, or next to tape that blooms.
     """
 
     cloud: PointCloud
@@ -53,7 +53,7 @@ class Sweep(NamedTuple):
 
 
 def sweeps(sensor: Sensor, rng: np.random.Generator, count: int) -> Iterator[Sweep]:
-    """Send the beams of so many sweeps, one after the other.
+    """Send the beams of `count` sweeps, one after the other.
 
     In each, a sensor whose lines repeat starts at a random azimuth within its step. A rosette
     starts at a random place of a sequence that never repeats and covers its field of view evenly,
@@ -353,7 +353,7 @@ class Sway:
     frequency
         Hz.
     foot
-        (3,) where the axis is, in the world, metres; None where it goes through the LiDAR.
+        (3,) where the axis is, in the world, metres; None if it goes through the LiDAR.
     """
 
     axis: Array
@@ -369,7 +369,7 @@ class Sway:
         return np.asarray(self.foot + self.turn((rest - self.foot)[None], np.array([time]))[0])
 
     def turn(self, rays: Array, times: Array) -> Array:
-        """Turn rays (N, 3) of the world as the mast stands at times (N,), s."""
+        """Turn rays (N, 3) of the world as the mast leans at times (N,), s."""
         phase = 2 * np.pi * self.frequency * times + self.phase
         angle = self.amplitude * np.sin(phase)[:, None]
         along = (rays @ self.axis)[:, None] * self.axis

@@ -1,7 +1,7 @@
 """Places to calibrate in: their surfaces, and how poles and LiDARs stand there.
 
 The numbers inside the functions describe what is drawn, in metres and radians: sizes of things and
-where they stand. They are chosen by eye after real corridors, streets and quays, and no law
+where they are. They are chosen by eye after real corridors, streets and quays, and no law
 depends on them. Limits of how poles and LiDARs stand are those of what people do. The last part is
 the set-up of Xue et al. 2019, Sec. IV-A: two LiDARs and two poles in empty space.
 """
@@ -201,7 +201,7 @@ def _sloping(side: int, near: Array, far: Array, material: Material) -> Rectangl
 
 
 def _roadside(rng: np.random.Generator, nearest: float) -> list[Surface]:
-    """Trunks, a parked car and a sign beside a road."""
+    """Trunks, a parked car and a sign next to a road."""
     found: list[Surface] = []
     for side in (-1, 1):
         for _ in range(rng.integers(2, 5)):
@@ -305,7 +305,7 @@ def draw_poles(
     Returns
     -------
     list of Cylinder or None
-        None where `MAX_POLE_DRAWS` draws give no such poles.
+        None if `MAX_POLE_DRAWS` draws give no such poles.
     """
     i, j = np.triu_indices(count, 1)
     for _ in range(MAX_POLE_DRAWS):
@@ -359,7 +359,7 @@ def rotated_by_180(surfaces: list[Surface]) -> list[Surface]:
 def draw_lidar(
     rng: np.random.Generator, poles: list[Cylinder], clear: tuple[float, float]
 ) -> Array | None:
-    """Draw a pose (4, 4) within `POLE_DISTANCES` of every pole; None where this draw has none."""
+    """Draw a pose (4, 4) within `POLE_DISTANCES` of every pole; None if this draw has none."""
     place = np.r_[rng.uniform(-1, 1, 2) * clear, rng.uniform(*LIDAR_HEIGHTS)]
     distance = [float(np.linalg.norm((pole.centre - place)[:2])) for pole in poles]
     if min(distance) < POLE_DISTANCES[0] or max(distance) > POLE_DISTANCES[1]:

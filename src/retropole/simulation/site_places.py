@@ -250,7 +250,7 @@ MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""
 
 MAX_SPOTS = 15
-"""Draws of where the poles of one placement stand before the place is drawn anew."""
+"""Draws of the positions of one placement's poles before the site is drawn anew."""
 
 MIN_GAP = 1.0
 """By how much a ring fails to close, metres, where pairs take the other hypothesis."""
@@ -336,7 +336,7 @@ def _place_poles(
     seen: list[tuple[tuple[bool, ...], ...]] = []
     for left in range(placements, 0, -1):
         groups = groups_of(seen, len(sensors))
-        # So many groups may remain, that each of the other placements joins an equal share.
+        # This many groups may remain, that each of the other placements joins an equal share.
         may_remain = 1 + (len(groups) - 1) * (left - 1) // left
         for _ in range(MAX_SPOTS):
             # Around the middle of a LiDAR and the nearest of the other groups.
@@ -363,7 +363,7 @@ def _place_poles(
 def _stand(
     rng: np.random.Generator, count: int, middle: Array, place: SitePlace, radius: float
 ) -> tuple[Cylinder, ...] | None:
-    """Draw poles around a place (2,); None where this draw has none that stand free."""
+    """Draw poles around a place (2,); None if this draw has none that stand free."""
     drawn = draw_poles(rng, count, (3.0, 3.0), (MIN_POLE_ANGLE, MAX_POLE_ANGLE), radius)
     if drawn is None:
         return None
@@ -384,7 +384,7 @@ def _too_near(poles: Sequence[Cylinder], place: SitePlace) -> bool:
 def _place_ring(
     place: SitePlace, rng: np.random.Generator, sensors: tuple[Sensor, ...], radius: float
 ) -> Arrangement | None:
-    """Put two symmetric poles between each LiDAR and the next; None where the ring is ambiguous."""
+    """Put two symmetric poles between each LiDAR and the next; None if the ring is ambiguous."""
     count = len(sensors)
     recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
     at = np.array([pose[:2, 3] for pose in place.poses])

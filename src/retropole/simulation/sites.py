@@ -46,7 +46,7 @@ class DrawnSite:
     kind, sensors, devices, noise, radius
         As of the `SimulatedSite`.
     at
-        Where all stands, and who records what.
+        Where everything stands, and who records what.
     for_survey, for_changes, for_recording
         Generators of what comes next. ``for_changes`` is for those who change the site before it
         is recorded: whatever they draw, all else stays the same.
@@ -157,7 +157,7 @@ def simulate_site(
     Parameters
     ----------
     kind
-        One of `SITES`. In a ``ring`` each LiDAR shares a placement of its own with the next: two
+        One of `SITES`. In a ``ring`` each LiDAR shares a separate placement with the next: two
         poles that a half turn about the vertical maps onto each other, on bare ground, so that only
         the ring as a whole decides. The others record nothing of it.
     rng
@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        Where poles move between two recordings; None where they stand as they were drawn.
+        Where poles move between two recordings; None if they stand as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):
@@ -293,7 +293,7 @@ def _record(
 ) -> tuple[list[list[LabelledScan | None]], Seen]:
     """Record all placements, each until its recordings link what they are to link.
 
-    Of each LiDAR, its recording of each placement, or None where it has none.
+    Of each LiDAR, its recording of each placement, or None if it has none.
     """
     at, sensors = drawn.at, drawn.sensors
     count, first = len(sensors), len(at.place.surroundings)

@@ -33,14 +33,14 @@ APART = 1.0
 """The LiDARs are at least so far from each other, metres."""
 
 PHASES = 4
-"""For so many starts of a sweep within its azimuth step what stands is cast."""
+"""For this many starts of a sweep within its azimuth step what stands is cast."""
 
 GAIT = np.array([0.02, 0.02, 0.015])
 """Amplitude of a walker's hand at each step, metres (chosen)."""
 
 GAIT_KNOT, TREMOR = 0.15, 0.003
-"""A hand is unsteady by so much, metres and as a slope, from knot to knot, s: with both, the noise
-of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
+"""A hand is unsteady by this amount, metres and as a slope, from knot to knot, s: with both, the
+noise of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
 
 REST, EASE = 2.0, 0.5
 """A stop takes so long, s, and so long the pole comes to rest and starts again."""
@@ -320,7 +320,7 @@ def simulate_walk(
 
 
 def _draw_pose(model: Sensor, rng: np.random.Generator) -> Array:
-    """Draw a pose (4, 4) of a LiDAR beside the ground that is walked on."""
+    """Draw a pose (4, 4) of a LiDAR next to the ground that is walked on."""
     bearing, away = rng.uniform(0, 2 * np.pi), rng.uniform(3.5, 5.0)
     spot = away * np.array([np.cos(bearing), np.sin(bearing)])
     pose = se3.from_rt(draw_rotation(rng), np.r_[spot, rng.uniform(1.0, 1.8)])

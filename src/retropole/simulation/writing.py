@@ -93,7 +93,7 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
 
 
 def _write(first: Path, words: bytes, clouds: Mapping[Path, PointCloud]) -> None:
-    """Write recordings, and before them the file that tells of them.
+    """Write recordings, and before them the file that describes them.
 
     Of several sweeps a recording is a folder, out of which those of a run before are taken.
     """
@@ -116,7 +116,7 @@ def _json(truth: Mapping[str, Any]) -> bytes:
 
 
 def truth_of_pole(pole: Cylinder) -> dict[str, Any]:
-    """Give where a pole stands, and its size, as ``truth.json`` has them."""
+    """Give where a pole is, and its size, as ``truth.json`` has them."""
     return {
         "point_world_m": pole.centre.tolist(),
         "direction_world": pole.axis.tolist(),
@@ -169,7 +169,7 @@ def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = 
 
 
 def _file(site: SimulatedSite, lidar: int, placement: int) -> str:
-    """Name of the file of a recording; empty where there is none."""
+    """Name of the file of a recording; empty if there is none."""
     cloud = site.clouds[lidar][placement]
     if cloud is None:
         return ""

@@ -3,7 +3,7 @@
 The returns of all sweeps scatter along their beams. Where rings are far from each other, those of
 one ring fill the cone of that ring with their noise, and planes through them are planes of the
 cone. The mean of returns on a plane lies on that plane, whatever directions they came from: of a
-LiDAR that moved, after its motion was taken out, and of one that never repeats a direction.
+LiDAR that moved, after its motion was removed, and of one that never repeats a direction.
 
 All that looks at surfaces looks at these averages; only the returns on poles count one by one.
 """

@@ -1,13 +1,13 @@
-"""Whether what stands in a scene agrees with a pose: depth consistency, voxel by voxel.
+"""Whether the objects in a scene agree with a pose: depth consistency, voxel by voxel.
 
 Flat ground agrees with any pose that keeps it level, so it is left out. A voxel is a cube of the
 rest. Under the pose, a point of it agrees where the other cloud has a point as near as the depth
-tolerance; it stands in the way where the other LiDAR looked through it; else it is hidden, or out
-of view, and says nothing. A voxel counts once however many points it has.
+tolerance; it is in the way where the other LiDAR looked through it; else it is hidden, or out
+of view, and gives no information. A voxel counts once however many points it has.
 
 A scene may fit elsewhere as well, which a correlation over shifts shows. Poles that were carried
-along a corridor or a street leave walls on walls: hardly anything is contradicted. What stands
-between the walls then lies beside itself, and fits better where it was. All shifts are compared at
+along a corridor or a street leave walls on walls: hardly anything is contradicted. The objects
+between the walls are then displaced, and fit better where they were. All shifts are compared at
 once, as the cross-correlation of the occupied cells, layer by layer.
 """
 
@@ -52,7 +52,7 @@ PER_PLACE = 2
 EXPECTED = 0.3
 """Where so many voxels stand in both clouds, at least this share of the fewer should agree. At the
 reference of 16 real pairs (benchmarks/semireal.py) 0.67 and more did, in 100 simulated recordings
-that were answered right 0.8 and more, in 8 wrong ones 0.02 at most (benchmarks/deception.py, seeds
+that were answered right 0.8 and more, in 8 wrong ones at most 0.02 (benchmarks/deception.py, seeds
 100 to 115)."""
 
 CLEARANCE = 0.3
@@ -91,7 +91,7 @@ class Line(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What stands in one LiDAR's scene, and what the LiDAR saw.
+    """Objects in the scene of one LiDAR, and what the LiDAR saw.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ def ground_plane(
 
 
 def _is_near(points: Array, pole: Line) -> BoolArray:
-    """Which points (N, 3) are the pole's, or lie beside it."""
+    """Which points (N, 3) are the pole's, or lie next to it."""
     away = points - pole.point
     along = away @ pole.direction
     across = se3.lengths(away - along[:, None] * pole.direction)
@@ -272,7 +272,7 @@ def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[
     Parameters
     ----------
     target, source
-        What stands in the scene of each.
+        The objects in the scene of each.
     T
         (4, 4) target from source.
 
@@ -301,12 +301,12 @@ def _agrees(seer: Standing, moved: Array, ranges: Array) -> BoolArray:
 
 
 def _tolerance(ranges: Array) -> Array:
-    """How far apart depths may be that agree, metres."""
+    """Largest difference of depths that agree, metres."""
     return np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, VOXEL_SIDE)
 
 
 class _Judged(NamedTuple):
-    """Which points stand in the way, and how many of each voxel agree and stand in the way."""
+    """Which points are in the way, and how many of each voxel agree and are in the way."""
 
     in_the_way: BoolArray
     yes: IntArray
@@ -342,8 +342,8 @@ LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
 PEAKS = 4
-"""So many shifts are found, farther from each other than `OVERLAP_DISTANCE`: where most cells
-coincide need not be where most of the scene agrees."""
+"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most
+cells coincide need not be where most of the scene agrees."""
 
 HALF_SIDE = 30.0
 """Cells so far about the middle of the source's points are compared, metres."""

@@ -49,10 +49,10 @@ def robust_scale(values: Array, weights: Array) -> float:
 
 
 def common_scatter(values: Array, variance: Array, weights: Array) -> float:
-    """Find the variance that values (N,) have in common beside that which is predicted of each.
+    """Find the common variance of values (N,), in addition to that which is predicted of each.
 
     The τ² with which ``x²/(v + τ²)`` has the same `robust_scale` among those of small predicted
-    variance v as among those of large v; zero where the small ones scatter no more as it is. Small
+    variance v as among those of large v; zero if the small ones scatter no more as it is. Small
     and large are weights, ``m/(m + v)`` and the rest, about the geometric mean m, so that τ² has a
     derivative everywhere.
     """
@@ -136,7 +136,7 @@ BLENDED = 4
 CLUSTER_SIDE, CLUSTER_RANGE = 2.0, 40.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated, up to this
 range, metres. From there on twice the side, four times from twice the range: what lies so far away
-is seen by rings and in patches that are as much further apart."""
+is seen by rings and in patches whose spacing is as much wider."""
 
 MAX_LEAN = 0.02
 """Patches that LiDARs see from different sides count the less the more they lean for the noise of
@@ -153,7 +153,7 @@ MIN_PATCHES = 30
 
 @dataclass(frozen=True, eq=False)
 class PatchPairs:
-    """Patches of both clouds that lie on one surface under a pose, and how far they are apart.
+    """Patches of both clouds that lie on one surface under a pose, and their distances.
 
     Attributes
     ----------
@@ -331,7 +331,7 @@ def pair_patches(
     Returns
     -------
     PatchPairs or None
-        None where fewer than `MIN_PATCHES` pairs are found.
+        None if fewer than `MIN_PATCHES` pairs are found.
     """
     target, source = sets.target, sets.source
     rotated = source.centres @ T[:3, :3].T

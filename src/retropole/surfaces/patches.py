@@ -1,4 +1,4 @@
-"""Small flat pieces of a cloud's surfaces, and how sure their place and their normal are."""
+"""Small flat pieces of a cloud's surfaces, and how certain their place and their normal are."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ with a wide prior, the refinement ends 0.14° and 6.4 cm away with 16 alone, 0.1
 both (tuning)."""
 
 FINER_REACH = 2.0
-"""Within so many of its own voxels a patch is left to finer ones."""
+"""Within this many of its own voxels a patch is left to finer ones."""
 
 MAX_THICKNESS = 0.03
 """RMS distance of a patch's points from its plane, metres, above which it is no surface."""
@@ -81,8 +81,8 @@ MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
 POINTING_NOISE = float(np.radians(0.02))
-"""1 σ of the direction of single beams, rad, where nothing is known of it: LiDARs' manuals name
-0.01 to 0.1° as angular accuracy."""
+"""1 σ of the direction of single beams, rad, where there is no information on it: LiDARs' manuals
+name 0.01 to 0.1° as angular accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,8 @@ class Patches:
     variance
         (M,) of the centre across the patch, m².
     extent
-        (M,) half of its lesser width, metres: across the rings, where these are far apart.
+        (M,) half of its lesser width, metres: across the rings, where these are far from each
+        other.
     lean
         (M, 3) how far it leans towards the beams for the noise of their pointing: a slope, rad,
         along the surface away from the LiDAR.
@@ -199,7 +200,7 @@ def _patches_of(
     values = np.maximum(values, ROUNDING * values[:, 2:])
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
-    # The plane of one ring and a point beside it goes through that point, whatever its error.
+    # The plane of one ring and a point next to it goes through that point, whatever its error.
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     beams = points - origin
@@ -212,7 +213,7 @@ def _patches_of(
     ranges = lengths(centres - origin)
     rays = (centres - origin) / ranges[:, None]
     cosine = np.einsum("mi,mi->m", normals, rays)
-    # A plane goes through a point that lies apart from the others, whatever its error: a patch is
+    # A plane goes through a point that lies away from the others, whatever its error: a patch is
     # not taken for thinner than most are.
     span = np.maximum(heights[:, -1] - heights[:, 0], 1e-12)
     gap = np.diff(heights, axis=1).max(axis=1) / span
@@ -325,7 +326,7 @@ def _doubted(patches: Patches) -> Patches:
 def _lean(rays: Array, normals: Array, spread: Array) -> Array:
     """How far planes lean towards the beams for the noise of their pointing: slopes (M, 3), rad.
 
-    A beam that points ε off meets the plane ``ρ ε tan(i)`` farther or nearer, i the incidence, and
+    A beam that points ε off hits the plane ``ρ ε tan(i)`` farther or nearer, i the incidence, and
     its return is recorded on the nominal beam. That scatter along the ray goes ``sin(i) cos(i)`` of
     itself squared into the covariance of height and distance, which over the variance of the
     distance is a slope.

@@ -30,7 +30,7 @@ NORMAL_NEIGHBOURS = 10
 """Points that a surface normal is estimated from (small_gicp's default when it prepares clouds)."""
 
 SAMPLE = 4000
-"""Where some of a cloud will do, no more points of it, or patches of one size, are asked: a share
+"""Where some of a cloud will do, no more points of it, or patches of one size, are used: a share
 of them has a standard error of less than 1.2 %."""
 
 MAX_CELLS = 2**20 - 1

@@ -1,8 +1,8 @@
 """Whether a LiDAR stood still: all its recordings show one place as they are.
 
 What is of another place has little in common. What a turn of a degree or a push of a decimetre
-leaves has most in common as it is; registered to each other, its recordings lie as far apart as it
-moved, since one LiDAR errs alike in all of them.
+leaves has most in common as it is; registered to each other, its recordings differ by as much as it
+moved, since one LiDAR errs the same in all of them.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ of recordings of LiDARs that stood still came to 0.02° and 6 mm, on bare ground
 465, and sites of all kinds from seeds 600 to 629)."""
 
 WITHIN, MORE_COINCIDES = 0.1, 0.05
-"""Points with a neighbour so near, metres, coincide; and so much more of them do after the
-registration, as a part of all. Where nothing but ground is seen it may slide anywhere, and no more
-coincides: up to 0.005 (the same seeds). Of those that turned 0.16 and more did."""
+"""Points with a neighbour so near, metres, coincide; and at least this much more do after
+the registration, as a part of all. Where nothing but ground is seen it may slide anywhere, and no
+more coincides: up to 0.005 (the same seeds). Of those that turned 0.16 and more did."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """By how much a recording lies beside the first that it shares a place with, rad and m."""
+    """Displacement of a recording from the first that shows the same place, rad and m."""
 
     rotation: float
     translation: float
@@ -52,16 +52,16 @@ def shows_same(one: View, other: View) -> bool:
 
 
 def moved(one: View, other: View) -> Moved | None:
-    """Say how a LiDAR moved between two recordings that show one place; None where it did not."""
+    """Say how a LiDAR moved between two recordings that show one place; None if it did not."""
     surfaces = _surface(one), _surface(other)
     return _moved_between((one, other), surfaces)[1]
 
 
 def elsewhere(recordings: Sequence[View | None]) -> dict[int, Moved | None]:
-    """Placements whose recording does not show the place that a LiDAR stands at.
+    """Placements whose recording does not show the place of its LiDAR.
 
     With three recordings or more, those that agree with less than half of the others; with two that
-    differ, both. Of each how far it lies beside what it shows most of; None where that is another
+    differ, both. For each its displacement from the majority; None if it shows another
     place.
 
     Parameters

@@ -38,7 +38,7 @@ from .visibility import (
 )
 
 MAX_APART = 60.0
-"""Recordings that lie further apart than this were made at other times, seconds. Clocks that are
+"""Recordings further apart in time than this were made at other times, seconds. Clocks that are
 set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 
@@ -51,7 +51,7 @@ def recorded_together(placements: Sequence[Placement]) -> bool:
 
 
 def _apart(placement: Placement) -> float | None:
-    """Seconds from the end of one recording to the start of the other; None where not known."""
+    """Seconds from the end of one recording to the start of the other; None if not known."""
     target, source = (time_of_recording(scan.cloud) for scan in placement.scans)
     if target is None or source is None:
         return None
@@ -59,7 +59,7 @@ def _apart(placement: Placement) -> float | None:
 
 
 def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Tell of placements that the two LiDARs recorded at other times, as far as their clocks say.
+    """Report placements that the two LiDARs recorded at other times, as far as their clocks show.
 
     What was moved in between looks the same as another pose.
     """
@@ -192,8 +192,8 @@ def keys_of(xyz: Array) -> Keys:
 
 
 MIN_FRAMES = 3
-"""With fewer frames nothing tells what moved: a majority needs three. Whether a LiDAR turned, the
-first and the last third of the frames tell."""
+"""With fewer frames what moved is unknown: a majority needs three. Whether a LiDAR turned follows
+from the first and the last third of the frames."""
 
 RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""
@@ -271,7 +271,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
     """Refuse a LiDAR that turned while the frames were recorded.
 
     The last frames are registered to the first. Only the turn is judged: a scene such as a corridor
-    leaves a shift open.
+    leaves a shift undetermined.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
 
 @kept
 def turned_by(cloud: PointCloud) -> float:
-    """How far a LiDAR turned from the first frames to the last, rad; 0 where that is not known.
+    """How far a LiDAR turned from the first frames to the last, rad; 0 if that is not known.
 
     A turn of more than `MAX_TURN` is known where it is also more than `MOVED_SIGMAS` of its noise.
     """

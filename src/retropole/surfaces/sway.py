@@ -1,9 +1,9 @@
 """A mast that sways: its returns are brought to rest, and how far off that may be is stated.
 
-The motion comes from the sweeps (`sweeps`), and where it rests from how masts move.
+The motion comes from the sweeps (`sweeps`), and the position of rest from how masts move.
 
 That is a set of hypotheses of an oscillation about rest, weighed by the returns. All sweeps of a
-recording show the same surfaces; how they lie against each other shows how the LiDAR moved
+recording show the same surfaces; how they lie relative to each other shows how the LiDAR moved
 (`sweeps`), but for what all have in common: where it rests. That follows from how a mast moves. It
 oscillates about rest, at a frequency and with a size that are not known beforehand::
 
@@ -40,7 +40,7 @@ SPACING, RESOLVED = 0.15, 0.7
 apart, which is one over its length."""
 
 FREQUENCY_SPREAD = 0.1
-"""A mast does not keep its frequency exactly: so far beside it, as a part, it moves as well."""
+"""A mast does not keep its frequency exactly: within this part of it, it moves as well."""
 
 BROAD = 10
 """Frequencies of the hypothesis that a mast moves at all of them."""
@@ -109,7 +109,7 @@ class Motion:
 
     @property
     def is_seen(self) -> bool:
-        """Whether it is sway, and so large that it counts."""
+        """Whether it is sway, and large enough to count."""
         return self.evidence > SEEN and self.angle > LEAST_SWAY
 
     @property
@@ -124,7 +124,7 @@ def angle_of(motion: Array) -> float:
 
 
 class Asked(NamedTuple):
-    """A frequency, Hz, how probable it is, its features (B, F), and what the returns say of their
+    """A frequency, Hz, how probable it is, its features (B, F), and what the returns show of their
     coefficients: information (6 F, 6 F) and gradient (6 F,)."""
 
     frequency: float
@@ -135,7 +135,7 @@ class Asked(NamedTuple):
 
 
 class Axes(NamedTuple):
-    """What returns say of coefficients along the axes (6 F, K) of a prior: values and gradients
+    """What returns show of coefficients along the axes (6 F, K) of a prior: values and gradients
     (K,)."""
 
     way: Array
@@ -144,7 +144,7 @@ class Axes(NamedTuple):
 
 
 def axes_of(asked: Asked, root: Array) -> Axes:
-    """Find the axes in which the returns and a prior are apart.
+    """Find the axes in which both the information of the returns and a prior are diagonal.
 
     `root` (6, R) is of the covariance of each six coefficients, over turn and shift, rad and m,
     where the size is one.
@@ -233,7 +233,7 @@ def ways_of(motion: Array) -> list[tuple[float, Array]]:
     Parameters
     ----------
     motion
-        (B, 6) as it is known; zero where it is not.
+        (B, 6) as it is known; zero if it is not.
     """
     found = [(0.5 / len(LEVERS), np.diag(np.repeat([1.0, lever], 3))) for lever in LEVERS]
     apart = motion - motion.mean(axis=0)
@@ -287,7 +287,7 @@ STORED = 200
 
 
 class Steadied(NamedTuple):
-    """A cloud at rest; how it swayed, or None; and the motion (B, 6) that was taken out, or None:
+    """A cloud at rest; how it swayed, or None; and the motion (B, 6) that was removed, or None:
     turn and shift from rest of each part of the recording."""
 
     cloud: PointCloud
@@ -303,7 +303,7 @@ def steadied(cloud: PointCloud, stated: float | None = None) -> Steadied:
     cloud
         Without what moved in the scene.
     stated
-        1 σ of the angle that the mast is said to sway by, rad; None where nothing is said: then
+        1 σ of the angle that the mast is said to sway by, rad; None if nothing is said: then
         only what is seen counts.
 
     Returns
@@ -327,7 +327,7 @@ def steadied(cloud: PointCloud, stated: float | None = None) -> Steadied:
 def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
     """Estimate the motion, from cells that are made anew without it until it rests.
 
-    None where the returns lie on no flat cell.
+    None if the returns lie on no flat cell.
     """
     xyz = cloud.xyz[when.index]
     found = None
@@ -359,7 +359,7 @@ def judged(
     Parameters
     ----------
     observed, asked
-        What the returns say, and what of the hypotheses.
+        What the returns show, and what of the hypotheses.
     sizes
         As of `sway.infer`.
     motion, noise
@@ -400,7 +400,7 @@ class Velocity(NamedTuple):
 
 
 def velocity_of(cloud: PointCloud, prior: Array) -> Velocity | None:
-    """Ask the sweeps of a recording how their LiDAR moved on steadily; None where they do not tell.
+    """Estimate the steady motion of a LiDAR from its sweeps; None if they do not determine it.
 
     Parameters
     ----------

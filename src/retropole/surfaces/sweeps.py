@@ -3,8 +3,8 @@
 The returns are put into cells of space. In a flat one, a sweep that was turned by ω and shifted by
 τ leaves residuals ``−n·(ω × p + τ)`` from the plane of the cell, whose height and two slopes are
 unknown. They are eliminated: what the cell looks like in the mean is not taken from sweeps that
-moved. A cell that beams of one elevation alone meet then says nothing: on a slanted surface such
-returns move along their beam, and any plane through it fits.
+moved. A cell that beams of one elevation alone meet then gives no information: on a slanted
+surface such returns move along their beam, and any plane through it fits.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ def numbered(values: IntArray) -> tuple[IntArray, IntArray]:
 
 
 CELL_SIDES = (2.0, 1.0, 6.0)
-"""Of the cells, metres, in turn: small ones take what lies beside a corner, large ones ground where
-rings lie so far apart that no smaller one has two."""
+"""Of the cells, metres, in turn: small ones take what lies next to a corner, large ones ground
+where
+rings are so far apart that no smaller one has two."""
 
 CORNERS = 2 ** np.array([0, 21, 42])
 """One number for each cell, where none is 2²⁰ from the origin."""
@@ -63,7 +64,7 @@ CUTS = 20
 """Parts of a side, in one of which cells begin."""
 
 RETURNS = 90_000
-"""That are asked, evenly of all sweeps: with so many a sweep's turn is known to 0.002°."""
+"""Returns that are used, evenly of all sweeps: with this many a sweep's turn is known to 0.002°."""
 
 LEAST_RETURNS = 30
 """Of a cell."""
@@ -73,7 +74,7 @@ THICKEST, LEAST_WIDTH, FLATNESS = 0.05, 0.2, 0.02
 plane's lesser extent more, and the ratio of both variances less."""
 
 USUAL = 3.0
-"""A cell is no more than so many times as thick as most: a plane through a bush does not count.
+"""A cell is no more than this many times as thick as most: a plane through a bush does not count.
 On a square one such cell gave the turn about the vertical alone, 0.07° off."""
 
 LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
@@ -81,16 +82,16 @@ LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
 ratio of both variances: below, the cell is met by a single ring."""
 
 FAR = 4.0
-"""Residuals of so many σ of their cell count no more (Tukey's biweight)."""
+"""Residuals of this many σ of their cell count no more (Tukey's biweight)."""
 
 FINEST = 0.003
 """Least σ of the residuals of a cell, metres."""
 
 PARTS = 8
-"""Parts of a sweep that the motion is told in, where returns have times."""
+"""Parts of a sweep that the motion is resolved in, where returns have times."""
 
 PERIOD = 0.1
-"""Of a sweep, s, where nothing tells."""
+"""Of a sweep, s, where it is unknown."""
 
 LONGEST = 0.5
 """Times of returns that spread further over one sweep are no times of a sweep, s."""
@@ -98,7 +99,7 @@ LONGEST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """The returns that are asked, and when they came.
+    """The returns that are used, and when they came.
 
     Attributes
     ----------
@@ -195,7 +196,7 @@ def timed(cloud: PointCloud) -> Timed:
 
 
 def _within(cloud: PointCloud, own: IntArray, by_sweep: Sequence[IntArray]) -> Array | None:
-    """(N,) time of each return since the start of its sweep, s; None where not known.
+    """(N,) time of each return since the start of its sweep, s; None if not known.
 
     The returns of each sweep are given, and the sweep of each return.
     """
@@ -221,7 +222,7 @@ def _period(cloud: PointCloud, frames: IntArray, by_sweep: Sequence[IntArray]) -
 
 
 def observe(xyz: Array, origin: Array, when: Timed, motion: Array) -> Observed:
-    """State what returns say of the motion, about the motion as it is known.
+    """State what returns show of the motion, about the motion as it is known.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How much each pair of patches says of the pose, and what the surfaces say nothing of."""
+"""How much each pair of patches says of the pose, and what the surfaces do not determine."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..base.datatypes import Array
 from .patch_pairs import LEAST_SCATTER, PatchPairs, common_scatter, robust_scale
 
 ROBUST_WIDTH = 2.0
-"""Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
+"""Residuals of this many σ have a quarter of the weight (Geman and McClure 1987)."""
 
 
 MIN_HOLD = 6.0
-"""A direction of the pose counts as held by the scene with so many times the information that the
-noise of the normals alone would imitate."""
+"""A direction of the pose counts as constrained by the scene with this many times the
+information that the noise of the normals alone would imitate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
     tangents of each patch by the variance of its normal, says. Of the generalised eigenvectors v of
     ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles, those far above it to
     the scene, and what lies between to both, by ``λ²/(λ² + MIN_HOLD²)``. What is left to the poles
-    is taken out of the residuals as well, as if the surfaces could slide along it: with the
+    is removed from the residuals as well, as if the surfaces could slide along it: with the
     derivative alone made smaller, the step would become larger.
 
     Returns

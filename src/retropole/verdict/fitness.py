@@ -42,8 +42,8 @@ def judge(answer: Calibration, need: Need | None) -> Calibration:
     answer
         An answer, not a refusal.
     need
-        How accurate it must be. None asks for `USABLE` of its covariance, and says nothing more
-        where that is so.
+        How accurate it must be. None requires `USABLE` of its covariance, and adds nothing if
+        that is met.
     """
     assert answer.covariance is not None
     doubts: tuple[str, ...] = ()

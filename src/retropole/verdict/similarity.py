@@ -267,7 +267,7 @@ def _in_common_unit(
     said = (
         f"read as {NAMES[unit]}, the target shows {len(target.scan.poles)} poles of radius "
         f"{radius:g} m and the source {len(source.scan.poles)}, which fit each other, and "
-        f"{agreed.agreeing} of {agreed.total} voxels off the ground agree"
+        f"{agreed.agreeing} of {agreed.total} patches off the ground agree"
     )
     values = {"unit": unit, "unit_m": METRES[unit], "agreeing": agreed.agreeing}
     if odd is not None or thicker > MAX_RADIUS:
@@ -289,7 +289,7 @@ def _options(unit: Unit, *lidars: str) -> str:
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:
     agreed = found.agreed
     figures = {"agreeing": agreed.agreeing, "contradicting": agreed.contradicting}
-    shown = f"{agreed.agreeing} of {agreed.total} voxels off the ground then agree"
+    shown = f"{agreed.agreeing} of {agreed.total} patches off the ground then agree"
     if rigid is not None:
         figures["rigid_agreeing"] = rigid.agreed.agreeing
         figures["rigid_contradicting"] = rigid.agreed.contradicting

@@ -496,7 +496,7 @@ def test_two_lidars_tell_their_angles_to_one_port() -> None:
 
 
 def test_a_port_of_angles_that_cannot_be_heard() -> None:
-    with pytest.raises(UsageError, match="port 7: a Hesai tells its angles to no port"):
+    with pytest.raises(UsageError, match="port 7: a Hesai sends its angles to no port"):
         source_of(f"hesai:{HOME}:{free_port()},7")
     with pytest.raises(UsageError, match="a Velodyne sends to one port"):
         source_of(f"velodyne:{HOME}:{free_port()},7")

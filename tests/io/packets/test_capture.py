@@ -128,7 +128,9 @@ def test_an_ouster_without_metadata_says_what_to_supply(
     capture(path, [bytes(8448)] * 3)
     for name in names:
         (tmp_path / name).write_text("{}")
-    with pytest.raises(ReadError, match=r"metadata beside them as drive\.json, found (no|2 files)"):
+    with pytest.raises(
+        ReadError, match=r"metadata next to them as drive\.json, found (no|2 files)"
+    ):
         read_cloud(path)
 
 

@@ -25,7 +25,7 @@ BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
 
 LEVER = 10.0
-"""Distance at which a rotation is counted beside a translation in the condition number, metres."""
+"""Distance at which a rotation is counted next to a translation in the condition number, metres."""
 
 FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that are not modelled, rad and m: bent housings, temperature,
@@ -46,7 +46,7 @@ class BudgetEntry(msgspec.Struct, frozen=True):
     name
         What errs, such as ``range offset`` or ``scatter of the surfaces``.
     sensor
-        Whose error it is; None where it is no single LiDAR's.
+        Whose error it is; None if it is no single LiDAR's.
     sigma, unit
         1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose. Of what is
         no single quantity (scatter, surfaces, unmodelled errors), of a point 30 m away, metres.
@@ -138,7 +138,7 @@ def source_words(name: str, sensor: str | None) -> str:
 
 
 def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
-    """Say what keeps a matrix (N, N) from being a covariance; None where nothing does.
+    """Say what keeps a matrix (N, N) from being a covariance; None if nothing does.
 
     One part of an uncertainty may have no variance; nobody knows a pose without error.
     """

@@ -1,4 +1,4 @@
-"""What stands in the scene says of a pose, and how likely it makes it that the pose is wrong."""
+"""What the scene shows about a pose, and how likely it makes it that the pose is wrong."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..bounded import Count, Number, Share, ShareOfSome, Size, Vector
 from ..quantities import counted, percent
 
 MAX_Z_MARGIN = 4.0
-"""A larger margin says no more: its σ takes voxels for independent, which neighbours are not."""
+"""A larger margin adds nothing: its σ takes voxels for independent, which neighbours are not."""
 
 CLEAR_Z_MARGIN = 1.5
 """Up to this many σ a margin may be chance, and each σ is weaker evidence than beyond. That another
@@ -53,7 +53,7 @@ class Confirmation(
         "deceiving": "deceiving_share",
     },
 ):
-    """What stands in the scene says of a pose (docs/results.md, The scene check).
+    """What the scene shows about a pose (docs/results.md, The scene check).
 
     Attributes
     ----------
@@ -61,15 +61,15 @@ class Confirmation(
         Voxels off the ground, of both clouds, that agree with the pose, and that stand where the
         other LiDAR looked through.
     contradicted
-        Share of the voxels that conflict with the pose; 0 where there is none. It follows from the
+        Share of the voxels that conflict with the pose; 0 if there is none. It follows from the
         others.
     missing
-        Voxels that should agree besides, by how much stands in both clouds.
+        Voxels that should agree besides, by how much is in both clouds.
     better_at
         How far away a pose lies under which the scene fits better, metres; None if none does.
     z_margin
-        By how many σ the pose agrees better than the best of others beside it; None where it was
-        not held against any.
+        By how many σ the pose agrees better than the best of others next to it; None if it was
+        not compared with any.
     redundant
         Whether a third pole, or a placement of another shape, checks the poles.
     trusted
@@ -79,7 +79,7 @@ class Confirmation(
     deceiving
         Share of such recordings that deceive, which the next is stated for.
     along
-        (3,) unit vector, target axes, along which the scene holds the pose least; None where that
+        (3,) unit vector, target axes, along which the scene holds the pose least; None if that
         is no shift, or nothing stands.
     probability_wrong
         Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
@@ -134,7 +134,8 @@ class Confirmation(
     def counts(self) -> str:
         """What was counted, for a person: ``412 patches agree, 3 contradict``.
 
-        Each count is that of the field of its name: what should agree and does not is told apart.
+        Each count is that of the field of its name: what should agree and does not is
+        distinguished.
         """
         said = counted(self.agreeing, "patch agrees", "patches agree")
         said += f", {counted(self.contradicting, 'contradicts', 'contradict')}"

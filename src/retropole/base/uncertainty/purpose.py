@@ -12,7 +12,7 @@ from ..bounded import Share, Size, Text
 from ..se3 import Array
 
 CONFIDENCE = 0.95
-"""Probability with which a pose must be as accurate as is asked for."""
+"""Probability with which a pose must be as accurate as is requested."""
 
 DRAWS = 100_000
 """Errors that a probability is counted from: 95 % is then known to 0.07 %, its bound to 0.4 %."""
@@ -26,7 +26,7 @@ class Need(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
     within
         Most that a point may land away from its true place, metres.
     at
-        Distance from the source LiDAR up to which that is asked for, metres.
+        Distance from the source LiDAR up to which that is requested, metres.
     """
 
     within: Size
@@ -56,14 +56,14 @@ class Fitness(msgspec.Struct, frozen=True):
     Attributes
     ----------
     within_m, at_m
-        What was asked for, as `Need` has it.
+        What was requested, as `Need` has it.
     answer
         ``yes`` or ``no`` with a probability of `CONFIDENCE`, or that neither is shown.
     probability
         That it is so.
     bound_m
         What it is accurate to instead with a probability of `CONFIDENCE`, metres, at the same
-        distance; None where nothing can be said with that: the pose may be another one.
+        distance; None if nothing can be said with that: the pose may be another one.
     words
         The answer for a person: ``within 2 cm at 30 m: yes, 98 % sure``.
     """
@@ -92,12 +92,12 @@ def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...])
 
 
 def whole_percent(share: float) -> str:
-    """Write a probability in whole per cent, rounded down: 94.9 % are not the 95 % asked for."""
+    """Write a probability in whole per cent, rounded down: 94.9 % are not the 95 % requested."""
     return f"{min(int(100 * share + 1e-9), 99)} %"
 
 
 def displacement(steps: Array, distance: float) -> Array:
-    """Tell how far errors of a pose move a point at most, of all points at a distance.
+    """Say how far errors of a pose move a point at most, of all points at a distance.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def fitness(
     covariance
         (6, 6) over ``[φ, δ]``, rad and m.
     need
-        What is asked for.
+        What is requested.
     wrong
         Probability that it is another pose altogether, which the covariance does not count.
     doubts

@@ -60,8 +60,8 @@ def watched_pairs(
     site
         A pair, or a site file of the new recordings.
     answers
-        Rows that hold the stored results, by the ids of sites; None where each site names its own,
-        or has ``site-result.json`` beside its file.
+        Rows that hold the stored results, by the ids of sites; None if each site names its own,
+        or has ``site-result.json`` next to its file.
     """
     if site.kind == "pair" or site.fault:
         fault = site.fault or ("" if answers is None else _unanswered(answers.get(site.id)))
@@ -77,7 +77,7 @@ def watched_pairs(
 
 
 def _unanswered(stored: Row | None) -> str:
-    """Say why a pair has no stored result among the answers; empty where it has one."""
+    """Say why a pair has no stored result among the answers; empty if it has one."""
     if stored is None:
         return "the answers have no site of this id; calibrate it"
     if stored.kind == "site":
@@ -140,17 +140,17 @@ def check_site(
     Parameters
     ----------
     site
-        A pair, and the place of its stored result: ``result.json`` beside the target where it
+        A pair, and the place of its stored result: ``result.json`` next to the target where it
         names none.
     check
-        What to hold it against.
+        What to compare it with.
     tell
         Called with the hashes of its files before anything is read of what is in them.
 
     Returns
     -------
     CheckRow or None
-        The row, whatever happens; None where the history has it without an error: the
+        The row, whatever happens; None if the history has it without an error: the
         same recordings and stored result, at the same time.
     """
     tried = _tried(site, check)
@@ -193,7 +193,7 @@ def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
 
 
 def _tried(site: FleetSite, check: Check) -> CheckRow:
-    """Begin the row of a check that has not told anything yet."""
+    """Begin the row of a check that has no result yet."""
     time = datetime.fromisoformat(site.time) if site.time else check.tried
     return CheckRow(site.id, time, "cannot_tell", version=__version__)
 

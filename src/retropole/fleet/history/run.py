@@ -40,7 +40,8 @@ class SiteChange:
     watched
         What was found in them.
     newest
-        What came of its check in this run; of one that the history had, the last that had no error.
+        The result of its check in this run; of one that the history had, the last that had no
+        error.
     """
 
     id: str
@@ -117,7 +118,7 @@ def check_fleet(
     progress: Callable[[str], None] = lambda step: None,
     replaying: Replaying = map,
 ) -> FleetCheck:
-    """Check sites, append to their history, and tell what changed.
+    """Check sites, append to their history, and report what changed.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def check_fleet(
         What does the tasks: `engine.outcomes` with its client.
     answers
         Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
-        where each site names its own, or has it beside the target.
+        where each site names its own, or has it next to the target.
     tolerance
         Movement that matters, rad and m; None for as little as the data tell.
     time_limit
@@ -148,9 +149,9 @@ def check_fleet(
     UsageError
         Where `answers` is no dataset, or a site names another stored result.
     ReadError
-        Where the dataset is damaged.
+        If the dataset is damaged.
     OSError
-        Where the history cannot be written.
+        If the history cannot be written.
     """
     history = absolute(history)
     if answers is not None:
@@ -225,10 +226,10 @@ def replay(
     newest: Mapping[str, CheckRow] | None = None,
     known: store.Sites | None = None,
 ) -> Replayed:
-    """Tell what changed at sites, in the order of their ids, and what of the history is damaged.
+    """Say what changed at sites, in the order of their ids, and what of the history is damaged.
 
     Without ids, at all that the history has.
-    `newest` is of a run what came of each site, by its id, and `known` the files that there were.
+    `newest` holds the result of each site of a run, by its id, and `known` the files that existed.
     """
     damaged: list[ReadError] = []
     changes: list[SiteChange] = []
@@ -250,7 +251,7 @@ def _replayed(table: Any) -> Replayed:
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
-    """Tell what changed at one site, from all of its checks; `newest` is that of this run."""
+    """Say what changed at one site, from all of its checks; `newest` is that of this run."""
     usable = store.observed(rows)
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
     times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])

@@ -79,13 +79,13 @@ class CheckRow(msgspec.Struct, frozen=True):
         ``same``, ``moved`` or ``cannot_tell``, as of ``retropole check``; ``error`` where a file
         could not be read.
     used
-        What the pose was found by: ``poles``, ``scene``; None where there is none.
+        What the pose was found by: ``poles``, ``scene``; None if there is none.
     codes
         Reason codes.
     message
-        What went wrong, in words; None where nothing did.
+        What went wrong, in words; None if nothing did.
     step
-        (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None where there is none.
+        (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None if there is none.
     covariance
         6 × 6 of it, row by row.
     random
@@ -93,7 +93,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     chi2, power
         As of ``retropole check``.
     stored_sha256, target_sha256, source_sha256
-        Hashes of the stored result and of the recordings; empty where they could not be read.
+        Hashes of the stored result and of the recordings; empty if they could not be read.
     version
         Of this program.
     """
@@ -125,7 +125,7 @@ class CheckRow(msgspec.Struct, frozen=True):
 
     @property
     def is_usable(self) -> bool:
-        """Whether its step says where the site stands: a check too weak to say *same* does."""
+        """Whether its step gives the pose of the site: a check too weak to say *same* does."""
         return is_usable(self.step is not None, self.status, self.codes)
 
 
@@ -139,7 +139,7 @@ def key_of(
 
 
 def is_usable(has_step: bool, status: str, codes: Collection[str]) -> bool:
-    """Whether a check says where its site stands."""
+    """Whether a check gives the pose of its site."""
     if not has_step or status == "error" or (codes and not set(codes).isdisjoint(UNSETTLED)):
         return False
     return status != "cannot_tell" or "too_weak" in codes
@@ -161,7 +161,7 @@ def row_of(columns: Mapping[str, Any]) -> CheckRow:
     Raises
     ------
     ReadError
-        Where a status, step or covariance is none, or the row is not the one that its key names.
+        If a status, step or covariance is none, or the row is not the one that its key names.
     """
     site = f"history, site {columns['id']!r}"
     try:
@@ -243,7 +243,7 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) ->
     MissingExtraError
         Without the extra ``fleet``.
     OSError
-        Where a file cannot be written; each month is whole or not there.
+        If a file cannot be written; each month is whole or not there.
     """
     months: dict[str, dict[str, CheckRow]] = {}
     for row in rows:

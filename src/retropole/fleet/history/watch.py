@@ -8,20 +8,21 @@ A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
   was found.
 - *season*: a cosine and a sine of a year, zero mean and `SEASON` wide.
 - *slow*: an Ornstein-Uhlenbeck process: weather, leaves.
-- *other*: what a pose found the other way (by the scene alone, where poles gave the first) differs.
+- *other*: the difference of a pose found by the other method (by the scene alone, where poles
+  gave the first).
 - *e*: drawn anew in each check, with the random part of its covariance times a scale.
 
 In the axes that make the first check's random and common parts diagonal, all six are filtered each
 by itself; what later checks correlate there is left out. Under each of the laws `SLOW` of what
-varies slowly the site has a Kalman filter; the likeliest one tells.
+varies slowly the site has a Kalman filter; the likeliest one decides.
 
 Changes show in several checks together: for onsets within the last year, a step and a trend from
-there on are held against no change by their likelihood (window-limited GLR, Willsky and Jones 1976;
-Lai 1998). A check that the filter excludes counts as one that is just about excluded: as if its own
-scatter were so much wider. So none alone makes a change, but two that agree do. Such a one waits
-until another tells what it was: an *outlier*, where the next fits again (a lorry stood in view), or
-the first of a *step*. A change that was found becomes part of what is expected, and the watch goes
-on.
+there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
+1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
+if its own scatter were so much wider. So none alone makes a change, but two that agree do. Such a
+one waits until another shows what it was: an *outlier*, where the next fits again (a lorry stood in
+view), or the first of a *step*. A change that was found becomes part of what is expected, and the
+watch goes on.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
-"""What a site's random scatter is taken for beside what is stated, in σ, before it has told: and
-how many checks that counts as. The site's own surprises then correct it."""
+"""Prior of the ratio of a site's random scatter to what is stated, in σ, before its first check;
+and how many checks that counts as. The site's own surprises then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
-"""Of what varies slowly the variance beside the random part, and the days in which it forgets; with
-the logarithm of how likely each is before a site has told: the site's own checks choose."""
+"""Of what varies slowly the variance relative to the random part, and the days in which it forgets;
+with the logarithm of how likely each is before the first check: the site's own checks choose."""
 
 SHARES, TIMES = np.array(list(SLOW)).T
 
@@ -74,8 +75,9 @@ MOST_STEPS = 40
 """Checks back to which a step may have happened, however many there are in the window."""
 
 SPACING, FRESH = 20.0, 4
-"""Days between onsets of trends that are tried: those of neighbours are hardly told apart; but each
-of the newest checks is tried: at 5 mm a day and a check a week nothing else says what happens."""
+"""Days between onsets of trends that are tried: those of neighbours are hardly distinguished; but
+each of the newest checks is tried: at 5 mm a day and a check a week nothing else says what
+happens."""
 
 STEP, TREND = 42.0, 18.0
 """Twice the log likelihood ratio from which a step, or a trend of few days, was found, and one of
@@ -93,8 +95,8 @@ LEAST = np.radians(0.05), 0.005
 the tolerance of a check, which any mast moves by from season to season."""
 
 CLEAR = 4.0
-"""Difference of twice the log likelihoods from which a step and a trend are told apart: of two
-checks that are both excluded it is 5 at most."""
+"""Difference of twice the log likelihoods from which a step and a trend are distinguished: of two
+checks that are both excluded it is at most 5."""
 
 UNKNOWN = 1e-6
 """Information on a change that has no data yet, in units of the first check's σ: tiny."""
@@ -142,7 +144,7 @@ class Event:
     onset
         Number of the first check that shows it.
     found
-        Number of the check that told.
+        Number of the check that showed it.
     size
         (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
         the stored pose; None of others.
@@ -164,7 +166,7 @@ class Event:
 
     @property
     def is_clear(self) -> bool:
-        """Whether a step and a trend are told apart."""
+        """Whether a step and a trend are distinguished."""
         return self.lead >= CLEAR
 
 
@@ -179,7 +181,7 @@ class Watched:
     waiting
         Numbers of the checks that are off and wait for another: not confirmed.
     scale
-        Scatter of the site beside what is stated, in σ.
+        Scatter of the site relative to what is stated, in σ.
     """
 
     events: tuple[Event, ...] = ()
@@ -292,7 +294,7 @@ def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
     chi2 = (off**2 / size).sum(axis=1)
     clipped = np.minimum(chi2, GATE)
     likelihood = now.likelihood - 0.5 * (clipped + np.log(size).sum(axis=1))
-    # One that is excluded counts as if it were just about excluded.
+    # One that is excluded is treated as if it were just about excluded.
     size *= np.maximum(chi2 / GATE, 1.0)[:, None]
     gain = across / size[..., None]
 
@@ -342,8 +344,8 @@ def _kept(now: _Filter, n: int, days: float) -> BoolArray:
 def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
-    A change may be one of translation alone, as of a foundation that settles, which three degrees
-    of freedom tell; it counts as the χ²(6) that chance exceeds as often.
+    A change may be one of translation alone, as of a foundation that settles, which has three
+    degrees of freedom; it counts as the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
     pushed = (V.T @ b).T[..., None]
@@ -398,7 +400,7 @@ def _stays_moved(newest: Sequence[Observed]) -> bool:
 
 
 def watch(checks: Sequence[Observed]) -> Watched:
-    """Replay the checks of a site and tell what changed.
+    """Replay the checks of a site and report what changed.
 
     Parameters
     ----------

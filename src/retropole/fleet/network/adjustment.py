@@ -32,14 +32,14 @@ POWER = 0.8
 
 LEAST_CHECKED = 1e-5
 """Part of an error that must show in the residuals to be tested: far above the rounding that is
-left of what nothing checks, far below what any test could find."""
+left of what no observation checks, far below what any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple
 of the χ² that chance allows: the tests of nearer ones tell better which of two is wrong."""
 
 KERNEL = 15.0
-"""From about so many σ on an edge counts less in the robust start (Cauchy). With 5, 5 more of
+"""From about this many σ on an edge has less weight in the robust start (Cauchy). With 5, 5 more of
 16,658 sound edges were lost (benchmarks/fleet_network.py, 1000 nodes, seeds 0 to 7)."""
 
 FAINT = 1e-6
@@ -73,7 +73,7 @@ class NetworkAdjustment:
         (M,) part of its errors that shows in its residuals, 0 to 1.
     detectable
         (M, 2) least rotation, rad, and translation, m, in the direction in which it shows least,
-        that the test finds with `POWER`; infinite where nothing checks one.
+        that the test finds with `POWER`; infinite where no observation checks one.
     rivals
         For some that are left out, used ones nearby that may be wrong in their stead.
     components
@@ -81,7 +81,7 @@ class NetworkAdjustment:
     doubtful
         (N,) poses that are tied to their datum by rivals: they may be elsewhere.
     unit_variance
-        Sum of squares for each degree of freedom: 1 where the covariances given are right.
+        Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
         How often all was adjusted.
     settled
@@ -140,7 +140,7 @@ def adjust_network(
     UsageError
         Of a covariance that is not positive.
     RetropoleError
-        Where GTSAM cannot solve it.
+        If GTSAM cannot solve it.
     """
     try:
         return _adjusted(graph, progress)

@@ -27,9 +27,9 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     Raises
     ------
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     pa = arrow()
     text, real, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
@@ -52,9 +52,9 @@ def write_g2o(place: str, of: FleetNetwork) -> None:
     Raises
     ------
     MissingExtraError
-        Where the extra ``network`` is not installed.
+        If the extra ``network`` is not installed.
     OSError
-        Where it cannot be written.
+        If it cannot be written.
     """
     factors = as_factors(of.graph)
     factors.resize(len(of.graph.edges))

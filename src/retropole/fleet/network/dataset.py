@@ -83,9 +83,9 @@ def read_nodes(place: str) -> NodeList:
     UsageError
         For a file of another kind.
     ReadError
-        Where it cannot be read, or contradicts itself.
+        If it cannot be read, or contradicts itself.
     MissingExtraError
-        Where the extra ``fleet`` is not installed.
+        If the extra ``fleet`` is not installed.
     """
     if not place.endswith(LISTS):
         raise UsageError(f"{place}: expected a file {', '.join(LISTS)}")
@@ -173,7 +173,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     Raises
     ------
     ReadError
-        Where the dataset is damaged, or there is no such site or LiDAR in it, or no edge at all.
+        If the dataset is damaged, or there is no such site or LiDAR in it, or no edge at all.
     """
     out = absolute(dataset)
     edges: list[tuple[str, str, str, RelativePose]] = []
@@ -223,7 +223,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
 
 
 def _why_not(row: Row, lidars: Mapping[str, str]) -> str:
-    """Say why a row makes no edge; empty where it does."""
+    """Say why a row makes no edge; empty if it does."""
     if not row.lidars:
         return f"{row.status}: {', '.join(row.codes)}" if row.codes else row.status
     if len(lidars) < 2:

@@ -21,7 +21,7 @@ LEAST_APART = 1e-5
 2¹² times better given another."""
 
 LEAST_LEVER = 1e-3
-"""Control points that lie on one line but for so much, metres, hold no rotation about it."""
+"""Control points that lie on one line but for this much, metres, hold no rotation about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +153,8 @@ class Component:
     points
         (C,) control points that tie it to the frame of the network.
     held
-        (H, 3) axes about which its first node is held, since control says nothing of these
-        rotations; without control all of its pose is held.
+        (H, 3) axes about which its first node is held, since control gives no information about
+        these rotations; without control all of its pose is held.
     """
 
     nodes: IntArray
@@ -215,7 +215,7 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     low, high = np.sort(graph.ends[order], axis=1).T
     # Between the same two ends the best one counts.
     best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
-    # What the tree is the least sum of, ranks, tells which they are.
+    # The tree is the least sum of ranks; these show which edges they are.
     ranks = coo_array((best + 1.0, (low[best], high[best])), shape=(size, size))
     tree = minimum_spanning_tree(ranks.tocsr())
     kept = wanted.copy()

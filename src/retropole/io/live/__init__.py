@@ -26,7 +26,7 @@ SOURCE_KINDS = {
     "bag:PATH": "a bag that is being recorded (.mcap, .db3, or its folder); bag:PATH:/TOPIC",
     "replay:PATH": "a recording, played at its own speed; replay:PATH:/TOPIC",
 }
-"""What a source may be, as it is asked for."""
+"""What a source may be, as it is requested."""
 
 
 MAKERS = ("velodyne", "hesai", "robosense", "leishen", "livox")
@@ -39,7 +39,7 @@ class Source(Protocol):
     Attributes
     ----------
     name
-        As it was asked for: ``ros2:/front/points``.
+        As it was requested: ``ros2:/front/points``.
     waits_for
         In words why nothing comes: ``nobody publishes /front/points; there are: /rear/points``.
         Empty while sweeps come.
@@ -69,7 +69,7 @@ class Source(Protocol):
         Raises
         ------
         ReadError
-            Where what came is no sweep; the next call goes on.
+            If what came is no sweep; the next call goes on.
         """
         ...
 
@@ -102,9 +102,9 @@ def source_of(
     Raises
     ------
     UsageError
-        Where there is no such kind, a part is missing, or what is wanted is of no use.
+        If there is no such kind, a part is missing, or what is wanted is of no use.
     ReadError, MissingExtraError
-        Where it cannot be opened.
+        If it cannot be opened.
     """
     kind, _, where = text.partition(":")
     if kind not in {each.partition(":")[0] for each in SOURCE_KINDS} or not where:
@@ -200,7 +200,7 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
     texts
         What `source_of` takes.
     otherwise
-        Their names where that does not tell them apart.
+        Their names where that does not distinguish them.
     """
     paths = [Path(text.rpartition(":")[2]) for text in texts]
     # The folder where we are has no name.

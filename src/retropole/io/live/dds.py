@@ -33,7 +33,7 @@ def domain_or_default(domain: int | None) -> int:
     Raises
     ------
     UsageError
-        Where there is no such number.
+        If there is no such number.
     """
     given = os.environ.get("ROS_DOMAIN_ID", "") if domain is None else str(domain)
     digits = (given or "0").lstrip("0") or "0"
@@ -51,9 +51,9 @@ def participant(domain: int, interface: str | None = None) -> DomainParticipant:
     Raises
     ------
     MissingExtraError
-        Where cyclonedds is not installed.
+        If cyclonedds is not installed.
     UsageError
-        Where there is no such interface, or DDS cannot use it.
+        If there is no such interface, or DDS cannot use it.
     """
     try:
         from cyclonedds.core import DDSException
@@ -77,7 +77,7 @@ _domains: list[Any] = []
 
 
 def _configured(domain: int, interface: str | None) -> str | None:
-    """Write what differs from the defaults of DDS; None where the environment says it all."""
+    """Write what differs from the defaults of DDS; None if the environment says it all."""
     if interface is None and os.environ.get("CYCLONEDDS_URI"):
         return None
     networks = discovery = ""

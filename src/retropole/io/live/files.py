@@ -42,7 +42,7 @@ SETTLED, GIVE_UP = 0.3, 2.0
 is missing; and after which one that cannot be read is not tried again."""
 
 READ_ON = 0.5
-"""Seconds for which a look reads what was recorded before, also where it is to wait for less."""
+"""Seconds for which a look reads what was recorded before, also if it is to wait for less."""
 
 
 MCAP_START = b"\x89MCAP0\r\n"
@@ -124,7 +124,7 @@ class FolderSource(_Looking):
     Raises
     ------
     ReadError
-        Where there is no such folder.
+        If there is no such folder.
     """
 
     has_ended = False
@@ -197,7 +197,7 @@ def _may_be(path: Path) -> bool:
 
 
 def _version_of(path: Path) -> _Version | None:
-    """Give the version of a file; None where it is none, or is gone."""
+    """Give the version of a file; None if it is none, or is gone."""
     try:
         about = path.stat()
     except OSError:
@@ -219,7 +219,7 @@ class Recorded:
     Parameters
     ----------
     topic
-        The one that is wanted; None where it is the only one with clouds.
+        The one that is wanted; None if it is the only one with clouds.
     """
 
     def __init__(self, topic: str | None) -> None:
@@ -229,12 +229,12 @@ class Recorded:
         self._newest: dict[str, Message] = {}
 
     def wants(self, topic: str, kind: str) -> bool:
-        """Keep the type of a topic in mind, and tell whether its messages are wanted."""
+        """Keep the type of a topic in mind, and determine whether its messages are wanted."""
         self._kinds[topic] = kind
         return holds_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
-        """Take the last of so many messages that came."""
+        """Take the last of this many messages that came."""
         self._counts[topic] += count
         self._newest[topic] = message
 
@@ -258,7 +258,7 @@ class Recorded:
         Raises
         ------
         ReadError
-            Where the topic is of another type, or none was asked for and several have clouds.
+            If the topic is of another type, or none was requested and several have clouds.
         """
         clouds = self._clouds
         listed = ", ".join(clouds[:MAX_LISTED]) or "none"
@@ -282,12 +282,13 @@ class Part(Protocol):
     has_ended: bool
 
     def read_on(self, into: Recorded, until: float) -> bool:
-        """Read what was added; tell whether that is all, or the time (monotonic) was up before.
+        """Read what was added; determine whether that is all, or the time (monotonic) was up
+        before.
 
         Raises
         ------
         ReadError
-            Where what was added is damaged; the next call goes on behind it if it can.
+            If what was added is damaged; the next call goes on behind it if it can.
         """
         ...
 
@@ -438,11 +439,11 @@ class BagSource(_Looking):
     Raises
     ------
     MissingExtraError
-        Where rosbags or mcap is not installed.
+        If rosbags or mcap is not installed.
     ReadError
-        Where there is no such file or folder.
+        If there is no such file or folder.
     UsageError
-        Where the bag is of a kind that shows what it holds only when it is closed.
+        If the bag is of a kind that shows what it holds only when it is closed.
     """
 
     def __init__(self, path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> None:

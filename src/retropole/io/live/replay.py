@@ -24,7 +24,7 @@ QUIET = 2.0
 sensors turn, ten sweeps."""
 
 Entry = tuple[float | None, Callable[[], Frame]]
-"""Time of a frame, s, or None where it is not known; function that gives the frame."""
+"""Time of a frame, s, or None if it is not known; function that gives the frame."""
 
 
 class _Next(NamedTuple):
@@ -111,7 +111,7 @@ class ReplaySource:
 
     def _newest_due(self, played: float) -> Frame:
         """Give the last frame that is due by now, and not by when it was looked for: to pass over
-        frames takes time, too, and where it takes more than they last no end would come."""
+        frames takes time, too, and if it takes more than they last no end would come."""
         while self._next is not None and self._next.due <= played:
             newest = self._next
             self._advance()

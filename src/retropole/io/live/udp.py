@@ -33,7 +33,7 @@ from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
-Velodyne does unless it is told otherwise, comes to this address alone."""
+Velodyne does unless it is configured otherwise, comes to this address alone."""
 
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
@@ -59,7 +59,7 @@ class _Kind(NamedTuple):
     maker, expected
         Its name, and in words what its packets are.
     misfit
-        In words what a packet is that is none of it; empty where it is one.
+        In words what a packet is that is none of it; empty if it is one.
     decoder
         Starts with the first packet of a sweep, or in the middle of one.
     """
@@ -99,7 +99,7 @@ class _Mailbox:
             self._changed.notify_all()
 
     def take(self, wait: float) -> tuple[int, _Came] | None:
-        """Take the newest sweep and its number, counted from 0; None where none came in time."""
+        """Take the newest sweep and its number, counted from 0; None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
             held, self._held = self._held, None
@@ -131,7 +131,7 @@ class PacketSource:
     Raises
     ------
     UsageError
-        Where a sender is no IP address, or the port cannot be opened.
+        If a sender is no IP address, or the port cannot be opened.
     """
 
     has_ended = False
@@ -281,7 +281,7 @@ class VelodyneSource(PacketSource):
     Parameters
     ----------
     port
-        UDP; 2368 unless the sensor was told otherwise.
+        UDP; 2368 unless the sensor was configured otherwise.
     host
         Address of this computer to listen on.
     senders
@@ -290,9 +290,9 @@ class VelodyneSource(PacketSource):
     Raises
     ------
     MissingExtraError
-        Where velodyne-decoder is not installed.
+        If velodyne-decoder is not installed.
     UsageError
-        Where the port cannot be opened: another program has it.
+        If the port cannot be opened: another program has it.
     """
 
     def __init__(
@@ -317,7 +317,7 @@ class VelodyneSource(PacketSource):
 
 
 class Told:
-    """What LiDARs tell of themselves on a port: the newest such packet of each, by its address.
+    """What LiDARs report of themselves on a port: the newest such packet of each, by its address.
 
     Several listen to it where their LiDARs send to one port; the last to leave closes it.
 
@@ -378,7 +378,7 @@ class TableSource(PacketSource):
     port, host, senders
         As `VelodyneSource` takes them.
     told
-        Port to which it tells its angles; None for that of its maker, where it has one and no other
+        Port to which it sends its angles; None for that of its maker, where it has one and no other
         program listens there. They may also come to the first port.
     angles
         File of the unit's own angles.
@@ -403,7 +403,7 @@ class TableSource(PacketSource):
         usual = next((model.port_told for model in models if model.port_told), 0)
         self._tells = any(getattr(model.layout, "difop", None) for model in models)
         if told is not None and not self._tells:
-            raise UsageError(f"port {told}: a {title} tells its angles to no port")
+            raise UsageError(f"port {told}: a {title} sends its angles to no port")
         self._told: Told | None = None
         self._own_told: dict[str, bytes] = {}
         unheard = ""
@@ -477,9 +477,9 @@ class OusterSource(PacketSource):
     Parameters
     ----------
     port
-        UDP, for its LiDAR; 7502 unless the sensor was told otherwise.
+        UDP, for its LiDAR; 7502 unless the sensor was configured otherwise.
     metadata
-        The sensor's metadata, a file .json: they say how its packets are laid out.
+        The sensor's metadata, a file .json: they say how its packets are arranged.
     host
         Address of this computer to listen on.
     senders
@@ -488,11 +488,11 @@ class OusterSource(PacketSource):
     Raises
     ------
     MissingExtraError
-        Where ouster-sdk is not installed.
+        If ouster-sdk is not installed.
     ReadError
-        Where the metadata cannot be read.
+        If the metadata cannot be read.
     UsageError
-        Where the port cannot be opened: another program has it.
+        If the port cannot be opened: another program has it.
     """
 
     def __init__(

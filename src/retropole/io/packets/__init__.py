@@ -82,12 +82,12 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     Raises
     ------
     MissingExtraError
-        Where the extra for the sensor is not installed.
+        If the extra for the sensor is not installed.
     ReadError
-        Where the file is not a capture of such packets, or an Ouster's metadata are missing; where
+        If the file is not a capture of such packets, or an Ouster's metadata are missing; where
         not exactly one sender fits.
     UsageError
-        Where a topic or angles are given, and the packets are of none that has these.
+        If a topic or angles are given, and the packets are of none that has these.
     """
     with naming(path), reported("capture"):
         capture = walk(path)
@@ -99,7 +99,7 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
             raise UsageError(fault)
         return _of_ouster(path, capture, wanted)
     name = _chosen(path, senders, topic)
-    # Of a damaged packet nothing tells who sent it, but that it is as long as others.
+    # Of a damaged packet no observation shows who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
     alike = int(np.count_nonzero(capture.records[:, 1] == length))
@@ -131,7 +131,7 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray
 
 
 def _marks(payload: bytes) -> list[slice] | None:
-    """Name the parts of a payload by which its model is recognized; None where none is."""
+    """Name the parts of a payload by which its model is recognized; None if none is."""
     model = recognized(payload)
     return None if model is None else [where for where, _, _ in model.signature]
 
@@ -314,7 +314,7 @@ def _frame(
 
 
 def _clock_of(model: Model, frame: Frame) -> float | None:
-    """When a sweep began by the LiDAR's own clock; None where packets do not say which second."""
+    """When a sweep began by the LiDAR's own clock; None if packets do not say which second."""
     time, layout = frame.cloud.time, model.layout
     if time is None or not len(time) or getattr(layout, "clock", "") == "microseconds":
         return None
@@ -327,7 +327,7 @@ def _first(columns: Columns) -> float | None:
 
 
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
-    """Open a capture of an Ouster, whose metadata say how its packets are laid out."""
+    """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
     words = sizes_in_words(capture)
     metadata = metadata_beside(path, words)
     note = capture.note(0)

@@ -13,7 +13,7 @@ from .mirrors import read_corrections
 from .models import Angles, Interpolated, Mirrors, Model
 
 MAX_BYTES = 2**20
-"""Of a file of angles; one of 128 channels has 50 kB at most."""
+"""Of a file of angles; one of 128 channels has at most 50 kB."""
 
 
 def read_angles(path: Path, model: Model) -> Angles:
@@ -30,7 +30,7 @@ def read_angles(path: Path, model: Model) -> Angles:
     Raises
     ------
     ReadError
-        Where there is no such file, or it is not one of so many channels.
+        If there is no such file, or it is not one of this many channels.
     """
     with readable(path), naming(path):
         if isinstance(model.layout, Mirrors):
@@ -56,7 +56,7 @@ def read_angles(path: Path, model: Model) -> Angles:
 
 
 def angles_told(model: Model, payload: bytes) -> Angles | None:
-    """Take a unit's own angles from a packet in which it tells them; None of any other."""
+    """Take a unit's own angles from a packet in which it has them; None of any other."""
     if isinstance(model.layout, Interpolated):
         return interpolated.angles_told(model, payload)
     return None

@@ -37,7 +37,7 @@ CAPTURE_HEADER, PACKET_HEADER = 24, 16
 """Bytes before the first packet, and before each."""
 
 MAX_PACKET = 2**17
-"""Bytes that no packet reaches: UDP carries 65,507 at most."""
+"""Bytes that no packet reaches: UDP carries at most 65,507."""
 
 LARGE_BLOCK = 2**18
 """Bytes that are searched for a record at most at a time."""
@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        Where the file is no capture, holds no whole packet, or is damaged all over.
+        If the file is no capture, holds no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None where there is none; the byte where the next begins, and where it
+"""A record, many of them, or None if there is none; the byte where the next begins, and if it
 was looked for."""
 
 OF_ONE_SIZE = 8
@@ -224,7 +224,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
 def _blocks(file: BinaryIO, size: int, tries: list[int]) -> Iterator[Step]:
     """Walk through the blocks of a pcapng; those without a packet are records of no bytes.
 
-    Where a block does not end as it begins, the next one with a packet is looked for.
+    If a block does not end as it begins, the next one with a packet is looked for.
     """
     at, order = 0, "<"
     interfaces: list[tuple[int, float]] = []
@@ -273,7 +273,7 @@ def _interface(block: bytes, order: str) -> tuple[int, float]:
 
 
 def _block_length(file: BinaryIO, at: int, size: int, order: str) -> int | None:
-    """Give the length of the block at a byte; None where it does not end as it begins."""
+    """Give the length of the block at a byte; None if it does not end as it begins."""
     file.seek(at + 4)
     head = file.read(4)
     if len(head) < 4:
@@ -323,7 +323,7 @@ def _byte_order(head: bytes) -> Order:
 def _record(
     file: BinaryIO, at: int, size: int, order: Order, tries: list[int]
 ) -> tuple[Record | None, int]:
-    """Give the record at a byte, or None where there is none, and the first byte of the next."""
+    """Give the record at a byte, or None if there is none, and the first byte of the next."""
     head = _header(file, at, size, order.mark)
     if head is None:
         return None, _search(file, at + 1, size, order.mark, tries)
@@ -340,7 +340,7 @@ def _record(
 def _header(
     file: BinaryIO, at: int, size: int, order: str, *, strict: bool = False
 ) -> tuple[int, int, int] | None:
-    """Give length, second and part of the packet whose header is at a byte; None where none is."""
+    """Give length, second and part of the packet whose header is at a byte; None if none is."""
     file.seek(at)
     head = file.read(PACKET_HEADER)
     if len(head) < PACKET_HEADER:
@@ -415,7 +415,7 @@ class Alike(NamedTuple):
 def alike(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
 ) -> Iterator[Alike]:
-    """Read what UDP carries in the packets of a capture; those that are alike together.
+    """Read what UDP carries in the packets of a capture; those that are similar together.
 
     A packet that carries none, or is damaged, gives an empty payload.
 
@@ -424,7 +424,7 @@ def alike(
     path, capture
         The file, and what `walk` found in it.
     marks
-        From a payload to the parts of it in which payloads like it are the same; None where each is
+        From a payload to the parts of it in which payloads like it are the same; None if each is
         to be looked at by itself.
     """
     starts, sizes = capture.records.T
@@ -526,7 +526,7 @@ def _ip(packet: bytes, link: int) -> int:
     if link in LINKS:
         return LINKS[link]
     at = 12
-    # Tags of virtual networks stand before the type.
+    # Tags of virtual networks are before the type.
     while packet[at : at + 2] in (b"\x81\x00", b"\x88\xa8"):
         at += 4
     return at + 2 if packet[at : at + 2] == b"\x08\x00" else -1

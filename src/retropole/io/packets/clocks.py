@@ -15,7 +15,7 @@ Bytes = NDArray[np.uint8]
 def seconds(clock: str, packets: Bytes, at: int) -> Array:
     """Time of each packet (N,), s, written at an offset in the way that `CLOCKS` names.
 
-    Unix time, where the LiDAR's clock is set; UTC and TAI are not told apart.
+    Unix time, where the LiDAR's clock is set; UTC and TAI are not distinguished.
     """
     return CLOCKS[clock](packets[:, at - 2 :] if clock == "livox" else packets[:, at:])
 

@@ -1,6 +1,6 @@
 """Packets in bags: the messages in which drivers publish what LiDARs send (the extra ``ros``).
 
-They have been laid out in several ways under one name; the first that fits the bytes is taken.
+They have been arranged in several ways under one name; the first that fits the bytes is taken.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .capture import Datagram
 LAYOUTS: dict[str, list[dict[str, str]]] = tomllib.loads(
     files("retropole.io.packets").joinpath("drivers.toml").read_text(encoding="utf-8")
 )
-"""By type of message, how it is laid out."""
+"""By type of message, how it is arranged."""
 
 
 def datagrams(messages: Iterator[tuple[int, bytes, str]], kind: str) -> Iterator[Datagram]:
@@ -33,7 +33,7 @@ def datagrams(messages: Iterator[tuple[int, bytes, str]], kind: str) -> Iterator
     Raises
     ------
     ReadError
-        Where a message is of no layout that its type has had.
+        If a message is of no layout that its type has had.
     """
     known = None
     for stamp, data, encoding in messages:

@@ -2,7 +2,7 @@
 RoboSense's spinning LiDARs, and Leishen's C series.
 
 Of some LiDARs a block holds two firings of all channels, of others two blocks hold one. Here both
-become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens beside its axis.
+become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens next to its axis.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ STEP_BACK = 0.1
 """Turns by which packets that came late may be back."""
 
 DIFOP_START = bytes.fromhex("a5ff005a")
-"""First bytes of the packets in which a RoboSense or a Leishen tells what it is."""
+"""First bytes of the packets in which a RoboSense or a Leishen shows what it is."""
 
 MOST_APART = 3.0
 """Degrees by which an elevation may differ from that of the table, as Leishen's driver has it."""
@@ -90,7 +90,7 @@ def decode(
     Raises
     ------
     ReadError
-        Where the model has no table of angles and none are given, or those of another model.
+        If the model has no table of angles and none are given, or those of another model.
     """
     layout = _layout(model)
     own = angles or model.angles
@@ -142,7 +142,7 @@ def decode(
 
 
 def angles_told(model: Model, payload: bytes) -> Angles | None:
-    """Take the unit's own angles from its DIFOP packet; None of any other, or where it has none.
+    """Take the unit's own angles from its DIFOP packet; None of any other, or if it has none.
 
     A LiDAR of half as many channels leaves the second half empty, or repeats the first.
     """
@@ -255,7 +255,7 @@ def _firings(
 ) -> tuple[_Rows, Array, float]:
     """Give rows, when each firing of a row is (S,), and when the next row begins, both seconds.
 
-    Where a row holds two firings of the channels, and packets come twice as often as these take,
+    If a row holds two firings of the channels, and packets come twice as often as these take,
     the second half is the other return of the first one.
     """
     slots = rows.distance.shape[2]

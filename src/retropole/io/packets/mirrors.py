@@ -96,7 +96,7 @@ def read_corrections(path: Path) -> Angles:
     Raises
     ------
     ReadError
-        Where it is none, or is cut short.
+        If it is none, or is cut short.
     """
     data = path.read_bytes()[: 2**20]
     start = data.find(b"\xee\xff")

@@ -106,7 +106,7 @@ class Angles:
         In words: ``the table of the model``, ``angles.csv``, ``the DIFOP of the capture``.
     starts, adjusted
         Of mirrors: (K,) where the field of each starts, and (2, C, 180) what is added to azimuth
-        and elevation at each 2°, rad; None where the file has none.
+        and elevation at each 2°, rad; None if the file has none.
     """
 
     elevation: Array
@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        Where the unit's own angles are in its DIFOP packet.
+        If the unit's own angles are in its DIFOP packet.
     """
 
     count: int
@@ -259,7 +259,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
 
 
 class Difop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where a LiDAR tells its angles: elevations from byte `at`, and azimuths after them.
+    """Where a LiDAR sends its angles: elevations from byte `at`, and azimuths after them.
 
     Each is a sign and 16 bits, in units of `unit` degrees. Where the first `below` channels look
     down, there are no azimuths, and elevations have 24 bits. Where channels have an `order`, an
@@ -289,7 +289,7 @@ class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True
     clock, stamp
         As `Interpolated` has them.
     counter
-        Offset of the packet's number in its frame (16 bits); None where frames are `sweep_s` long.
+        Offset of the packet's number in its frame (16 bits); None if frames are `sweep_s` long.
     span, gap_us
         Offset of the time from the first to the last point (16 bits, 0.1 µs); else, from block to
         block, µs.
@@ -327,8 +327,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     Attributes
     ----------
     name, maker, port, port_told
-        Of the model; the ports, UDP, are those that it sends returns, and what it tells of itself,
-        to unless it was told otherwise; 0 where it does not tell its angles.
+        Of the model; the ports, UDP, are those that it sends returns, and what it describes itself,
+        to unless it was configured otherwise; 0 if it does not send its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
@@ -341,9 +341,9 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     layout
         Of its family.
     source, tried
-        Where the figures come from; on which real packets it was tried, empty for none.
+        If the figures come from; on which real packets it was tried, empty for none.
     sensor
-        Its name in ``sensors.toml``; empty where there is none.
+        Its name in ``sensors.toml``; empty if there is none.
     """
 
     name: str
@@ -410,7 +410,7 @@ _BY_SIZE: dict[int, list[Model]] = {
 
 
 def recognized(payload: bytes) -> Model | None:
-    """Find the model that sent a packet of returns, by its size and marks; None where none did."""
+    """Find the model that sent a packet of returns, by its size and marks; None if none did."""
     for model in _BY_SIZE.get(len(payload), ()):
         for where, low, high in model.signature:
             if not low <= payload[where] <= high:

@@ -18,7 +18,7 @@ from .sweeps import Sweep
 
 
 def metadata_beside(path: Path, sizes: str) -> Path:
-    """Find the metadata of an Ouster beside its packets: with the same name, or the only ones."""
+    """Find the metadata of an Ouster next to its packets: with the same name, or the only ones."""
     same = path.with_suffix(".json")
     if same.is_file():
         return same
@@ -28,7 +28,7 @@ def metadata_beside(path: Path, sizes: str) -> Path:
     have = f"{len(beside)} files .json, none of them {same.name}" if beside else "no .json"
     raise ReadError(
         f"{path}: its packets are of no known LiDAR ({sizes}); those of an Ouster need the "
-        f"sensor's metadata beside them as {same.name}, found {have}"
+        f"sensor's metadata next to them as {same.name}, found {have}"
     )
 
 

@@ -63,7 +63,7 @@ def decode(
 
 
 def _seconds_of_two(layout: Points, unit: float, blocks: NDArray[np.void]) -> BoolArray | None:
-    """Find the returns (N, B, P) that remain where firings may have two; None where they do not."""
+    """Find the returns (N, B, P) that remain where firings may have two; None if they do not."""
     has_numbers = "number" in (blocks.dtype.names or ())
     first = np.zeros(0, np.int64)
     if has_numbers:

@@ -36,7 +36,7 @@ def is_velodyne(payload: bytes) -> bool:
 
 
 def model_of(payload: bytes) -> str:
-    """Name the model that sent a packet; empty where it does not say."""
+    """Name the model that sent a packet; empty if it does not say."""
     return MODELS_BY_BYTE.get(payload[-1], "") if payload[-2] in RETURN_MODES else ""
 
 
@@ -48,7 +48,7 @@ def velodyne_sweeps(path: Path, coming: Callable[[], Iterator[Datagram]] | None)
     path
         Of the capture.
     coming
-        Its packets, where it holds more than those of one Velodyne; None where it is to be read by
+        Its packets, where it holds more than those of one Velodyne; None if it is to be read by
         velodyne-decoder, which finds out which HDL-64E it is.
     """
     try:
