@@ -35,8 +35,8 @@ SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
 
 SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it is as far next to a found one as the other LiDAR's
-poles stand next to each other, within this, metres: two poles leaning by 15°, of which the LiDARs
+"""A cluster may be the missing pole where it is as far from a found one as the other LiDAR's
+poles are from each other, within this, metres: two poles leaning by 15°, of which the LiDARs
 see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
 
 TOO_LITTLE = ("too_few_points", "too_few_rows")
@@ -386,7 +386,7 @@ def _nearer(distance: float, share: float) -> str:
     """Say how much nearer a pole has so many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
-    LiDAR, too: by this amount nearer there are enough, on average at least.
+    LiDAR, too: this much nearer there are enough, on average at least.
     """
     enough = share * distance
     if enough < NEAREST:

@@ -19,7 +19,7 @@ RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
 
 LEVER = 10.0
-"""Distance at which a rotation is counted next to a translation in the condition number, metres."""
+"""Distance at which a rotation is compared with a translation in the condition number, metres."""
 
 FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that are not modelled, rad and m: bent housings, temperature,

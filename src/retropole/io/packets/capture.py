@@ -415,7 +415,7 @@ class Alike(NamedTuple):
 def alike(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
 ) -> Iterator[Alike]:
-    """Read what UDP carries in the packets of a capture; those that are similar together.
+    """Read what UDP carries in the packets of a capture; similar ones together.
 
     A packet that carries none, or is damaged, gives an empty payload.
 

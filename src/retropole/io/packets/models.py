@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        If the unit's own angles are in its DIFOP packet.
+        Where the unit's own angles are in its DIFOP packet.
     """
 
     count: int
@@ -341,7 +341,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     layout
         Of its family.
     source, tried
-        If the figures come from; on which real packets it was tried, empty for none.
+        Where the figures come from; on which real packets it was tried, empty for none.
     sensor
         Its name in ``sensors.toml``; empty if there is none.
     """
