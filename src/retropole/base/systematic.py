@@ -321,8 +321,8 @@ ENOUGH = 2.0
 (tests/surfaces/test_sway.py)."""
 
 LEVER = 6.0
-"""A mast that turns shifts its LiDAR by this many metres per radian: the height of a lamppost, whose
-top bends by less. Where nothing measures the shift this is taken for it."""
+"""A mast that turns shifts its LiDAR by this many metres per radian: the height of a lamppost,
+whose top bends by less. Where nothing measures the shift this is taken for it."""
 
 
 class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):

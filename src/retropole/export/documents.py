@@ -116,7 +116,7 @@ def read_json(data: bytes) -> list[Found]:
 
 
 def _found(document: dict[str, Any]) -> Found:
-    """Read transform files in our own format."""
+    """Read one transform from a file that we wrote."""
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")

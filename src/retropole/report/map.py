@@ -105,7 +105,7 @@ def fit(points: Array) -> tuple[float, float, Chart]:
 def _ellipses(
     site: SiteDoc, R: Array, places: Array, scale: float
 ) -> tuple[float | None, list[Html], Array]:
-    """Draw 1 σ of the position of each LiDAR, enlarged; give how many times, and half of each size."""
+    """Draw 1 σ of each LiDAR's position, enlarged; give how many times, and half of each size."""
     spreads = [(R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2] for each in site.lidars]
     values, vectors = np.linalg.eigh(np.array(spreads))
     half_axes = np.sqrt(np.maximum(values, 0.0))

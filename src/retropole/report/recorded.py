@@ -346,11 +346,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m next to"
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
-    there = f"The other LiDAR sees poles {told} m next to each other"
+    there = f"The other LiDAR sees poles {told} m from each other"
     if fitting:
         yield f"{there}: what is named here fits that."
     else:

@@ -92,7 +92,7 @@ def _clocks(found: CarriedWalk) -> Html:
             y = chart.at(np.array([[x, value]]))[0, 1]
             marks.append(fill("clock-window", x=low[0], low=low[1], high=high[1], y=y))
     said = (
-        f"{clock_words(found)}. The chart has windows of 5 s, each relative to the whole walk, 1 σ. "
+        f"{clock_words(found)}. The chart has windows of 5 s, relative to the whole walk, 1 σ. "
         "Clocks that keep one rate stay about zero."
     )
     return picture("clocks-said", 250.0, marks, said, "curve")

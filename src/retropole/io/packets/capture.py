@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None if there is none; the byte where the next begins, and if it
+"""A record, many of them, or None if there is none; the byte where the next begins, and where it
 was looked for."""
 
 OF_ONE_SIZE = 8

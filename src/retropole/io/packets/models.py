@@ -327,8 +327,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     Attributes
     ----------
     name, maker, port, port_told
-        Of the model; the ports, UDP, are those that it sends returns, and what it describes itself,
-        to unless it was configured otherwise; 0 if it does not send its angles.
+        Of the model; the UDP ports are those to which it sends returns, and packets that describe
+        the LiDAR, unless it was configured otherwise; 0 if it does not send its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
