@@ -154,7 +154,7 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     UsageError
         If it is unclear what to change: the parent is no link, or is not connected with the
         link that the child's joint starts at; the child has several joints; its joint moves or is
-        an expression; or it would close a loop.
+        an expression; or it would close a circle.
     """
     robot: Any = _robot(xml_to_edit(data))
     joints = robot.iter(_beside(robot, "joint"))
@@ -198,7 +198,7 @@ def _links(robot: Element) -> list[str]:
 
 
 def _check_parent(robot: Element, transform: Transform) -> None:
-    """Refuse where the parent is no link, or is below the child: a joint would close a loop."""
+    """Refuse where the parent is no link, or is below the child: a joint would close a circle."""
     parent, child, links = transform.parent, transform.child, _links(robot)
     if parent not in links:
         raise UsageError(
@@ -208,13 +208,13 @@ def _check_parent(robot: Element, transform: Transform) -> None:
     way = way_between(_found(robot), child, parent)
     if way is not None and not way.of_parent:
         raise UsageError(
-            f"{parent!r} is below {child!r} in the robot: a joint back would close a loop; "
+            f"{parent!r} is below {child!r} in the robot: a joint back would close a circle; "
             "export with --invert for the joint the other way"
         )
 
 
 def _check_room(robot: Any, transform: Transform) -> None:
-    """Refuse where a new joint would depend on nothing, close a loop or take a name twice."""
+    """Refuse where a new joint would depend on nothing, close a circle or take a name twice."""
     if any(element.prefix == "xacro" for element in robot.iter("*")):
         raise UsageError(
             f"the file is xacro and has no plain joint to {transform.child!r}, but what it "
