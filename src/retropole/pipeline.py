@@ -81,7 +81,7 @@ class Options:
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
     by_hand
-        Name of the hypothesis to include the list that the same run gives without it; None lets the
+        Name of the hypothesis to use, in the list that the same run gives without it; None lets the
         scene choose. Whatever it is, the scene may still conflict with it, and the verdict is no
         more than ``warn``.
     trust_poles

@@ -59,7 +59,7 @@ def level_result(
     result
         A result of a pair or of a site, or the folder that holds it.
     given
-        If its recordings are now, as `stored.find_recordings` takes them.
+        Where its recordings are now, as `stored.find_recordings` takes them.
     base, lidar
         If that LiDAR, or the target or the first of a site, is on the vehicle.
     radius

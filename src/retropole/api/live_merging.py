@@ -53,7 +53,7 @@ STOPPED = 1.0
 
 SAME_CLOCK = 1.0
 """The clock of a LiDAR that is nearer to that of this computer is treated as the same, s: a sweep
-takes 0.1 s, and its way some."""
+takes 0.1 s, and its transmission some."""
 
 CLOCK_SWEEPS = 20
 """Sweeps of which the median shows how far the clock of a LiDAR is ahead."""
@@ -224,7 +224,7 @@ class LiveMerge:
     Parameters
     ----------
     lidars
-        Each with a separate source.
+        Each with a source of its own.
     give
         Called with each cloud, and when its newest sweep was made, Unix seconds.
     crop

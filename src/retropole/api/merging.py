@@ -81,7 +81,7 @@ class Merged:
     written
         Points, or surfels, in the file.
     surfels, apart, distances
-        If they were requested: what all LiDARs see, and how far from each other it lies, place by
+        If they were requested: what all LiDARs see, and how far it differs, place by
         place and in numbers.
     notes
         Sentences on what is to be known.
@@ -144,7 +144,7 @@ def placed(
     Parameters
     ----------
     document, file
-        Of a pair or of a site, with poses, and if it is.
+        Of a pair or of a site, with poses, and where it is.
     frame
         Name of a LiDAR, ``site``, ``map``: the coordinates that the survey is in, exactly; or
         ``ground``, by the `LEVEL_FILE` next to the result.
@@ -154,7 +154,7 @@ def placed(
     Raises
     ------
     UsageError
-        If there is no such frame, no observation ties the site to the earth, or it was not leveled.
+        If there is no such frame, nothing ties the site to the earth, or it was not leveled.
     MissingExtraError
         If a projected system needs pyproj.
     """
@@ -201,7 +201,7 @@ def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
 
 
 def has_map(site: SiteDoc) -> bool:
-    """Whether a site has separate coordinates, other than those it counts from."""
+    """Whether a site has coordinates of its own, other than those it counts from."""
     return site.frame.epsg is not None or bool(np.any(site.frame.offset))
 
 

@@ -356,7 +356,7 @@ def _poses(
             T = next(_by_place(scans, found, i), None)
         if T is None:
             raise UsageError(
-                f"the recordings do not show where {names[i]} stands: give its rough pose, good to "
+                f"the recordings do not show where {names[i]} is: give its rough pose, good to "
                 "10° and 1 m (--xyz and --rpy-deg, or --pose FILE)"
             )
         found.append(T)

@@ -73,7 +73,7 @@ def draft_site(folder: Path, path: Path) -> Draft:
         ``LIDAR.pcd``, also if all have one name and a number each (``lidar_1.pcd``); a recording
         may have any format that is read.
     path
-        If the file is going to be: paths in it count from its folder.
+        Where the file is going to be: paths in it count from its folder.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
 
 
 def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take the LiDAR from what next to the time is in a name; what is near in time is one
+    """Take the LiDAR from what a name has besides the time; what is near in time is one
     placement.
 
     Near is nearer than half of the least time between two recordings of one LiDAR.

@@ -150,7 +150,7 @@ def with_survey(file: SiteFile, path: Path) -> SiteFile:
     Parameters
     ----------
     file, path
-        The site file, and if it is: the survey counts from its folder.
+        The site file, and where it is: the survey counts from its folder.
 
     Raises
     ------
@@ -351,7 +351,7 @@ def offset_of(file: SiteFile) -> Array:
     Raises
     ------
     ReadError
-        If what is surveyed is too far from each other for one site; names the point.
+        If surveyed points are too far from each other for one site; names the point.
     """
     surveyed: list[tuple[str, list[float]]] = []
     for pole in file.surveyed_pole:

@@ -144,7 +144,7 @@ def find_recordings(
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is taken.
     given
-        If recordings are now: of a pair, target and source of each placement; of a site, in any
+        Where recordings are now: of a pair, target and source of each placement; of a site, in any
         order: each is identified by its hash.
 
     Raises
@@ -227,7 +227,7 @@ def hashes_of(
 
 
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
-    """Determine whether two recordings are those of a run swapped; none is read as one.
+    """Return whether two recordings are those of a run swapped; none is read as one.
 
     One bag may hold both LiDARs: then nothing is told.
 
@@ -324,7 +324,7 @@ def recording_of(
     result
         A result document, the folder that holds it, or another file of a transform.
     given
-        If the clouds are, target and source of each placement; without, they are looked for as
+        Where the clouds are, target and source of each placement; without, they are looked for as
         `find_recordings` does.
     note
         Called with what is to be known of what is written.
@@ -380,7 +380,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        If it is going to be.
+        Where it is going to be.
     beside
         Folder that its paths count from now; else they are those from here.
 

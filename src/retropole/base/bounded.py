@@ -41,7 +41,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_TEXT)]
 
-# Arrays of numbers are similar to a type checker; a reader distinguishes them by what is noted.
+# Arrays of numbers are the same to a type checker; a reader distinguishes them by what is noted.
 _F = np.dtype[np.float64]
 Vector = np.ndarray[tuple[Annotated[int, "3"]], _F]
 Direction = np.ndarray[tuple[Annotated[int, "3, a unit vector"]], _F]

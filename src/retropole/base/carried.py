@@ -37,11 +37,11 @@ class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
         Of the target and the source: by how much ranges scatter beyond what is stated for the
         sensor, a factor, and what moves the edges of the pole.
     clock_windows
-        Of each window of 5 s: its middle, the offset next to that of the walk and its 1 σ, s.
+        Of each window of 5 s: its middle, the offset relative to that of the walk and its 1 σ, s.
     up
         (3,) the way the pole points on average, target axes.
     path
-        If the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
+        Where the pole was, evenly taken: s since it was first seen, and x, y and z, metres, in the
         target's frame.
     """
 

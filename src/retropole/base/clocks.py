@@ -32,7 +32,7 @@ ZONE = 900.0
 
 
 def is_set(apart: float) -> bool:
-    """Whether clocks this far from each other, s, may both be set."""
+    """Whether two clocks that differ by this, s, may both be set."""
     return abs(apart) < UNSET
 
 

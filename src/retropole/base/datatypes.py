@@ -254,7 +254,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose of one LiDAR next to another, and what speaks for it (Xue et al. 2019, Tab. III).
+    """A pose of one LiDAR relative to another, and what speaks for it (Xue et al. 2019, Tab. III).
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Hypothesis:
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
-        Whether it is the best, or the scene does not rule it out next to the best.
+        Whether it is the best, or the scene does not rule it out against the best.
     possible
         Whether it stands, or scores little less than the best: on bare ground a pose that brings
         the LiDARs near each other overlaps twice as much as the right one. Of a site.
@@ -440,7 +440,7 @@ class Calibration:
         All ways of matching the poles, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.
     vertical
-        (3,) the ground's normal, target axes; None if not found, or one alone stands.
+        (3,) the ground's normal, target axes; None if not found, or if only one was placed.
     predicted_error, weakest, uncertainty, radius
         At several ranges; the direction in which it is least certain; `covariance` in its two
         kinds, with the budget; the poles' radius; empty and None when refused.

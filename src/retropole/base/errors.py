@@ -196,7 +196,7 @@ def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
     place
         The file or its part.
     is_said_there
-        If an option makes no sense, that is what is wrong with the file: it is there.
+        If an option makes no sense, that is what is wrong with the file: the reason is there.
 
     Raises
     ------

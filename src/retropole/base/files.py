@@ -233,7 +233,7 @@ def _set_aside_until_written(paths: Iterable[Path]) -> None:
 
 
 def _put_back(path: Path) -> bool:
-    """Give a file that was set aside its own name again; determine whether there was one."""
+    """Give a file that was set aside its own name again; return whether there was one."""
     aside = older.pop(_key(path), None)
     if aside is None or not aside.is_file():
         return False
@@ -371,7 +371,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _locked(descriptor: int) -> bool:
-    """Lock an open file or folder; determine whether no other process has it.
+    """Lock an open file or folder; return whether no other process has it.
 
     True also if the file system has no locks.
     """

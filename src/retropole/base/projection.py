@@ -100,7 +100,7 @@ def projected(epsg: int) -> Projected:
     MissingExtraError
         If pyproj is not installed.
     UsageError
-        If there is no such code, where it is not projected, where its unit is not the metre,
+        If there is no such code, if it is not projected, if its unit is not the metre,
         its axes are not east and north, or its longitudes not from Greenwich.
     """
     try:

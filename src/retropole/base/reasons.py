@@ -1,6 +1,6 @@
 """Every reason code: what it means, and what to do about it.
 
-The texts stand in ``reasons.toml``, one table for each place where codes are given. The report, the
+The texts are in ``reasons.toml``, one table for each place where codes are given. The report, the
 command line and the page *Every reason code* of the documentation take their words from there.
 `Code` is the type of all codes, so that mypy finds one that is in no table: a new code is added to
 both.

@@ -62,7 +62,7 @@ class Sensor:
         Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` where that
         is not known, and 0 where intensities are raw signal, which falls with the range.
     threshold_source, source
-        If the threshold and the other figures come from.
+        Where the threshold and the other figures come from.
     range_accuracy, retro_accuracy
         What the manufacturer states for the range, ± metres, and for that of retro-reflectors; None
         where nothing is.

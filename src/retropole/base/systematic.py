@@ -95,7 +95,7 @@ class Sizes:
         bent, rad. Manuals name 0.01 to 0.1° as angular accuracy: what is assumed of a LiDAR that is
         not known is the middle of that, on a logarithmic scale.
     tape
-        Range offset of retro-reflective returns next to all others, metres.
+        Range offset of retro-reflective returns relative to all others, metres.
     ring_range, ring_elevation, ring_azimuth
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
         or a separate delay.
@@ -317,12 +317,12 @@ class ErrorModel:
 
 
 ENOUGH = 2.0
-"""Number of periods that are requested; after three, rest is known to less than a tenth of the sway
+"""Number of periods required; after three, rest is known to less than a tenth of the sway
 (tests/surfaces/test_sway.py)."""
 
 LEVER = 6.0
-"""A mast that turns shifts its LiDAR by this many metres a radian: the height of a lamppost, whose
-top bends by less. Where nothing measures the shift this is taken for it."""
+"""A mast that turns shifts its LiDAR by this many metres per radian: the height of a lamppost,
+whose top bends by less. Where nothing measures the shift this is taken for it."""
 
 
 class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):

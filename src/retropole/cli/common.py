@@ -81,7 +81,7 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 def show(words: str | bytes) -> None:
-    """Print what a command was requested on stdout.
+    """Print the output of a command on stdout.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def listening(
     advice
         What to do about it.
     units
-        Doubt the unit of the coordinates, next to the sensor's name.
+        Doubt the unit of the coordinates, as well as the sensor's name.
     hidden
         Does not show the progress.
     """
@@ -274,7 +274,7 @@ def command_line(*words: str | Path) -> str:
 
 @contextmanager
 def progress_on_terminal(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Name the step under way on a terminal; give no information in a pipe, where nobody waits.
+    """Name the step under way on a terminal; print nothing in a pipe, where nobody waits.
 
     Long steps name their share of all: ``read drive.bag: frame, 12 of 40``.
     """

@@ -133,6 +133,6 @@ def tell(failure: Failure, *, refused: bool, as_json: bool) -> int:
 
 
 def asks_for_json(words: Sequence[str]) -> bool:
-    """Determine whether --json is among words that may make no sense otherwise."""
+    """Return whether --json is among words that may make no sense otherwise."""
     options = list(words)
     return "--json" in (options[: options.index("--")] if "--" in options else options)

@@ -102,7 +102,7 @@ def evaluate(
       METHODS
 
     Those that are not retropole's own use the surroundings and no poles. Their ok is not checked:
-    only the errors against a truth determine whether they are right. --radius and the options of
+    only the errors against a truth show whether they are right. --radius and the options of
     sensors are for retropole's own.
 
     \b

@@ -43,7 +43,7 @@ def cluster_options(command: Command) -> Command:
 
 
 def protocol_option(command: Command) -> Command:
-    """Give a command --protocol: URLs that it follows next to those of every command."""
+    """Give a command --protocol: URLs that it follows in addition to those of every command."""
 
     def follow(context: click.Context, option: click.Parameter, names: tuple[str, ...]) -> None:
         from ..fleet.storage import also_following
@@ -155,7 +155,7 @@ def fleet_check(
 
 
 def json_line(found: FleetCheck, sites: int) -> str:
-    """Write what was found at this number of sites as one line of JSON; null if not known."""
+    """Write what was found at the sites as one line of JSON; null if not known."""
     return json_text(
         {
             "schema": SCHEMA,
@@ -201,7 +201,7 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 
 
 def in_words(found: FleetCheck, sites: int) -> str:
-    """Write what was found at this number of sites: a line for each pair with news."""
+    """Write what was found at the sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
         said = [site.words(event) for event in site.changes]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SCHEMA = "retropole/fleet-network/1"
 
 MOST_COMPONENTS = 10
-"""The largest that are identified by a line each."""
+"""How many of the largest are printed, one per line."""
 
 
 nodes_option = click.option(

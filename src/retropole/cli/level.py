@@ -164,7 +164,7 @@ def describe(document: LevelDoc) -> str:
     if document.ceiling_m is not None:
         lines.append(
             f"a plane {document.ceiling_m:.2f} m above is taken for a ceiling; of a LiDAR that "
-            "is mounted head down it is the ground"
+            "is mounted upside down it is the ground"
         )
     for lidar in document.lidars:
         if lidar.T_base_footprint_lidar is not None:

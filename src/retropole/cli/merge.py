@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..base.datatypes import Array
 
 LARGEST_CLOCK = 1e10
-"""Clocks are no farther from each other, seconds: those that count from 1970 and from a start."""
+"""Clocks differ by no more, seconds: those that count from 1970 and from a start."""
 
 MERGE_SCHEMA = "retropole/merge/1"
 
@@ -121,7 +121,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     type=METRES,
     metavar="[CELL]",
     help="Make surfels in cells of this size, m (0.3), written as .ply, and report how far the "
-    "surfaces that two LiDARs see are separated.",
+    "surfaces that two LiDARs see differ.",
 )
 @click.option(
     "--live",

@@ -129,7 +129,7 @@ class Number(click.FloatRange):
 
 
 class Radius(Number):
-    """A radius in metres: who types millimetres gets a hint what to give."""
+    """A radius in metres: who types millimetres gets a hint of what to give."""
 
     def convert(self, value: Any, *of: Any) -> float:
         """Take a number as `Number` does."""

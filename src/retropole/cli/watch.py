@@ -127,7 +127,7 @@ def watch(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Calibrate next to the poles: see the next thing to do, until the answer is good enough.
+    """Calibrate on site, at the poles: see the next thing to do, until the answer is good enough.
 
     TARGET and SOURCE are LiDARs that record now. The command says which poles each one sees, and
     what to do next; while all is good and still it keeps sweeps, calibrates, and ends when the need

@@ -1,7 +1,7 @@
 """JSON and YAML: our own transform file, the result document, the truth of a simulation, Autoware.
 
 Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
-z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a separate parser
+z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
 would have to know flow mappings, anchors and quotes to read what others wrote. The frames of a site
 are written as JSON too, and its LiDARs on the map as GeoJSON.
 """
@@ -116,7 +116,7 @@ def read_json(data: bytes) -> list[Found]:
 
 
 def _found(document: dict[str, Any]) -> Found:
-    """Read a separate transform files."""
+    """Read one transform from a file that we wrote."""
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
@@ -407,7 +407,7 @@ def write_geojson(tree: Tree) -> str:
     Raises
     ------
     UsageError
-        If no observation ties the frame of the site to the earth.
+        If nothing ties the frame of the site to the earth.
     MissingExtraError
         If its frame is projected and pyproj is not installed.
     """
@@ -451,7 +451,7 @@ def _datum(found: OnWgs84) -> dict[str, Any]:
 
 
 def _on_map(frame: Frame, edge: Transform) -> dict[str, Any]:
-    """What a map shows of a LiDAR next to its place; headings in degrees, as maps have them."""
+    """What a map shows of a LiDAR besides its position; headings in degrees, as maps have them."""
     T, covariance = edge.T_parent_child, edge.covariance
     about: dict[str, Any] = {"heading_deg": _degrees(heading(frame, T))}
     if frame.epsg is not None:

@@ -42,7 +42,7 @@ _MEANING = re.compile(f"maps points of {_NAME} into {_NAME}; parent: {_NAME}, ch
 
 
 def is_name(name: str) -> bool:
-    """Determine whether a frame can have a name: see `Transform`."""
+    """Return whether a frame can have a name: see `Transform`."""
     return len(name) <= LONGEST_NAME and bool(name.strip()) and name.isprintable()
 
 

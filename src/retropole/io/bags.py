@@ -145,7 +145,7 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
     Raises
     ------
     ReadError
-        If its topics and messages are not plain tables, or where to read it takes more than a
+        If its topics and messages are not plain tables, or if to read it takes more than a
         file of its size can need.
     """
     # An address, since only that can say that the file does not change; as_uri quotes the path.

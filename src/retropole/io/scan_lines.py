@@ -46,7 +46,7 @@ benchmarks/detection.py, seeds 1 and 2)."""
 
 MAX_LEVEL_SHARE, FARTHER = 0.5, 1.5
 """Of the points, at most this many are on one ring, and some are so many times as far away as
-others: from next to a plane, or from far away, all have one elevation. Points within 4 m of a
+others: from close to a plane, or from far away, all have one elevation. Points within 4 m of a
 place that is 3 to 8 m away have 1.7 of the second."""
 
 
@@ -105,7 +105,7 @@ def chains(xyz: Array) -> IntArray:
 def levels(xyz: Array, cones: Cones) -> IntArray | None:
     """Number (N,) the levels on which the elevations of points (N, 3) lie; None if they do not.
 
-    Seen from far away, or from next to a plane, most points have one elevation: that is no level.
+    Seen from far away, or from close to a plane, most points have one elevation: that is no level.
     """
     ray = xyz - cones.apex
     near, far = np.quantile(lengths(ray), [0.05, 0.95])

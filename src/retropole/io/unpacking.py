@@ -86,7 +86,7 @@ def unpacked(kind: str, data: bytes, spend: Spend) -> bytes:
     data
         The compressed bytes.
     spend
-        If the decompressed ones are counted.
+        Where the decompressed ones are counted.
 
     Raises
     ------

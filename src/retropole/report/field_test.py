@@ -17,7 +17,7 @@ from .text import table as text_table
 from .verdict import reason_item, verdict_box
 
 LISTED = 16
-"""Number of distances that are printed, those nearest to their limits, and so many pairs of a
+"""Number of distances that are printed, those nearest to their limits, and of pairs of a
 site."""
 
 VERDICTS: dict[Verdict, tuple[str, str, str]] = {

@@ -37,7 +37,7 @@ AROUND = 12.0
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure, inches, that a notebook draws also if pyplot was not imported.
+    """Make an empty figure, inches, that a notebook can draw even if pyplot was not imported.
 
     Raises
     ------
@@ -231,5 +231,5 @@ def _draw(
     legend: Any = above.legend(loc="upper right", fontsize=9)
     for handle in legend.legend_handles[: len(clouds)]:
         if hasattr(handle, "set_sizes"):
-            # Large enough to show the colours.
+            # Large enough to distinguish the colours.
             handle.set_sizes([60.0])

@@ -44,7 +44,7 @@ def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
-    """Say how the source is under a hypothesis, as against the first of all."""
+    """Say how the source is posed under a hypothesis, as against the first of all."""
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)

@@ -105,7 +105,7 @@ def fit(points: Array) -> tuple[float, float, Chart]:
 def _ellipses(
     site: SiteDoc, R: Array, places: Array, scale: float
 ) -> tuple[float | None, list[Html], Array]:
-    """Draw 1 σ of where each LiDAR is, enlarged; give how many times, and half of each size."""
+    """Draw 1 σ of each LiDAR's position, enlarged; give how many times, and half of each size."""
     spreads = [(R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2] for each in site.lidars]
     values, vectors = np.linalg.eigh(np.array(spreads))
     half_axes = np.sqrt(np.maximum(values, 0.0))
@@ -154,9 +154,9 @@ def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
         said.append(f"{plan.north.capitalize()} is at the top.")
     fixed = [each.name for each in site.lidars if not np.any(each.covariance)]
     if factor is None:
-        said.append("No LiDAR has an ellipse: where it is is without error.")
+        said.append("No LiDAR has an ellipse: its position is without error.")
     else:
-        said.append(f"Ellipses: 1 σ of where each LiDAR is, enlarged {large(factor)} times.")
+        said.append(f"Ellipses: 1 σ of the position of each LiDAR, enlarged {large(factor)} times.")
         said += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
     if site.poles:
         said.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")

@@ -36,7 +36,7 @@ FINE = 2
 """Dots of what was recorded in a unit of the picture, across and down."""
 
 ABOVE = 0.3
-"""What was recorded so high above the ground is there, metres."""
+"""What was recorded higher than this above the ground is drawn as an object, metres."""
 
 ARROW = 30.0
 """Length of a LiDAR's x axis in the picture."""

@@ -351,7 +351,7 @@ def certificate(subject: Subject, place: str = "") -> Html:
     subject
         What the page is of, with the serial numbers of its LiDARs; a line to fill in where empty.
     place
-        If it was calibrated; likewise. Of a site, its name where empty.
+        Where it was calibrated; likewise. Of a site, its name if empty.
     """
     site, pair = subject.site, subject.pair
     if not subject.answered or subject.chance_wrong is not None:

@@ -36,8 +36,8 @@ SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
 
 SAME_DISTANCE = 0.3
-"""A cluster may be the missing pole where it is as far next to a found one as the other LiDAR's
-poles stand next to each other, within this, metres: two poles leaning by 15°, of which the LiDARs
+"""A cluster may be the missing pole where it is as far from a found one as the other LiDAR's
+poles are from each other, within this, metres: two poles leaning by 15°, of which the LiDARs
 see parts 0.5 m higher or lower, are 2 · 0.5 m · tan 15° = 0.27 m nearer or farther."""
 
 TOO_LITTLE = ("too_few_points", "too_few_rows")
@@ -347,11 +347,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m next to"
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
-    there = f"The other LiDAR sees poles {told} m next to each other"
+    there = f"The other LiDAR sees poles {told} m from each other"
     if fitting:
         yield f"{there}: what is named here fits that."
     else:
@@ -387,7 +387,7 @@ def _nearer(distance: float, share: float) -> str:
     """Say how much nearer a pole has so many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
-    LiDAR, too: by this amount nearer there are enough, on average at least.
+    LiDAR, too: this much nearer there are enough, on average at least.
     """
     enough = share * distance
     if enough < NEAREST:

@@ -64,7 +64,7 @@ def render_report(
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
-        If it was calibrated, and serial numbers by the names of LiDARs, those of a pair
+        Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
         ``target`` and ``source``, for the certificate; without, what the document says, or a line
         to fill in.
 

@@ -18,7 +18,7 @@ LONGEST_IN_SENTENCE = 40
 """Characters of the name of a recording in a sentence."""
 
 COLOURS = 8
-"""So many LiDARs have a separate colour; more begin again. Each has its name next to it."""
+"""Number of LiDARs that have a colour each; more begin again. Each has its name next to it."""
 
 Scans = Sequence[Sequence[Scan | None]]
 Recorded = Sequence[Placement] | Scans

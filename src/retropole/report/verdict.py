@@ -16,7 +16,7 @@ VERDICTS = {
     "warn": (
         "!",
         "Calibrated, with a warning",
-        "There is a pose, and a reason to look at before you use it.",
+        "There is a pose, and a reason to read before you use it.",
     ),
     "refused": (
         "✕",

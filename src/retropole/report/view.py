@@ -117,7 +117,7 @@ class PageView(msgspec.Struct, frozen=True):
     poses, ellipsoid, places
         Of a pair; the places alone decide a direction of the pose, target frame.
     centre, radius
-        If the camera looks in a site, in the plan; metres.
+        Where the camera looks in a site, in the plan; metres.
     """
 
     kind: str

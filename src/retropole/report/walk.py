@@ -76,7 +76,7 @@ def _way(chart: Chart, way: Array) -> list[Html]:
 
 
 def _clocks(found: CarriedWalk) -> Html:
-    """Draw the offset of the clocks in each window next to that of the walk, with 1 σ."""
+    """Draw the offset of the clocks in each window relative to that of the walk, with 1 σ."""
     if len(found.clock_windows) < 2:
         return EMPTY
     middle, offset, sigma = np.array(found.clock_windows).T
@@ -92,7 +92,7 @@ def _clocks(found: CarriedWalk) -> Html:
             y = chart.at(np.array([[x, value]]))[0, 1]
             marks.append(fill("clock-window", x=low[0], low=low[1], high=high[1], y=y))
     said = (
-        f"{clock_words(found)}. The chart has windows of 5 s, each next to the whole walk, 1 σ. "
+        f"{clock_words(found)}. The chart has windows of 5 s, relative to the whole walk, 1 σ. "
         "Clocks that keep one rate stay about zero."
     )
     return picture("clocks-said", 250.0, marks, said, "curve")

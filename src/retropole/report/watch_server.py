@@ -64,7 +64,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
     Attributes
     ----------
     url
-        If the page is. Whoever knows it sees the watch.
+        Where the page is. Whoever knows it sees the watch.
 
     Raises
     ------

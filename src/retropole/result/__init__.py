@@ -267,7 +267,7 @@ def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
 
 
 def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
-    """Write several placements; a single one is identified by the rest of the document."""
+    """Write several placements; a single one is described by the rest of the document."""
     if len(placements) < 2:
         return []
     return [

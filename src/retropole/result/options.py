@@ -27,8 +27,8 @@ LARGEST_WHOLE = 2**53
 """Of a whole number: JSON of other programs holds none beyond."""
 
 MIN_POLES = 0
-"""What poles do not determine the surroundings give, without any all (docs/method.md, One pole or
-none)."""
+"""The surroundings give what poles do not determine; without poles, all (docs/method.md, One pole
+or none)."""
 
 MaxPoints = Annotated[int, Meta(ge=LEAST_POINTS, le=LARGEST_WHOLE)]
 Radius = Annotated[float, Meta(ge=MIN_RADIUS, le=MAX_RADIUS)]

@@ -54,7 +54,7 @@ class LidarNow(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     source
-        If its sweeps come from.
+        Where its sweeps come from.
     sweeps_per_s, age_s
         How many come, and how old the newest is; None if none came.
     points

@@ -25,7 +25,7 @@ BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
 
 LEVER = 10.0
-"""Distance at which a rotation is counted next to a translation in the condition number, metres."""
+"""Distance at which a rotation is compared with a translation in the condition number, metres."""
 
 FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that are not modelled, rad and m: bent housings, temperature,

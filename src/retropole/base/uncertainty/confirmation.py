@@ -68,7 +68,7 @@ class Confirmation(
     better_at
         How far away a pose lies under which the scene fits better, metres; None if none does.
     z_margin
-        By how many σ the pose agrees better than the best of others next to it; None if it was
+        By how many σ the pose agrees better than the best of others near it; None if it was
         not compared with any.
     redundant
         Whether a third pole, or a placement of another shape, checks the poles.

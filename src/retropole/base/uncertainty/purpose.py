@@ -12,7 +12,7 @@ from ..bounded import Share, Size, Text
 from ..se3 import Array
 
 CONFIDENCE = 0.95
-"""Probability with which a pose must be as accurate as is requested."""
+"""Probability with which a pose must be as accurate as required."""
 
 DRAWS = 100_000
 """Errors that a probability is counted from: 95 % is then known to 0.07 %, its bound to 0.4 %."""
@@ -92,7 +92,7 @@ def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...])
 
 
 def whole_percent(share: float) -> str:
-    """Write a probability in whole per cent, rounded down: 94.9 % are not the 95 % requested."""
+    """Write a probability in whole per cent, rounded down: 94.9 % are not the 95 % required."""
     return f"{min(int(100 * share + 1e-9), 99)} %"
 
 

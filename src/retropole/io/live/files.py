@@ -229,7 +229,7 @@ class Recorded:
         self._newest: dict[str, Message] = {}
 
     def wants(self, topic: str, kind: str) -> bool:
-        """Keep the type of a topic in mind, and determine whether its messages are wanted."""
+        """Keep the type of a topic in mind, and return whether its messages are wanted."""
         self._kinds[topic] = kind
         return holds_clouds(kind) and self._topic in (None, topic)
 
@@ -282,7 +282,7 @@ class Part(Protocol):
     has_ended: bool
 
     def read_on(self, into: Recorded, until: float) -> bool:
-        """Read what was added; determine whether that is all, or the time (monotonic) was up
+        """Read what was added; return whether that is all, or the time (monotonic) was up
         before.
 
         Raises

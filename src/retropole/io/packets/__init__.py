@@ -99,7 +99,7 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
             raise UsageError(fault)
         return _of_ouster(path, capture, wanted)
     name = _chosen(path, senders, topic)
-    # Of a damaged packet no observation shows who sent it, but that it is as long as others.
+    # Of a damaged packet nothing shows who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
     alike = int(np.count_nonzero(capture.records[:, 1] == length))

@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None if there is none; the byte where the next begins, and if it
+"""A record, many of them, or None if there is none; the byte where the next begins, and where it
 was looked for."""
 
 OF_ONE_SIZE = 8
@@ -415,7 +415,7 @@ class Alike(NamedTuple):
 def alike(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
 ) -> Iterator[Alike]:
-    """Read what UDP carries in the packets of a capture; those that are similar together.
+    """Read what UDP carries in the packets of a capture; similar ones together.
 
     A packet that carries none, or is damaged, gives an empty payload.
 

@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        If the unit's own angles are in its DIFOP packet.
+        Where the unit's own angles are in its DIFOP packet.
     """
 
     count: int
@@ -327,8 +327,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     Attributes
     ----------
     name, maker, port, port_told
-        Of the model; the ports, UDP, are those that it sends returns, and what it describes itself,
-        to unless it was configured otherwise; 0 if it does not send its angles.
+        Of the model; the UDP ports are those to which it sends returns, and packets that describe
+        the LiDAR, unless it was configured otherwise; 0 if it does not send its angles.
     sizes
         Bytes that its packets may have, without IP and UDP.
     marks
@@ -341,7 +341,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     layout
         Of its family.
     source, tried
-        If the figures come from; on which real packets it was tried, empty for none.
+        Where the figures come from; on which real packets it was tried, empty for none.
     sensor
         Its name in ``sensors.toml``; empty if there is none.
     """
