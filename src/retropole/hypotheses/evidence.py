@@ -1,4 +1,4 @@
-"""Whether the objects in the scene confirm a pose, and how much of it could have contradicted it.
+"""Whether the objects in the scene confirm a pose, and how many of them could have contradicted it.
 
 That nothing conflicts with a pose shows little where nothing could: in a corridor of plain
 walls a pose may slide along them. So the same voxels are counted at other poses: the best shifts
