@@ -28,9 +28,8 @@ def odds_of(*others: tuple[Array, float], pole: Array | None = None) -> float:
     return log_odds(around, RADIUS)
 
 
-def test_a_pole_in_free_air_is_probable_and_a_stub_less() -> None:
-    assert odds_of() == odds_of(pole=on_pole(0.4, 5)) > odds_of(pole=on_pole(0.1, 3))
-    assert odds_of() > 0.0
+def test_a_pole_in_free_air_is_probable_and_a_short_one_less() -> None:
+    assert odds_of() > odds_of(pole=on_pole(0.4, 5)) > 0.0
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,9 @@ from ..base.datatypes import Array
 from .lines import LITTLE, MOST, SEARCH_ROOM, TUBE, WIDTH_IN_RMS
 from .surroundings import PIECES, SHORT_LENGTH, Surroundings, cluttered_share, is_wall_behind
 
-WEIGHTS = -1.3, 5.4, -4.4, -4.2, -1.7, -4.4, -13.2, -4.8
-"""Of `measures_of`, by benchmarks/odds.py, seeds 0 to 9: 12,378 lines on 140 poles and on 857 other
-things. Log-odds of 0 or more have 99 % of the poles and 9 % of the others."""
-
-SLENDER = 2.0
-"""Logarithm of length over width above which a line is no more a pole for being more slender: seven
-times as long as wide. A stripe on a wall has 3.0 to 3.7. Without it, 10 % of the other things pass
-(same lines; 1.5, 1.8 and 2.2: 12, 10 and 9 %)."""
+WEIGHTS = 2.9, 2.2, -4.3, -4.1, -1.3, -4.9, -14.2, -3.5
+"""Of `measures_of`, by benchmarks/odds.py, seeds 0 to 9: 12,417 lines on 140 poles and on 857 other
+things. Log-odds of 0 or more have 98 % of the poles and 10 % of the others."""
 
 
 def log_odds(around: Surroundings, radius: float) -> float:
@@ -32,17 +27,15 @@ def measures_of(around: Surroundings, radius: float) -> Array:
     Returns
     -------
     Array
-        (8,) one; the logarithms of its length over its width, at most `SLENDER`, and of the number
-        of bright returns close to it for each of its own, as multiples of `LITTLE`; the share of
-        its length along which bright ones are near it at all, along which others are close, and
-        along which others are near it that are not on a wall behind it; and the share of
-        `SHORT_LENGTH` along which it goes on without tape beyond the end where it does less, and
-        beyond the other.
+        (8,) one; the logarithms of its length over its width, and of the number of bright returns
+        close to it for each of its own, as multiples of `LITTLE`; the share of its length along
+        which bright ones are near it at all, along which others are close, and along which others
+        are near it that are not on a wall behind it; and the share of `SHORT_LENGTH` along which it
+        goes on without tape beyond the end where it does less, and beyond the other.
     """
     line = around.line
     bright = around.is_retro & around.beside
     close = ~around.on_line & (around.distance < radius + TUBE + SEARCH_ROOM)
-    width = max(line.width - WIDTH_IN_RMS * line.thicker, SEARCH_ROOM / 2)
     goes_on = _goes_on(around)
     others = around.beside & ~around.is_retro
     in_surface = cluttered_share(line, around.along[others], MOST)
@@ -52,7 +45,7 @@ def measures_of(around: Surroundings, radius: float) -> Array:
     return np.array(
         [
             1.0,
-            min(np.log(line.length / width), SLENDER),
+            np.log(line.length / max(line.width - WIDTH_IN_RMS * line.thicker, SEARCH_ROOM / 2)),
             np.log1p(np.count_nonzero(bright & close) / (LITTLE * len(line.index))),
             cluttered_share(line, around.along[bright], LITTLE),
             cluttered_share(line, around.along[close & ~around.is_retro], MOST),
