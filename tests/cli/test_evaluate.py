@@ -166,7 +166,7 @@ def test_help_has_worked_examples_and_every_method() -> None:
     done = retropole_here("evaluate", "--help")
     assert done.returncode == 0
     assert "--methods poles" in done.stdout.split("Examples:")[1]
-    listed = done.stdout.split("scored alike:")[1].split("Examples:")[0]
+    listed = done.stdout.split("scored the same")[1].split("way:")[1].split("Examples:")[0]
     for name, title in (OURS | {name: rival.title for name, rival in RIVALS.items()}).items():
         assert any(line.split() == [name, *title.split()] for line in _lines(listed)), name
     assert ", ".join(ALL_METHODS) in " ".join(done.stdout.split())

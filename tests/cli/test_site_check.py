@@ -60,7 +60,7 @@ def test_the_lidar_that_moved_is_named(site: Path) -> None:
     words = "site", "check", site / "out" / "site-result.json", site / "moved" / "site.toml"
     done = retropole_here(*words)
     assert done.returncode == 4, done.stdout + done.stderr
-    assert "moved: posts-3; the others stand as they stood" in done.stdout
+    assert "moved: posts-3; the others have not moved" in done.stdout
     done = retropole_here(*words, "--json")
     answer = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1
@@ -97,7 +97,7 @@ def test_a_lidar_without_a_recording_is_not_told(site: Path, tmp_path: Path) -> 
     assert retropole_here("site", "init", tmp_path).returncode == 0
     done = retropole_here("site", "check", site / "out", tmp_path)
     assert done.returncode == 3
-    assert "whether these moved is open: posts-3" in done.stdout
+    assert "undecided whether moved: posts-3" in done.stdout
 
 
 def test_help_has_worked_examples() -> None:

@@ -180,7 +180,7 @@ class TestUnits:
         done = calibrate(tmp_path, tmp_path / "0.las", tmp_path / "1.las")
         message = check_refused(done, tmp_path, "far_from_lidar")
         for words in (info, message):
-            assert "a LAS file does not say where the LiDAR stood, so beams have no origin" in words
+            assert "a LAS file does not say where the LiDAR was, so beams have no origin" in words
             assert "subtract the LiDAR's place from all points" in words
 
 
