@@ -71,7 +71,7 @@ FASTER = 1.6
 there slowly where the data leave much of the motion open)."""
 
 SHORT = 1.0
-"""Steps of the clock are sought at times so far from each other, s."""
+"""A step of the clock is tested at times this far from each other, s."""
 
 HELD = 1e-6
 """The offset of all is held to so much, s, where each window has its own."""
