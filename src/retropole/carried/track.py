@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from ..extraction.lines import LINK, MIN_POLE_POINTS, clusters
 from ..extraction.poles import extract_poles
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
+from .moving import Returns, follow, joined
 
 STANDS = 0.4
 """What is found within `SAME_PLACE` in more than this part of the sweeps is static."""
@@ -171,6 +173,7 @@ class Search:
         self.sweeps = 0
         self._sensor, self._threshold, self._radius = sensor, threshold, radius
         self._found: list[Found] = []
+        self._bright: list[Returns] = []
         self._chosen: Threshold | None = None
         self._beams: Beams | None = None
 
@@ -197,6 +200,8 @@ class Search:
         if self._chosen is None:
             self._chosen = threshold_for(cloud.intensity, ranges, self._sensor, self._threshold)
         found = _poles_in(cloud, ranges, self._chosen, self._sensor, self._radius, self.sweeps)
+        if _takes_its_time(self._sensor):
+            self._bright.append(_bright_in(cloud, ranges, self._chosen, self.sweeps))
         self.sweeps += 1
         self._found += found
         return found
@@ -210,7 +215,12 @@ class Search:
             ``no_walk``.
         """
         moving = _not_standing(self._found, self.sweeps)
-        chain = _longest_way(moving)
+        if moving and self._bright:
+            bright = joined(self._bright)
+            moving, bright = _moving_alone(moving, bright, self.sweeps)
+            chain = _followed(_longest_way(moving), bright)
+        else:
+            chain = _longest_way(moving)
         if len(chain) < MIN_SWEEPS:
             raise Refusal(
                 "no_walk",
@@ -315,6 +325,40 @@ def _poles_in(
     return found
 
 
+def _takes_its_time(sensor: Sensor | None) -> bool:
+    """Whether the beams meet a pole again and again within a sweep."""
+    return sensor is not None and sensor.pattern == "rosette"
+
+
+def _bright_in(cloud: PointCloud, ranges: Array, chosen: Threshold, sweep: int) -> Returns:
+    """Take all returns of a sweep that shine."""
+    assert cloud.intensity is not None
+    assert cloud.time is not None
+    index = np.flatnonzero(cloud.intensity >= chosen.at(ranges))
+    rings = np.full(len(index), -1) if cloud.ring is None else cloud.ring[index]
+    of_sweep = np.full(len(index), sweep)
+    whole = _is_whole(cloud, index) if len(index) else np.zeros(0, dtype=bool)
+    return Returns(cloud.xyz[index], cloud.time[index], of_sweep, rings, whole)
+
+
+def _followed(chain: list[Found], returns: Returns) -> list[Found]:
+    """Follow the pole from the sweeps in which it was found as a line at rest."""
+    if not chain:
+        return []
+    found = _track_of(chain, 0, 0.0, np.eye(4))
+    return [
+        Found(
+            int(returns.sweep[line.index[0]]),
+            line.time,
+            line.point,
+            line.direction,
+            *(each[line.index] for each in (returns.xyz, returns.times, returns.rings)),
+            returns.is_whole[line.index],
+        )
+        for line in follow(found.times, found.points, found.directions, returns)
+    ]
+
+
 def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
     """Whether nothing is in front of and close to each of some returns (M,) of a pole."""
     ranges = lengths(cloud.xyz - cloud.origin)
@@ -338,6 +382,20 @@ def _not_standing(found: list[Found], sweeps: int) -> list[Found]:
         for each, there in zip(found, near, strict=True)
         if len(np.unique(of[there])) <= STANDS * sweeps
     ]
+
+
+def _moving_alone(found: list[Found], bright: Returns, sweeps: int) -> tuple[list[Found], Returns]:
+    """Leave out poles and returns where something shines in many of the sweeps.
+
+    Of a static reflector too, a line is found in some sweeps alone, but returns are in all.
+    """
+    xyz = np.concatenate([bright.xyz, [each.point for each in found]])
+    cell = np.floor(xyz / (2 * SAME_PLACE)).astype(np.int64)
+    of = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    count = len(bright.xyz)
+    in_sweeps = np.unique(np.stack([of[:count], bright.sweep], axis=1), axis=0)[:, 0]
+    moves = np.bincount(in_sweeps, minlength=of.max() + 1)[of] <= STANDS * sweeps
+    return list(compress(found, moves[count:])), bright.select(moves[:count])
 
 
 def _longest_way(found: list[Found]) -> list[Found]:
