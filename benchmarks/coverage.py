@@ -48,6 +48,7 @@ TUNING: Mapping[str, NoiseModel] = {
     "range offset 10 mm": replace(TYPICAL, zero_offset=0.010),
     "encoder 0.03°": replace(TYPICAL, encoder=0.03 * DEGREE),
     "range of rings 6 mm": replace(TYPICAL, ring_bias=0.006),
+    "elevation of all beams 0.03°": replace(TYPICAL, elevation=0.03 * DEGREE),
     "strongest of the footprint": replace(TYPICAL, footprint="strongest"),
     "pointing noise 0.03°": replace(TYPICAL, pointing_noise=0.03 * DEGREE),
     "4 people walking": replace(TYPICAL, movers=4),

@@ -26,10 +26,11 @@ from tests.tiers import first_of
 
 
 def bent(azimuth: Array, b: Array) -> Array:
-    """How far scan lines are bent up, of periods 180° and 120°."""
-    c2, s2, c3, s3 = b
+    """How far scan lines are bent up, of periods 180° and 120° and as a whole."""
+    c2, s2, c3, s3, of_all = b
     return np.asarray(
-        c2 * np.cos(2 * azimuth)
+        of_all
+        + c2 * np.cos(2 * azimuth)
         + s2 * np.sin(2 * azimuth)
         + c3 * np.cos(3 * azimuth)
         + s3 * np.sin(3 * azimuth)

@@ -13,7 +13,7 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS, Sensor, find_sensor
-from retropole.base.systematic import SPINNING_BEND, Sizes, sizes_of
+from retropole.base.systematic import Sizes, sizes_of, spinning
 from retropole.extraction.sensor_pattern import (
     Beams,
     beam_scatter,
@@ -136,8 +136,7 @@ def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
 @pytest.mark.parametrize("name", SENSORS)
 def test_rings_that_are_cones_say_that_a_lidar_spins(name: str) -> None:
     cloud, sensor = cloud_of(name), SENSORS[name]
-    bend = SPINNING_BEND if sensor.rings else Sizes().bend
-    assert error_sizes(cloud, None) == replace(Sizes(), bend=bend)
+    assert error_sizes(cloud, None) == (spinning(Sizes()) if sensor.rings else Sizes())
     # In any frame, if where its beams start is known, and in no other.
     T = se3.random(np.random.default_rng(4))
     moved = replace(cloud, xyz=se3.apply(T, cloud.xyz))

@@ -36,6 +36,7 @@ OF_FAMILY = {
     "encoder": "encoder",
     "wobble": "wobble",
     "bend": "bend",
+    "elevation": "elevation",
 }
 """What each family of `NoiseModel` disturbs in a `Device`."""
 
@@ -110,6 +111,15 @@ def test_wobble_and_rings_raise_beams() -> None:
     same, raised = angles(device.directions(rays, rings))
     expected = device.wobble[0] * np.cos(azimuth) + device.wobble[1] * np.sin(azimuth)
     np.testing.assert_allclose(raised - elevation, expected + device.ring_elevation[rings])
+    np.testing.assert_allclose(same, azimuth, atol=1e-12)
+
+
+def test_all_beams_are_raised_alike() -> None:
+    device = device_of(replace(EXACT, elevation=2e-3))
+    azimuth = np.linspace(-np.pi, np.pi, 361)[:-1]
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
+    same, raised = angles(device.directions(rays, np.zeros(360, dtype=np.int64)))
+    np.testing.assert_allclose(raised, device.elevation, atol=1e-12)
     np.testing.assert_allclose(same, azimuth, atol=1e-12)
 
 

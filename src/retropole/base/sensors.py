@@ -176,6 +176,7 @@ class ListedErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
     encoder_deg: Size | None = None
     wobble_deg: Size | None = None
     bend_deg: Size | None = None
+    elevation_deg: Size | None = None
     tape_m: Size | None = None
     ring_range_m: Size | None = None
     ring_elevation_deg: Size | None = None

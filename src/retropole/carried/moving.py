@@ -75,7 +75,7 @@ class Line(NamedTuple):
     time: float
     point: Array
     direction: Array
-    index: IntArray
+    returns: IntArray
 
 
 def follow(times: Array, points: Array, directions: Array, returns: Returns) -> list[Line]:

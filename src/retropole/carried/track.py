@@ -346,17 +346,15 @@ def _followed(chain: list[Found], returns: Returns) -> list[Found]:
     if not chain:
         return []
     found = _track_of(chain, 0, 0.0, np.eye(4))
+    lines = follow(found.times, found.points, found.directions, returns)
+    of_lines = [(line, returns.select(line.returns)) for line in lines]
     return [
         Found(
-            int(returns.sweep[line.index[0]]),
-            line.time,
-            line.point,
-            line.direction,
-            *(each[line.index] for each in (returns.xyz, returns.times, returns.rings)),
-            returns.is_whole[line.index],
+            int(own.sweep[0]), line.time, line.point, line.direction,
+            own.xyz, own.times, own.rings, own.is_whole,
         )
-        for line in follow(found.times, found.points, found.directions, returns)
-    ]
+        for line, own in of_lines
+    ]  # fmt: skip
 
 
 def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:

@@ -9,7 +9,7 @@ Also how a pole looks by the width and step of the beams (docs/evidence/detectio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..base.datatypes import Array, BoolArray, PointCloud, kept
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
-from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
+from ..base.systematic import Sizes, sizes_of, spinning
 from ..io.beams import (
     BEYOND_VIEW,
     MANY_BEYOND,
@@ -168,7 +168,7 @@ def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
         What was named; None is any.
     """
     sizes = sizes_of(sensor)
-    return replace(sizes, bend=SPINNING_BEND) if sensor is None and _spins(cloud) else sizes
+    return spinning(sizes) if sensor is None and _spins(cloud) else sizes
 
 
 @kept
