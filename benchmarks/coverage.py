@@ -49,6 +49,7 @@ TUNING: Mapping[str, NoiseModel] = {
     "encoder 0.03°": replace(TYPICAL, encoder=0.03 * DEGREE),
     "range of rings 6 mm": replace(TYPICAL, ring_bias=0.006),
     "elevation of all beams 0.03°": replace(TYPICAL, elevation=0.03 * DEGREE),
+    "elevation by 0.3 % of it": replace(TYPICAL, elevation_scale=0.003),
     "strongest of the footprint": replace(TYPICAL, footprint="strongest"),
     "pointing noise 0.03°": replace(TYPICAL, pointing_noise=0.03 * DEGREE),
     "4 people walking": replace(TYPICAL, movers=4),

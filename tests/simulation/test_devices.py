@@ -37,6 +37,7 @@ OF_FAMILY = {
     "wobble": "wobble",
     "bend": "bend",
     "elevation": "elevation",
+    "elevation_scale": "elevation_scale",
 }
 """What each family of `NoiseModel` disturbs in a `Device`."""
 

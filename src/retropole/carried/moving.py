@@ -7,8 +7,8 @@ returns of half a second are on::
 
     x = a₀ + a₁ z + a₂ t + a₃ t z,     y = b₀ + b₁ z + b₂ t + b₃ t z,
 
-which is linear in all unknowns. What lies on that line is the pole in the sweeps next to it, from
-which the next are reached.
+z being the height above their middle: linear in all unknowns. What lies on that line is the pole in
+the sweeps next to it, from which the next are reached.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def follow(times: Array, points: Array, directions: Array, returns: Returns) -> 
     slopes = directions @ R.T
     slopes = slopes[:, :2] / slopes[:, 2:]
     middle = points @ R.T
-    known = np.c_[times, middle[:, :2] - slopes * middle[:, 2:], slopes, middle[:, 2]]
+    known = np.c_[times, middle, slopes]
     lines: list[Line] = []
     for _ in range(ROUNDS):
         near = _near(known, xyz, at)
@@ -115,11 +115,9 @@ def follow(times: Array, points: Array, directions: Array, returns: Returns) -> 
             own = window[fit.on][sweep[window[fit.on]] == number] if fit is not None else []
             if fit is None or not len(own):
                 continue
-            height = xyz[window[fit.on], 2].mean()
-            rows.append(np.r_[time, fit.axis, height])
-            point = np.r_[fit.axis[:2] + height * fit.axis[2:], height]
-            along = np.r_[fit.axis[2:], 1.0] / np.sqrt(1 + fit.axis[2:] @ fit.axis[2:])
-            lines.append(Line(float(time), point @ R, along @ R, np.sort(by_time[own])))
+            rows.append(np.r_[time, fit.point, fit.slope])
+            along = np.r_[fit.slope, 1.0] / np.sqrt(1 + fit.slope @ fit.slope)
+            lines.append(Line(float(time), fit.point @ R, along @ R, np.sort(by_time[own])))
         if len(rows) <= len(known) or not rows:
             break
         known = np.array(rows)
@@ -127,25 +125,30 @@ def follow(times: Array, points: Array, directions: Array, returns: Returns) -> 
 
 
 def _near(known: Array, xyz: Array, at: Array) -> BoolArray:
-    """Which returns are near a pole that is known at some times: rows of time, axis and height."""
+    """Which returns are near a pole that is known at some times: rows of time, point and slope."""
     expected = np.stack([np.interp(at, known[:, 0], each) for each in known[:, 1:].T], axis=1)
     after = np.clip(np.searchsorted(known[:, 0], at), 1, len(known) - 1)
     ago = np.abs(at[:, None] - known[:, 0][np.stack([after - 1, after], axis=1)]).min(axis=1)
-    off = xyz[:, :2] - expected[:, :2] - expected[:, 2:4] * xyz[:, 2:]
-    within = np.abs(xyz[:, 2] - expected[:, 4]) < LONGEST
-    return np.asarray((ago < HALF) & within & (np.linalg.norm(off, axis=1) < NEAR))
+    off = xyz - expected[:, :3]
+    aside = off[:, :2] - expected[:, 3:] * off[:, 2:]
+    within = np.abs(off[:, 2]) < LONGEST
+    return np.asarray((ago < HALF) & within & (np.linalg.norm(aside, axis=1) < NEAR))
 
 
 class Fit(NamedTuple):
-    """x, y and slopes (4,) of the axis at t = 0, and which returns (M,) are on it."""
+    """A point (3,) of the axis at t = 0, its slopes (2,), and which returns (M,) are on it."""
 
-    axis: Array
+    point: Array
+    slope: Array
     on: BoolArray
 
 
 def _fit(xyz: Array, t: Array) -> Fit | None:
     """Fit a line that moves to returns (M, 3) at times (M,); None where they make none."""
-    z, on = xyz[:, 2], np.ones(len(xyz), dtype=bool)
+    if len(xyz) < FEWEST:
+        return None
+    height, on = xyz[:, 2].mean(), np.ones(len(xyz), dtype=bool)
+    z = xyz[:, 2] - height
     A = np.stack([np.ones(len(z)), z, t, t * z], axis=1)
     prior = np.diag([0.0, SCATTER / STEEP, SCATTER / MOVES, SCATTER / LEANS])
     for _ in range(STEPS):
@@ -160,4 +163,4 @@ def _fit(xyz: Array, t: Array) -> Fit | None:
     lean_sigma = SCATTER * np.sqrt(np.linalg.inv(normal)[1, 1])
     if np.count_nonzero(on) < max(FEWEST, AGREED * len(on)) or lean_sigma > MAX_LEAN_SIGMA:
         return None
-    return Fit(coefs[:2].ravel(), on)
+    return Fit(np.r_[coefs[0], height], coefs[1], on)

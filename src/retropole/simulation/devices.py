@@ -59,6 +59,8 @@ class NoiseModel:
         Systematic: the same of elevation errors of periods 180° and 120°, rad.
     elevation
         Systematic: error of the elevation of all beams, rad.
+    elevation_scale
+        Systematic: error of the elevation as a part of it.
     pointing_noise
         1 σ of the direction of each shot in each of two directions across it, rad.
     noise_growth
@@ -95,6 +97,7 @@ class NoiseModel:
     wobble: float = 0.0
     bend: float = 0.0
     elevation: float = 0.0
+    elevation_scale: float = 0.0
     pointing_noise: float = 0.0
     noise_growth: float = 0.0
     footprint: Footprint = "centre"
@@ -177,6 +180,8 @@ class Device:
         (4,) elevation error, rad: these times cosine and sine of twice and three times the azimuth.
     elevation
         Elevation error of all beams, rad.
+    elevation_scale
+        Elevation error as a part of the elevation.
     tape_offset
         Range error of retro-reflective returns, metres.
     """
@@ -192,6 +197,7 @@ class Device:
     bend: Array
     tape_offset: float
     elevation: float
+    elevation_scale: float
 
     def directions(self, rays: Array, rings: IntArray) -> Array:
         """Directions (N, 3) in which beams leave that are believed to leave along rays (N, 3).
@@ -204,13 +210,14 @@ class Device:
             (N,) ring of each.
         """
         turning = (self.ring_elevation, self.ring_azimuth, self.encoder, self.wobble, self.bend)
-        if not any(each.any() for each in turning) and not self.elevation:
+        by_all = self.elevation or self.elevation_scale
+        if not any(each.any() for each in turning) and not by_all:
             return rays
         level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), np.finfo(float).tiny)
         around = rays[:, :2] / level[:, None]
         azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + around @ self.encoder
         azimuth += self.ring_azimuth[rings]
-        elevation = np.arctan2(rays[:, 2], level) + self.elevation
+        elevation = (1 + self.elevation_scale) * np.arctan2(rays[:, 2], level) + self.elevation
         elevation += self.ring_elevation[rings] + around @ self.wobble
         twice, thrice = (around @ np.array([1.0, 1.0j])) ** np.array([[2], [3]])
         elevation += np.stack([twice.real, twice.imag, thrice.real, thrice.imag], 1) @ self.bend
@@ -271,7 +278,7 @@ def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> 
     # Last, so that LiDARs drawn without it are those of the same generator before there was it.
     ring_azimuth = rng.normal(size=count)
     bend = rng.normal(size=4)
-    elevation = rng.normal()
+    elevation, elevation_scale = rng.normal(size=2)
     return Device(
         ring_range=noise.ring_bias * per_ring[0],
         ring_elevation=noise.ring_elevation * per_ring[1],
@@ -284,4 +291,5 @@ def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> 
         bend=noise.bend * bend,
         tape_offset=float(noise.retro_bias * tape_offset),
         elevation=float(noise.elevation * elevation),
+        elevation_scale=float(noise.elevation_scale * elevation_scale),
     )
