@@ -23,7 +23,7 @@ def seen(per_sweep: int, seconds: float = 3.0, seed: int = 0) -> Returns:
     on_pole = middle + rng.uniform(-0.9, 0.9, (count, 1)) * along
     on_pole += rng.uniform(-RADIUS, RADIUS, (count, 3))
     beside = rng.random(count) < 0.1
-    on_pole[beside] += np.array([0.25, 0.15, 0.0]) + rng.normal(0.0, 0.03, (np.sum(beside), 3))
+    on_pole[beside] += np.array([0.25, 0.15, 0.0]) + rng.normal(0.0, 0.03, (int(beside.sum()), 3))
     return Returns(
         se3.apply(T, on_pole), times, (times / 0.1).astype(np.int64),
         np.full(count, -1), np.ones(count, dtype=bool),
