@@ -20,7 +20,6 @@ from retropole.base.systematic import (
     RING,
     SHARED_ERRORS,
     SPINNING_BEND,
-    SPINNING_ELEVATION,
     STATED_WIDTH,
     Layout,
     Sizes,
@@ -29,6 +28,7 @@ from retropole.base.systematic import (
     by_error,
     left_of,
     sizes_of,
+    spinning,
     stated_sway,
 )
 from tests.numeric import numeric_jacobian
@@ -50,13 +50,11 @@ def test_sizes_follow_the_manufacturer() -> None:
         sizes = sizes_of(sensor)
         assert sizes.width == sensor.errors.get("width", STATED_WIDTH) <= Sizes().width
         assert sizes.zero >= MIN_ZERO
-        spinning = sensor.pattern == "spinning" and sensor.sees_all_around
-        assert sizes.bend == (SPINNING_BEND if spinning else Sizes().bend)
-        assert sizes.elevation == (SPINNING_ELEVATION if spinning else Sizes().elevation)
+        turns = sensor.pattern == "spinning" and sensor.sees_all_around
+        usual = spinning(Sizes()) if turns else Sizes()
+        assert sizes.bend == (SPINNING_BEND if turns else Sizes().bend)
         if sensor.range_accuracy is None:
-            assert sizes == replace(
-                Sizes(), width=sizes.width, bend=sizes.bend, elevation=sizes.elevation
-            )
+            assert sizes == replace(usual, width=sizes.width)
         else:
             stated = sensor.range_accuracy / RANGE_TO_OFFSET
             assert sizes.zero == pytest.approx(max(stated, MIN_ZERO))
