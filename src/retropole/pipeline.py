@@ -45,7 +45,7 @@ from .surfaces.static import check_poles, check_recordings
 from .verdict.fitness import judge
 from .verdict.map import of_map
 from .verdict.preference import check_near_poles
-from .verdict.similarity import check_similarity, explain
+from .verdict.similarity import check_similarity, check_unit, explain
 from .verdict.site import check_decided, confirm_links, radius_denied
 from .verdict.statement import (
     Answered,
@@ -246,6 +246,8 @@ def calibrate_placements(
                 check_confirmation(confirmation)
                 check_told(paired, confirmation)
                 check_similarity(refined, placements, pose)
+                if poles != 0:
+                    check_unit(found[0], radius=radius, thresholds=thresholds)
         except Refusal as refusal:
             with step("explain"):
                 cause = explain(

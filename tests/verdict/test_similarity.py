@@ -20,7 +20,13 @@ from retropole.io.fields import METRES, NAMES, Unit
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.scans import find_poles
-from retropole.verdict.similarity import beyond_sensors, check_similarity, explain, unit_of_one
+from retropole.verdict.similarity import (
+    beyond_sensors,
+    check_similarity,
+    check_unit,
+    explain,
+    unit_of_one,
+)
 from tests.tiers import first_of
 
 FIND = partial(find_poles, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
@@ -268,6 +274,16 @@ def test_feet_are_told_beside_thicker_poles_and_not_applied() -> None:
     (reason,) = calibrate(*thick, options=Options(radius=RADIUS)).reasons
     if "unit" in reason.values:
         assert "times as thick as given (--radius 0.0" in reason.message
+
+
+@pytest.mark.full
+def test_no_answer_is_given_where_another_unit_alone_shows_the_poles() -> None:
+    """Surroundings and doubtful candidates fit in any unit that both clouds share."""
+    check = partial(check_unit, radius=RADIUS, thresholds=(None, None))
+    check(placed(*corridor()))
+    check(placed(*corridor(poles=False)))
+    with pytest.raises(Refusal, match=r"two poles that both see; read as feet, the target shows 2"):
+        check(placed(*(counted(cloud, "ft") for cloud in corridor())))
 
 
 @pytest.mark.parametrize("unit", ["in", "cm", "mm"])

@@ -118,10 +118,8 @@ def explain(
         found = find_change(first, [each.match.T_target_source for each in hypotheses])
         if found is not None:
             return _refusal(*found, first)
-    given = list(zip(first.scans, thresholds, strict=True))
     sizes = [METRES[unit] for unit in UNITS]
-    sizes += [1.0 / size for size in sizes]
-    read = {size: [_read_times(size, *each, radius) for each in given] for size in sizes}
+    read = _read_in(first, [*sizes, *(1.0 / size for size in sizes)], radius, thresholds)
     for size, (target, source) in read.items():
         if source and (fit := find_fit(replace(first, source=source.scan))):
             return _refusal(replace(fit, factor=fit.factor * size), None, first)
@@ -130,6 +128,38 @@ def explain(
     odd = _in_no_metres(first)
     common = None if shows_poles else _in_common_unit(first, read, radius, refusal, odd)
     return common or odd or refusal
+
+
+def check_unit(placement: Placement, *, radius: float, thresholds: Thresholds) -> None:
+    """Refuse an answer without two confirmed poles where another unit shows poles that fit.
+
+    Parameters
+    ----------
+    placement
+        What was found.
+    radius, thresholds
+        As of `explain`.
+
+    Raises
+    ------
+    Refusal
+        ``wrong_unit``.
+    """
+    if min(len(scan.poles) for scan in placement.scans) > 1:
+        return
+    read = _read_in(placement, [METRES[unit] for unit in UNITS], radius, thresholds)
+    doubt = Refusal("wrong_unit", "in metres, the clouds do not show two poles that both see", {})
+    found = _in_common_unit(placement, read, radius, doubt, _in_no_metres(placement))
+    if found is not None:
+        raise found
+
+
+def _read_in(
+    placement: Placement, sizes: Sequence[float], radius: float, thresholds: Thresholds
+) -> dict[float, list[Reading | None]]:
+    """Read both clouds in units of some sizes, metres."""
+    given = list(zip(placement.scans, thresholds, strict=True))
+    return {size: [_read_times(size, *each, radius) for each in given] for size in sizes}
 
 
 def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
