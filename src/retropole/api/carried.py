@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ import numpy as np
 from msgspec import structs
 from threadpoolctl import threadpool_limits
 
-from ..base.datatypes import Placement, PointCloud
+from ..base.datatypes import Array, Placement, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
 from ..base.timing import timed
 from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
-from ..carried.walk import calibrate_tracks
+from ..carried.walk import solve_tracks, taken
 from ..io.fields import in_metres
 from ..io.recordings import Frame, chosen_frames, is_unix
 from ..io.timed import timed_frames
@@ -26,7 +26,6 @@ from ..verdict.statement import state_refusal
 from .inputs import (
     CloudSource,
     Input,
-    InputPair,
     Listener,
     input_documents,
     read_placements,
@@ -36,19 +35,19 @@ from .inputs import (
 
 
 class SeenWalk(NamedTuple):
-    """What two LiDARs saw of the pole.
+    """What LiDARs saw of the pole, the target first.
 
     ``ahead`` is by how much each one's clock is ahead of the recorder's, s; None is not known.
     """
 
-    tracks: tuple[Track, Track]
-    ahead: tuple[float | None, float | None]
+    tracks: tuple[Track, ...]
+    ahead: tuple[float | None, ...]
 
     @property
-    def between(self) -> float | None:
-        """By how much the source's clock is ahead of the target's, as the recorders say, s."""
-        target, source = self.ahead
-        return None if target is None or source is None else source - target
+    def between(self) -> Array | None:
+        """(L,) by how much each clock is ahead of the target's, as the recorders say, s."""
+        known = [each for each in self.ahead if each is not None]
+        return np.array(known) - known[0] if len(known) == len(self.ahead) else None
 
 
 def calibrate_walk(
@@ -105,7 +104,7 @@ def calibrate_walk(
             ]
             with step("adjust"):
                 sensors = pair.target.sensor, pair.source.sensor
-                found = calibrate_tracks(seen.tracks, sensors, radius, seen.between)
+                found = taken(solve_tracks(seen.tracks, sensors, radius, seen.between))
             with step("refine"):
                 stated = state_walk(found, placement, seconds, scene=config.refine)
             calibration = judge(stated, config.need)
@@ -115,9 +114,9 @@ def calibrate_walk(
     return document, calibration.placements
 
 
-def _search(pair: InputPair, radius: float, listener: Listener) -> SeenWalk:
-    (target, first), (source, second) = (_track(each, radius, listener) for each in pair)
-    return SeenWalk((target, source), (first, second))
+def _search(given: Iterable[Input], radius: float, listener: Listener) -> SeenWalk:
+    tracks, ahead = zip(*(_track(each, radius, listener) for each in given), strict=True)
+    return SeenWalk(tracks, ahead)
 
 
 def _track(given: Input, radius: float, listener: Listener) -> tuple[Track, float | None]:

@@ -39,6 +39,13 @@ AS_GOOD = 4.0
 """Basins with up to this many times the least cost are starts, too."""
 
 
+class Poses(NamedTuple):
+    """Poses (L, 4, 4) of all LiDARs in the frame of the first, and how far ahead clocks are, s."""
+
+    T: Array
+    offsets: Array
+
+
 class Start(NamedTuple):
     """A pose to start from, (4, 4), with the clock offset, s, its cost, rad, and which sign."""
 
@@ -46,6 +53,11 @@ class Start(NamedTuple):
     offset: float
     cost: float
     flipped: bool
+
+    @property
+    def poses(self) -> Poses:
+        """Of both LiDARs."""
+        return Poses(np.stack([np.eye(4), self.T_target_source]), np.array([0.0, self.offset]))
 
 
 def find_starts(target: Track, source: Track) -> list[Start]:

@@ -170,7 +170,7 @@ def _figures(found: WalkCalibration, points: Array, directions: Array) -> Carrie
         left_out=adjusted.left_out,
         range_scale=(float(scale[0]), float(scale[1])),
         edge_jitter_rad=(float(jitter[0]), float(jitter[1])),
-        clock_windows=(adjusted.clock_windows * [1, -1, 1]).tolist(),
+        clock_windows=(adjusted.clock_windows[1] * [1, -1, 1]).tolist(),
         up=up / np.linalg.norm(up),
         path=every_nth(path, MOST_PLACES).tolist(),
     )
