@@ -1,8 +1,9 @@
-"""Two recordings of a walk with one pole: read sweep by sweep, and calibrated."""
+"""Recordings of a walk with one pole: read sweep by sweep, and calibrated."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -10,19 +11,24 @@ import numpy as np
 from msgspec import structs
 from threadpoolctl import threadpool_limits
 
+from ..adjustment.answer import SiteCalibration
+from ..alignment.origins import shifted
 from ..base.datatypes import Array, Placement, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
 from ..base.timing import timed
+from ..carried.site import from_reference, state_walk_of_site
 from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
 from ..carried.walk import solve_tracks, taken
+from ..hypotheses.scans import SiteScans
 from ..io.fields import in_metres
 from ..io.recordings import Frame, chosen_frames, is_unix
 from ..io.timed import timed_frames
 from ..result import ResultDoc, RunConfig, result_document
+from ..result.site import RecordingDoc
 from ..verdict.fitness import judge
-from ..verdict.statement import state_refusal
+from ..verdict.statement import state_refusal, state_site_refusal
 from .inputs import (
     CloudSource,
     Input,
@@ -32,6 +38,7 @@ from .inputs import (
     refuse_repeated,
     tell_repeated,
 )
+from .site_inputs import SiteInputs
 
 
 class SeenWalk(NamedTuple):
@@ -114,8 +121,81 @@ def calibrate_walk(
     return document, calibration.placements
 
 
-def _search(given: Iterable[Input], radius: float, listener: Listener) -> SeenWalk:
-    tracks, ahead = zip(*(_track(each, radius, listener) for each in given), strict=True)
+def calibrate_site_walk(
+    read: SiteInputs, documents: Sequence[RecordingDoc], listener: Listener
+) -> tuple[SiteCalibration, list[RecordingDoc]]:
+    """Find poses and clocks of all LiDARs of a site before which one pole is carried.
+
+    Parameters
+    ----------
+    read, documents
+        The site, one recording of each LiDAR, and their entries in the result document.
+    listener
+        As of `calibration.calibrate_site`.
+
+    Returns
+    -------
+    SiteCalibration, list of RecordingDoc
+        The answer, or why there is none; and the entries with the thresholds that were used.
+
+    Raises
+    ------
+    UsageError
+        If a cloud is one sweep.
+    """
+    site, seconds, stated = read.site, dict[str, float](), list(documents)
+    step = partial(timed, seconds, listener.progress)
+    order = from_reference(site)
+    names, given = [site.lidars[k].name for k in order], [read.inputs[k, 0] for k in order]
+    with threadpool_limits(1, user_api="blas"):
+        with step("extract"):
+            rows = [
+                [read.inputs[k, 0].search(site.radius, for_poles=False)]
+                for k in range(len(site.lidars))
+            ]
+        origins = np.array([row[0].cloud.origin for row in rows])
+        scans = SiteScans(
+            tuple((shifted(row[0], -origin),) for row, origin in zip(rows, origins, strict=True)),
+            origins,
+        )
+        try:
+            for row, lidar in zip(rows, site.lidars, strict=True):
+                with named(lidar.name):
+                    if row[0].refusal is not None:
+                        raise row[0].refusal
+            with step("extract"):
+                seen = _search(given, site.radius, listener, names)
+            thresholds = dict(zip(order, (each.threshold for each in seen.tracks), strict=True))
+            stated = [structs.replace(each, threshold=thresholds[each.lidar]) for each in stated]
+            with step("adjust"):
+                sensors = [each.sensor for each in given]
+                solved = solve_tracks(seen.tracks, sensors, site.radius, seen.between, names)
+            with step("confirm"):
+                answer = state_walk_of_site(site, scans, solved, seconds)
+        except Refusal as refusal:
+            answer = state_site_refusal(site, scans, (), (), refusal, (), seconds)
+    return answer, stated
+
+
+@contextmanager
+def named(lidar: str) -> Iterator[None]:
+    """Name the LiDAR in a refusal; of none, "", it stays as it is."""
+    try:
+        yield
+    except Refusal as refusal:
+        if not lidar:
+            raise
+        raise Refusal(refusal.code, f"{lidar}: {refusal.message}", refusal.values) from None
+
+
+def _search(
+    given: Iterable[Input], radius: float, listener: Listener, names: Sequence[str] = ("", "")
+) -> SeenWalk:
+    found = []
+    for each, name in zip(given, names, strict=True):
+        with named(name):
+            found.append(_track(each, radius, listener))
+    tracks, ahead = zip(*found, strict=True)
     return SeenWalk(tracks, ahead)
 
 

@@ -178,7 +178,7 @@ def weaknesses(
             f"the poses still moved after {adjusted.end.iterations} iterations; record more frames",
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
-    yield from _not_fit(site, lidars)
+    yield from not_fit(site, lidars)
 
 
 def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
@@ -311,7 +311,12 @@ def fitness_of(site: Site, covariance: Array) -> Fitness | None:
     return fitness(covariance, site.need or USABLE)
 
 
-def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
+def not_fit(
+    site: Site,
+    lidars: Sequence[LidarPose],
+    helps: str = "a placement with the poles in another way",
+) -> Iterator[Reason]:
+    """Say which poses are not as accurate as was asked for, and what `helps`."""
     short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]
     if not short:
         return
@@ -322,7 +327,7 @@ def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
     names = ", ".join(site.lidars[one.lidar].name for one in short)
     yield Reason(
         "not_fit_for_purpose",
-        f"{names}: {fit.words}{bound}; what would help: a placement with the poles in another way",
+        f"{names}: {fit.words}{bound}; what would help: {helps}",
         {
             "lidars": names,
             "within_m": fit.within_m,
