@@ -243,8 +243,8 @@ def walk_sites(args: argparse.Namespace) -> None:
             flush=True,
         )
     print(
-        f"answered {len(inside)} of {args.seeds}; poses: median {1e3 * np.median(errors):.1f} mm at "
-        f"{AT:g} m, largest {1e3 * max(errors):.1f}; all poses within 95 % together: "
+        f"answered {len(inside)} of {args.seeds}; poses: median {1e3 * np.median(errors):.1f} mm "
+        f"at {AT:g} m, largest {1e3 * max(errors):.1f}; all poses within 95 % together: "
         f"{sum(inside)}; clocks, median {1e3 * np.median(clocks):.2f} ms"
     )
 

@@ -39,12 +39,15 @@ class SiteWalk(msgspec.Struct, frozen=True, eq=False):
 
     Attributes
     ----------
+    begin_s
+        When the pole was first seen, by the clock of the reference.
     seconds, along_m, across_m, lean_rad, left_out, up, path
         As of `CarriedWalk`, in the frame of the site.
     lidars
         Of each LiDAR of the site, in their order.
     """
 
+    begin_s: Number
     seconds: Size
     along_m: Size
     across_m: Size
@@ -116,5 +119,5 @@ class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
             LidarWalk(*clock, *seen, window)
             for clock, seen, window in zip(clocks, both, windows, strict=True)
         ]
-        shared = {name: getattr(self, name) for name in SiteWalk.__struct_fields__[:-1]}
-        return SiteWalk(**shared, lidars=lidars)
+        shared = {name: getattr(self, name) for name in SiteWalk.__struct_fields__[1:-1]}
+        return SiteWalk(self.middle_s - self.seconds / 2, **shared, lidars=lidars)

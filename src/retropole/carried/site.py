@@ -168,4 +168,5 @@ def _walk(adjusted: Adjusted, solved: Solved, order: Sequence[int]) -> SiteWalk:
         for k, track in enumerate(solved.tracks)
     ]
     lidars = [seen[k] for k in np.argsort(order)]
-    return SiteWalk(**figures_of(adjusted, points, directions), lidars=lidars)
+    figures = figures_of(adjusted, points, directions)
+    return SiteWalk(begin_s=float(adjusted.times.min()), **figures, lidars=lidars)
