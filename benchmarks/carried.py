@@ -176,8 +176,10 @@ def watch_walks(args: argparse.Namespace) -> None:
     )
 
 
-def walk_of_site(args: argparse.Namespace, seed: int) -> tuple[SiteCalibration, SimulatedWalk]:
-    """Calibrate all LiDARs before which the walk of a seed goes on.
+def walk_of_site(
+    args: argparse.Namespace, seed: int
+) -> tuple[SimulatedWalk, SiteCalibration, SiteCalibration]:
+    """Calibrate all LiDARs before which the walk of a seed goes on, by the pole and with the scene.
 
     Raises
     ------
@@ -192,61 +194,70 @@ def walk_of_site(args: argparse.Namespace, seed: int) -> tuple[SiteCalibration, 
         for k, sensor in enumerate(sensors)
     ]
     names = [f"lidar{k}" for k in range(len(sensors))]
-    site = Site(
-        "walk",
-        tuple(SiteLidar(name, (), sensor) for name, sensor in zip(names, sensors, strict=True)),
-        ("walk",),
-        carried=True,
-    )
     rows = [(scene_of(own, sensor),) for own, sensor in zip(kept, sensors, strict=True)]
+    lidars = [
+        SiteLidar(name, (row[0].cloud,), sensor)
+        for name, row, sensor in zip(names, rows, sensors, strict=True)
+    ]
+    site = Site("walk", tuple(lidars), ("walk",), carried=True)
     scans = SiteScans(tuple(rows), np.zeros((len(rows), 3)))
     solved = solve_tracks(tracks, sensors, DEFAULT_RADIUS, None, names)
-    return state_walk_of_site(site, scans, solved, {}), walk
+    alone, whole = (
+        state_walk_of_site(site, scans, solved, {}, scene=scene) for scene in (False, True)
+    )
+    return walk, alone, whole
 
 
 def walk_sites(args: argparse.Namespace) -> None:
     """Print of each walk before several LiDARs how far each pose and clock is off."""
     args.sensors += (args.lidars - 2) * args.sensors[1:]
     limit = chi2_limit(6 * (args.lidars - 1), 0.95)
-    errors, clocks, inside = list[float](), list[float](), list[bool]()
+    errors: tuple[list[float], list[float]] = ([], [])
+    inside: tuple[list[bool], list[bool]] = ([], [])
+    clocks: list[float] = []
+    wrong = 0
     for seed in range(args.first, args.first + args.seeds):
         begun = time.process_time()
         try:
-            answer, walk = walk_of_site(args, seed)
+            walk, *answers = walk_of_site(args, seed)
         except Refusal as refusal:
             print(f"{seed} refused, {refusal.reason.code}: {refusal}", flush=True)
             continue
-        assert answer.covariance is not None
-        assert answer.walk is not None
-        truth = walk.T_target_lidar
-        steps = [
-            se3.local(own.T_site_lidar, T) for own, T in zip(answer.lidars, truth, strict=True)
-        ]
-        found = [
-            Missed.by(own.T_site_lidar, own.covariance, T)
-            for own, T in zip(answer.lidars[1:], truth[1:], strict=True)
-        ]
-        step = np.concatenate(steps[1:])
-        chi2 = float(step @ np.linalg.solve(answer.covariance[6:, 6:], step))
-        recorders = zip(walk.recorders, answer.walk.lidars, strict=True)
+        truth, words = walk.T_target_lidar[1:], []
+        for k, answer in enumerate(answers):
+            assert answer.covariance is not None
+            both = list(zip(answer.lidars[1:], truth, strict=True))
+            found = [Missed.by(own.T_site_lidar, own.covariance, T) for own, T in both]
+            step = np.concatenate([se3.local(own.T_site_lidar, T) for own, T in both])
+            chi2 = float(step @ np.linalg.solve(answer.covariance[6:, 6:], step))
+            errors[k].extend(each.error for each in found)
+            inside[k].append(chi2 <= limit)
+            words.append(f"{'; '.join(each.words for each in found)}; together χ² {chi2:.1f}")
+        last = answers[-1]
+        assert last.walk is not None
+        recorders = zip(walk.recorders, last.walk.lidars, strict=True)
         late = [
             own.clock + own.drift * seen.middle_s + seen.clock_offset_s for own, seen in recorders
         ]
-        errors += [each.error for each in found]
         clocks += np.abs(late[1:]).tolist()
-        inside.append(chi2 <= limit)
+        sigmas = [seen.clock_sigma_s for seen in last.walk.lidars]
+        is_wrong = any(each.error > max(SIGMAS * each.stated, WRONG) for each in found)
+        is_wrong |= bool(np.any(np.abs(late) > np.maximum(SIGMAS * np.array(sigmas), WRONG_CLOCK)))
+        wrong += is_wrong
+        both_clocks = zip(late[1:], sigmas[1:], strict=True)
         print(
-            f"{seed} at {AT:g} m {'; '.join(each.words for each in found)}; together χ² "
-            f"{chi2:.1f}, {answer.status}; clocks "
-            f"{', '.join(f'{1e3 * each:+.2f}' for each in late[1:])} ms; "
-            f"{time.process_time() - begun:.0f} s with simulation",
+            f"{seed} at {AT:g} m {'. With the scene '.join(words)}, {last.status}; clocks "
+            f"{', '.join(f'{1e3 * off:+.2f} ({1e3 * s:.2f})' for off, s in both_clocks)} ms; "
+            f"{time.process_time() - begun:.0f} s with simulation{' WRONG' * is_wrong}",
             flush=True,
         )
-    print(
-        f"answered {len(inside)} of {args.seeds}; poses: median {1e3 * np.median(errors):.1f} mm "
-        f"at {AT:g} m, largest {1e3 * max(errors):.1f}; all poses within 95 % together: "
-        f"{sum(inside)}; clocks, median {1e3 * np.median(clocks):.2f} ms"
-    )
+    print(f"answered {len(inside[0])} of {args.seeds}, wrong {wrong}")
+    for name, own, within in zip(("pole alone", "with the scene"), errors, inside, strict=True):
+        print(
+            f"{name}: median {1e3 * np.median(own):.1f} mm at {AT:g} m, largest "
+            f"{1e3 * max(own):.1f}; all poses within 95 % together: {sum(within)}"
+        )
+    print(f"clocks, median {1e3 * np.median(clocks):.2f} ms")
 
 
 class Missed(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -12,16 +11,15 @@ from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from ..adjustment.answer import SiteCalibration
-from ..alignment.origins import shifted
 from ..base.datatypes import Array, Placement, PointCloud
-from ..base.errors import Refusal, UsageError
+from ..base.errors import Refusal, UsageError, refusing_of
 from ..base.quantities import step_of
 from ..base.timing import timed
 from ..carried.site import from_reference, state_walk_of_site
 from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
 from ..carried.walk import solve_tracks, taken
-from ..hypotheses.scans import SiteScans
+from ..hypotheses.scans import find_scans
 from ..io.fields import in_metres
 from ..io.recordings import Frame, chosen_frames, is_unix
 from ..io.timed import timed_frames
@@ -149,20 +147,11 @@ def calibrate_site_walk(
     names, given = [site.lidars[k].name for k in order], [read.inputs[k, 0] for k in order]
     with threadpool_limits(1, user_api="blas"):
         with step("extract"):
-            rows = [
-                [read.inputs[k, 0].search(site.radius, for_poles=False)]
-                for k in range(len(site.lidars))
-            ]
-        origins = np.array([row[0].cloud.origin for row in rows])
-        scans = SiteScans(
-            tuple((shifted(row[0], -origin),) for row, origin in zip(rows, origins, strict=True)),
-            origins,
-        )
+            scans = find_scans(site)
         try:
-            for row, lidar in zip(rows, site.lidars, strict=True):
-                with named(lidar.name):
-                    if row[0].refusal is not None:
-                        raise row[0].refusal
+            for (lidar, _), fault in scans.faults:
+                with refusing_of(site.lidars[lidar].name):
+                    raise fault
             with step("extract"):
                 seen = _search(given, site.radius, listener, names)
             thresholds = dict(zip(order, (each.threshold for each in seen.tracks), strict=True))
@@ -177,23 +166,12 @@ def calibrate_site_walk(
     return answer, stated
 
 
-@contextmanager
-def named(lidar: str) -> Iterator[None]:
-    """Name the LiDAR in a refusal; of none, "", it stays as it is."""
-    try:
-        yield
-    except Refusal as refusal:
-        if not lidar:
-            raise
-        raise Refusal(refusal.code, f"{lidar}: {refusal.message}", refusal.values) from None
-
-
 def _search(
     given: Iterable[Input], radius: float, listener: Listener, names: Sequence[str] = ("", "")
 ) -> SeenWalk:
     found = []
     for each, name in zip(given, names, strict=True):
-        with named(name):
+        with refusing_of(name):
             found.append(_track(each, radius, listener))
     tracks, ahead = zip(*found, strict=True)
     return SeenWalk(tracks, ahead)

@@ -8,20 +8,37 @@ from itertools import combinations
 
 import numpy as np
 
+from ..adjustment.agreement import MAX_MAHALANOBIS_SQ
 from ..adjustment.answer import LidarPose, SiteCalibration
 from ..adjustment.datum import of_lidar
-from ..alignment.certainty import POLES, Part, budget_of, floors, joint_covariance, part_of, root_of
+from ..adjustment.descent import RefinementProblem, minimise, scene_pairs
+from ..adjustment.site import Recorded
+from ..adjustment.solved import parts_of
+from ..alignment.certainty import (
+    POLES,
+    SIGNIFICANCE,
+    Part,
+    chi2_limit,
+    floors,
+    joint_covariance,
+    part_of,
+    root_of,
+)
+from ..alignment.network import gaussian_factor_of
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.carried import LidarWalk, SiteWalk
 from ..base.datatypes import Array, IntArray, Placement
 from ..base.description import Site
-from ..base.errors import Reason, Refusal, warnings_and_notes
-from ..base.uncertainty import predicted_error
+from ..base.errors import Reason, Refusal, refusing_of, warnings_and_notes
+from ..base.quantities import error
+from ..base.systematic import ErrorModel
+from ..base.uncertainty.purpose import CONFIDENCE
 from ..hypotheses.evidence import check_confirmation, count, is_in_conflict, scenes_of
-from ..hypotheses.scans import SiteScans, poses_in_clouds
+from ..hypotheses.scans import SiteScans, patches_of, poses_in_clouds
 from ..verdict import check_sensor, check_sway
-from ..verdict.site import fitness_of, not_fit
+from ..verdict.site import not_fit
+from ..verdict.statement import lidar_poses
 from .adjustment import Adjusted, in_recordings
 from .statement import axes_in_target, figures_of
 from .verdict import chosen
@@ -35,7 +52,12 @@ def from_reference(site: Site) -> list[int]:
 
 
 def state_walk_of_site(
-    site: Site, scans: SiteScans, solved: Solved, seconds: Mapping[str, float]
+    site: Site,
+    scans: SiteScans,
+    solved: Solved,
+    seconds: Mapping[str, float],
+    *,
+    scene: bool = True,
 ) -> SiteCalibration:
     """State the answer of a walk: poses in the frames of the clouds, and clocks.
 
@@ -47,6 +69,8 @@ def state_walk_of_site(
         What fits the tracks, in the order of `from_reference`.
     seconds
         Time of each step.
+    scene
+        Whether the surfaces around may refine it.
 
     Raises
     ------
@@ -62,21 +86,13 @@ def state_walk_of_site(
     about[0] = np.eye(4)
     adjusted = in_recordings(best, *(own @ T for own, T in zip(about, frames, strict=True)))
     T, parts = _of_site(adjusted, origins[0], np.argsort(order))
-    for reason in _conflicts(names, scans, T):
-        raise reason
+    found: list[Reason] = []
+    if scene:
+        T, parts, found = _refined(site, scans, T, parts)
+    _check_conflicts(names, scans, T)
     poses, covariance = poses_in_clouds(T, joint_covariance(parts), scans.origins)
-    lidars = tuple(
-        LidarPose(
-            k,
-            pose,
-            own := covariance[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)],
-            budget_of(parts, k, names),
-            predicted_error(own),
-            fitness_of(site, own),
-        )
-        for k, pose in enumerate(poses)
-    )
-    reasons, notes = warnings_and_notes(_weaknesses(site, scans, lidars))
+    lidars = lidar_poses(site, parts, poses, covariance)
+    reasons, notes = warnings_and_notes([*found, *_weaknesses(site, scans, lidars)])
     return SiteCalibration(
         status="warn" if reasons else "ok",
         reasons=reasons,
@@ -123,20 +139,66 @@ def _of_site(adjusted: Adjusted, origin: Array, place: IntArray) -> tuple[Array,
     return T[place], parts
 
 
-def _conflicts(names: Sequence[str], scans: SiteScans, T: Array) -> Iterator[Refusal]:
-    """Compare what stands around each two LiDARs under their poses; refuse where it conflicts."""
+def _refined(
+    site: Site, scans: SiteScans, T: Array, parts: list[Part]
+) -> tuple[Array, list[Part], list[Reason]]:
+    """Refine the walk's poses by the surfaces, where both agree; else leave them as they are.
+
+    Raises
+    ------
+    Refusal
+        ``poles_scene_contradict``.
+    """
+    patches = patches_of(scans)
+    recorded = Recorded(site, scans, patches, scene_pairs(patches, range(len(T))))
+    free = np.repeat(np.arange(len(T)) != site.reference, POSE)
+    covariance = joint_covariance(parts)[np.ix_(free, free)]
+    none = np.zeros(0, dtype=np.int64)
+    bands = [none if each is None else np.unique(each.bands) for each in patches]
+    factor = gaussian_factor_of(T, covariance, free).with_bands(bands)
+    factor = replace(factor, left=np.array(recorded.left))
+    groups = factor.unknowns.groups()
+    known = ErrorModel(recorded.sizes).sigmas(groups)
+    problem = RefinementProblem(factor, tuple(recorded.scenes), groups, known)
+    end = minimise(problem)
+    if not end.scene or not end.converged:
+        return T, parts, []
+    steps = se3.local(T, end.T)
+    step = steps.ravel()[free]
+    chi2 = float(step @ np.linalg.solve(covariance, step))
+    if chi2 <= chi2_limit(len(step), CONFIDENCE):
+        return end.T, list(parts_of(problem, end, POLES)), []
+    if chi2 <= chi2_limit(len(step), 1.0 - SIGNIFICANCE):
+        return T, parts, []
+    k = int(np.argmax(se3.lengths(steps[:, 3:])))
+    radians, metres = (float(np.linalg.norm(part)) for part in np.split(steps[k], 2))
+    times = np.sqrt(chi2 / len(step))
+    words = (
+        f"the scene has {site.lidars[k].name} {error(metres, 'm')} and {error(radians, 'rad')} "
+        f"from where the pole has it, {times:.1f} times what its uncertainty allows: did a LiDAR "
+        "move while the pole was carried?"
+    )
+    values = {"mahalanobis_sq": chi2, "moved_m": metres, "turned_rad": radians}
+    if times**2 > MAX_MAHALANOBIS_SQ / POSE:
+        raise Refusal("poles_scene_contradict", words, values)
+    return T, parts, [Reason("poles_and_scene_disagree", words, values)]
+
+
+def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array) -> None:
+    """Compare what stands around each two LiDARs under their poses.
+
+    Raises
+    ------
+    Refusal
+        ``scene_contradicts``.
+    """
     for i, j in combinations(range(len(T)), 2):
-        target, source = scans.by_lidar[i][0], scans.by_lidar[j][0]
-        assert target is not None
-        assert source is not None
+        (target,), (source,) = scans.used(i), scans.used(j)
         scenes = scenes_of([Placement(target, source)], np.random.default_rng(0))
         found = count(scenes, se3.inverse(T[i]) @ T[j])
         if is_in_conflict(found):
-            try:
+            with refusing_of(f"{names[i]} and {names[j]}"):
                 check_confirmation(found)
-            except Refusal as refusal:
-                words = f"{names[i]} and {names[j]}: {refusal.message}"
-                yield Refusal(refusal.code, words, refusal.values)
 
 
 def _weaknesses(site: Site, scans: SiteScans, lidars: Sequence[LidarPose]) -> Iterator[Reason]:

@@ -14,7 +14,7 @@ from ..adjustment.snooping import POOR
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, Test
 from ..base.description import Site
-from ..base.errors import Reason, Refusal
+from ..base.errors import Reason, Refusal, refusing_of
 from ..base.quantities import at_most
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
@@ -106,10 +106,8 @@ def confirm_links(
         key = link.lidars
         found = _confirmation(scans, adjusted, by_lidars[key])
         names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
-        try:
+        with refusing_of(names):
             check_confirmation(found)
-        except Refusal as refusal:
-            raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
         if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
             poles = "two poles alone link" if len(link.poles) > 1 else "one pole alone links"
