@@ -47,12 +47,16 @@ class Poses(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A pose to start from, (4, 4), with the clock offset, s, its cost, rad, and which sign."""
+    """A pose to start from, (4, 4), with the clock offset, s, its cost, rad, and which sign.
+
+    ``common`` is how many sweeps it rests on.
+    """
 
     T_target_source: Array
     offset: float
     cost: float
     flipped: bool
+    common: int = 0
 
     @property
     def poses(self) -> Poses:
@@ -120,4 +124,4 @@ def _fit(
         off = angle + distance / METRES_PER_RADIAN
         kept = off <= 3 * np.median(off)
     cost = float(np.median(angle) + np.median(distance) / METRES_PER_RADIAN)
-    return Start(se3.from_rt(R, t), tau, cost, flipped)
+    return Start(se3.from_rt(R, t), tau, cost, flipped, len(to))

@@ -1,7 +1,7 @@
 """The method on one page: from recordings of a walk to poses and clock offsets.
 
 Of a pair, and in `solve_tracks` of any number of LiDARs: poses of pairs are chained from the first
-LiDAR on, along the pairs that fit each other best.
+LiDAR on, along the pairs that fit best for longest.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ Link = tuple[tuple[int, int], list[Start]]
 
 
 def _links(tracks: Sequence[Track], names: Sequence[str]) -> list[Link]:
-    """Find the pairs that fit each other best and link all LiDARs, from the first one on.
+    """Find the pairs that link all LiDARs best, from the first one on.
 
     Raises
     ------
@@ -211,9 +211,9 @@ def _links(tracks: Sequence[Track], names: Sequence[str]) -> list[Link]:
         if starts and starts[0].cost <= WORST_START:
             found[pair] = starts
     costs = np.zeros((count, count))
-    for pair, starts in found.items():
-        # No cost would be no link.
-        costs[pair] = max(starts[0].cost, np.finfo(float).tiny)
+    for (i, j), (best, *_) in found.items():
+        # At some offset, parts of two walks fit by chance; long ones do not. 0 would be no link.
+        costs[i, j] = max(best.cost, np.finfo(float).tiny) / best.common
     tree = minimum_spanning_tree(costs)
     order, before = breadth_first_order(tree, 0, directed=False)
     if len(order) < count:
