@@ -213,7 +213,7 @@ def _links(tracks: Sequence[Track], names: Sequence[str]) -> list[Link]:
     costs = np.zeros((count, count))
     for (i, j), (best, *_) in found.items():
         # At some offset, parts of two walks fit by chance; long ones do not. 0 would be no link.
-        costs[i, j] = max(best.cost, np.finfo(float).tiny) / best.common
+        costs[i, j] = max(best.cost, 1e-9) / best.common
     tree = minimum_spanning_tree(costs)
     order, before = breadth_first_order(tree, 0, directed=False)
     if len(order) < count:
