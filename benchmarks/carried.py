@@ -252,6 +252,8 @@ def walk_sites(args: argparse.Namespace) -> None:
             flush=True,
         )
     print(f"answered {len(inside[0])} of {args.seeds}, wrong {wrong}")
+    if not clocks:
+        return
     for name, own, within in zip(("pole alone", "with the scene"), errors, inside, strict=True):
         print(
             f"{name}: median {1e3 * np.median(own):.1f} mm at {AT:g} m, largest "

@@ -144,6 +144,7 @@ def site_calibrate(
 
     SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
     what was surveyed; 'retropole site init' writes one. SITE.toml may be the folder that holds it.
+    With carried = true in it, one pole was carried through the view of all LiDARs.
 
     \b
     Examples:

@@ -159,6 +159,8 @@ def simulate(
       retropole plan bare/lidar0.pcd bare/lidar1.pcd
       retropole simulate street --carried --seed 1 --out w
       retropole calibrate w/lidar0 w/lidar1 --carried
+      retropole simulate street --carried --lidars 3 --seed 1 --out w3
+      retropole site calibrate w3/site.toml
     """
     most = 1200 if carried else 200
     if (frames or 1) > most:
