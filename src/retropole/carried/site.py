@@ -90,6 +90,9 @@ def state_walk_of_site(
     if scene:
         T, parts, found = _refined(site, scans, T, parts)
     _check_conflicts(names, scans, T)
+    # Roots of matrices leave the reference 1e-12: it is the frame.
+    free = np.repeat(np.arange(len(T)) != site.reference, POSE)
+    parts = [replace(part, root=part.root * free[:, None]) for part in parts]
     poses, covariance = poses_in_clouds(T, joint_covariance(parts), scans.origins)
     lidars = lidar_poses(site, parts, poses, covariance)
     reasons, notes = warnings_and_notes([*found, *_weaknesses(site, scans, lidars)])
