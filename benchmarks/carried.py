@@ -6,6 +6,7 @@ Usage:
     python benchmarks/carried.py --seeds 12 --mixed
     python benchmarks/carried.py --seeds 4 --deceive
     python benchmarks/carried.py --seeds 12 --watch 0.03
+    python benchmarks/carried.py --seeds 12 --lidars 3
 
 A walk with all errors of a noise model in a street, a harbor or on bare ground, seed by seed: by
 the pole alone, and with the surfaces around that every tenth sweep shows. With --deceive each is
@@ -13,7 +14,8 @@ spoilt in one way: two poles are carried, the pole never leans, the source's clo
 steps by 20 ms. With --mixed sensors and length change from seed to seed, two OS1-128 without ring
 numbers among them. An answer is wrong where it is off by more than 5 σ, and by 5 cm or more at
 30 m or by 5 ms. With --watch each is watched with that need at 30 m, in metres, until it stops by
-itself. Seeds below 1000 tune; seeds from 5000 state.
+itself. With --lidars three or more record a walk, as those of a site, the others with the second
+sensor. Seeds below 1000 tune; seeds from 5000 state.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from retropole.adjustment.answer import SiteCalibration
+from retropole.alignment.certainty import chi2_limit
 from retropole.api.watching import Wish
 from retropole.api.watching_walk import WalkWatch
 from retropole.base import se3
@@ -40,12 +44,16 @@ from retropole.base.datatypes import (
     PointCloud,
     Scan,
 )
+from retropole.base.description import Site, SiteLidar
 from retropole.base.errors import Refusal
 from retropole.base.sensors import Sensor
 from retropole.base.uncertainty import predicted_error
 from retropole.base.uncertainty.purpose import displacement
+from retropole.carried.site import state_walk_of_site
 from retropole.carried.statement import state_walk
-from retropole.carried.walk import calibrate_walk
+from retropole.carried.track import find_track
+from retropole.carried.walk import calibrate_walk, solve_tracks
+from retropole.hypotheses.scans import SiteScans
 from retropole.io import Frame
 from retropole.result import RunConfig
 from retropole.result.watching import WatchDoc
@@ -168,6 +176,92 @@ def watch_walks(args: argparse.Namespace) -> None:
     )
 
 
+def walk_of_site(
+    args: argparse.Namespace, seed: int
+) -> tuple[SimulatedWalk, SiteCalibration, SiteCalibration]:
+    """Calibrate all LiDARs before which the walk of a seed goes on, by the pole and with the scene.
+
+    Raises
+    ------
+    Refusal
+        If the walk gives no answer.
+    """
+    walk = draw(args, seed, "")
+    kept: list[list[PointCloud]] = [[] for _ in walk.recorders]
+    sensors = [each.sensor for each in walk.recorders]
+    tracks = [
+        find_track(metered(recorded(args, walk, seed, k), [], kept[k]), sensor)
+        for k, sensor in enumerate(sensors)
+    ]
+    names = [f"lidar{k}" for k in range(len(sensors))]
+    rows = [(scene_of(own, sensor),) for own, sensor in zip(kept, sensors, strict=True)]
+    lidars = [
+        SiteLidar(name, (row[0].cloud,), sensor)
+        for name, row, sensor in zip(names, rows, sensors, strict=True)
+    ]
+    site = Site("walk", tuple(lidars), ("walk",), carried=True)
+    scans = SiteScans(tuple(rows), np.zeros((len(rows), 3)))
+    solved = solve_tracks(tracks, sensors, DEFAULT_RADIUS, None, names)
+    alone, whole = (
+        state_walk_of_site(site, scans, solved, {}, scene=scene) for scene in (False, True)
+    )
+    return walk, alone, whole
+
+
+def walk_sites(args: argparse.Namespace) -> None:
+    """Print of each walk before several LiDARs how far each pose and clock is off."""
+    args.sensors += (args.lidars - 2) * args.sensors[1:]
+    limit = chi2_limit(6 * (args.lidars - 1), 0.95)
+    errors: tuple[list[float], list[float]] = ([], [])
+    inside: tuple[list[bool], list[bool]] = ([], [])
+    clocks: list[float] = []
+    wrong = 0
+    for seed in range(args.first, args.first + args.seeds):
+        begun = time.process_time()
+        try:
+            walk, *answers = walk_of_site(args, seed)
+        except Refusal as refusal:
+            print(f"{seed} refused, {refusal.reason.code}: {refusal}", flush=True)
+            continue
+        truth, words = walk.T_target_lidar[1:], []
+        for k, answer in enumerate(answers):
+            assert answer.covariance is not None
+            both = list(zip(answer.lidars[1:], truth, strict=True))
+            found = [Missed.by(own.T_site_lidar, own.covariance, T) for own, T in both]
+            step = np.concatenate([se3.local(own.T_site_lidar, T) for own, T in both])
+            chi2 = float(step @ np.linalg.solve(answer.covariance[6:, 6:], step))
+            errors[k].extend(each.error for each in found)
+            inside[k].append(chi2 <= limit)
+            words.append(f"{'; '.join(each.words for each in found)}; together χ² {chi2:.1f}")
+        last = answers[-1]
+        assert last.walk is not None
+        recorders = zip(walk.recorders, last.walk.lidars, strict=True)
+        late = [
+            own.clock + own.drift * seen.middle_s + seen.clock_offset_s for own, seen in recorders
+        ]
+        clocks += np.abs(late[1:]).tolist()
+        sigmas = [seen.clock_sigma_s for seen in last.walk.lidars]
+        is_wrong = any(each.error > max(SIGMAS * each.stated, WRONG) for each in found)
+        is_wrong |= bool(np.any(np.abs(late) > np.maximum(SIGMAS * np.array(sigmas), WRONG_CLOCK)))
+        wrong += is_wrong
+        both_clocks = zip(late[1:], sigmas[1:], strict=True)
+        print(
+            f"{seed} at {AT:g} m {'. With the scene '.join(words)}, {last.status}; clocks "
+            f"{', '.join(f'{1e3 * off:+.2f} ({1e3 * s:.2f})' for off, s in both_clocks)} ms; "
+            f"{time.process_time() - begun:.0f} s with simulation{' WRONG' * is_wrong}",
+            flush=True,
+        )
+    print(f"answered {len(inside[0])} of {args.seeds}, wrong {wrong}")
+    if not clocks:
+        return
+    for name, own, within in zip(("pole alone", "with the scene"), errors, inside, strict=True):
+        print(
+            f"{name}: median {1e3 * np.median(own):.1f} mm at {AT:g} m, largest "
+            f"{1e3 * max(own):.1f}; all poses within 95 % together: {sum(within)}"
+        )
+    print(f"clocks, median {1e3 * np.median(clocks):.2f} ms")
+
+
 class Missed(NamedTuple):
     """An error at 30 m and what is stated, m, and the error squared in σ."""
 
@@ -227,10 +321,14 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=0)
     parser.add_argument("--mixed", action="store_true")
     parser.add_argument("--deceive", action="store_true")
+    parser.add_argument("--lidars", type=int, default=2)
     parser.add_argument("--watch", type=float, metavar="NEED")
     args = parser.parse_args()
     if args.watch is not None:
         watch_walks(args)
+        return
+    if args.lidars > 2:
+        walk_sites(args)
         return
     rows: list[tuple[tuple[Missed, Missed], float, float]] = []
     wrong = 0

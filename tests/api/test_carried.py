@@ -11,12 +11,14 @@ import retropole as rp
 from retropole.api.simulation import simulate_walk, write_walk
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
+from retropole.base.description import Site, SiteLidar
 from retropole.base.errors import UsageError
 from retropole.base.sensors import find_sensor
 from retropole.export.recording import Track, write_recording
 from retropole.io import open_recording, read_frames, write_pcd
 from retropole.io.recordings import Frame, chosen_frames
 from retropole.io.timed import timed_frames
+from retropole.result import encode
 
 NAMED = {"sensor": "VLP-16", "options": rp.RunConfig(carried=True)}
 START = 1.7e9
@@ -157,3 +159,49 @@ def test_files_of_any_kind_give_the_same_sweeps(folder: Path, tmp_path: Path, ti
         later.append(one.cloud.time - other.cloud.time)
     # By whatever clock, it is the same throughout.
     assert np.ptp(np.concatenate(later)) < 1e-5
+
+
+@pytest.mark.full
+def test_three_lidars_of_a_site_file_are_answered_within_what_is_stated(tmp_path: Path) -> None:
+    import json
+
+    write_walk(simulate_walk("street", 3, frames=120, lidars=3), tmp_path, 3)
+    path = tmp_path / "site.toml"
+    path.write_text(path.read_text() + '[reference]\nlidar = "lidar1"\n')
+    answer = rp.calibrate_site(path)
+    assert answer.status in ("ok", "warn"), answer.reasons
+    truth = json.loads((tmp_path / "truth.json").read_text())["lidars"]
+    T = np.array([each["T_world_lidar"] for each in truth])
+    for a, b in ((0, 1), (1, 2), (0, 2)):
+        names = f"lidar{a}", f"lidar{b}"
+        step = se3.local(answer.T(*names), se3.inverse(T[a]) @ T[b])
+        assert step @ np.linalg.solve(answer.covariance(*names), step) < 22.5
+    document = answer.document
+    assert document.walk is not None
+    np.testing.assert_array_equal(document.lidars[1].covariance, 0.0)
+    own = document.walk.lidars
+    for k in (0, 2):
+        clock = truth[k]["clock_offset_s"] - truth[1]["clock_offset_s"]
+        assert abs(own[k].clock_offset_s - clock) < max(5 * own[k].clock_sigma_s, 1e-3)
+    assert own[1].clock_offset_s == own[1].clock_sigma_s == 0.0
+    assert [each.threshold for each in document.inputs] == 3 * [find_sensor("VLP-16").threshold]
+    answer.save(tmp_path / "out")
+    again = rp.load_site_result(tmp_path / "out").document
+    assert again.walk is not None
+    assert encode(again.walk) == encode(document.walk)
+    assert again.config.carried
+    # One of them is another LiDAR's once more.
+    text = path.read_text().replace('recordings = ["lidar2"]', 'recordings = ["lidar0"]')
+    path.write_text(text)
+    assert rp.calibrate_site(path).reasons[0].code == "same_recording"
+
+
+def test_a_site_put_together_in_python_has_one_placement_of_a_walk() -> None:
+    cloud = PointCloud(np.ones((3, 3)), np.ones(3))
+    lidars = tuple(SiteLidar(name, (cloud, cloud)) for name in "ab")
+    with pytest.raises(UsageError, match="a walk has one placement"):
+        rp.calibrate_site(Site("s", lidars, ("1", "2"), carried=True))
+    one = tuple(replace(each, clouds=(cloud,)) for each in lidars)
+    moved = replace(one[1], clouds=(replace(cloud, xyz=2 * cloud.xyz),))
+    with pytest.raises(UsageError, match="many sweeps"):
+        rp.calibrate_site(Site("s", (one[0], moved), ("1",), carried=True))

@@ -64,6 +64,26 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     assert site.need.at_m == 30.0
 
 
+WALK = HEAD.replace('"1", "2"', '"walk"') + "carried = true\n"
+WALKED = LIDARS.replace('["a/1.pcd", "a/2.pcd"]', '["a"]').replace('["b/1.pcd", ""]', '["b"]')
+
+
+def test_a_pole_that_is_carried_goes_with_nothing_of_standing_ones() -> None:
+    assert decode_site_file((WALK + WALKED).encode()).carried
+    two = HEAD + "carried = true\n" + LIDARS
+    of_walk = SURVEY.replace('"1"', '"walk"')
+    for text, fault in (
+        (two, "expected one placement; there are 2"),
+        (WALK + WALKED + of_walk, "surveyed_pole: of a pole that is carried there is no use"),
+        (WALK + WALKED + POINT, "control_point: of a pole"),
+        (WALK + WALKED + "up = [0, 0, 1]\nup_sigma_deg = 1\n", "lidar, up: of a pole"),
+        (WALK + WALKED + "mast_sway_deg = 0.1\n", "lidar, mast_sway_deg: of a pole"),
+        (WALK + "[poles]\nradius_sigma_m = 0.001\n" + WALKED, "radius_sigma_m: of a pole"),
+    ):
+        with pytest.raises(ReadError, match=fault):
+            decode_site_file(text.encode())
+
+
 @pytest.mark.parametrize("unit", ["m", "cm", "mm", "ft", "in"])
 def test_coordinates_may_be_in_any_unit(unit: str) -> None:
     site = decode_site_file((HEAD + LIDARS + f'unit = "{unit}"').encode())

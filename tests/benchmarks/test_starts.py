@@ -28,7 +28,10 @@ SMALLEST = {
     "benchmarks/accuracy.py": ["--seeds 1 --scenes bare"],
     "benchmarks/blunder.py": ["posts pole --lidars 2 --placements 1"],
     "benchmarks/bound.py": ["--setups 1 --trials 1"],
-    "benchmarks/carried.py": ["--seeds 1 --seconds 8 --scene bare"],
+    "benchmarks/carried.py": [
+        "--seeds 1 --seconds 8 --scene bare",
+        "--seeds 1 --seconds 8 --scene bare --lidars 3",
+    ],
     "benchmarks/carried_recorded.py": ["data --draws 1 --seconds 2"],
     "benchmarks/certify.py": ["--runs 1 --only field"],
     "benchmarks/check.py": ["--sites 1 --noise typical"],

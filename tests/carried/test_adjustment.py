@@ -9,7 +9,7 @@ from retropole.base import se3
 from retropole.base.systematic import Sizes
 from retropole.base.uncertainty import predicted_error
 from retropole.carried import linear
-from retropole.carried.adjustment import Adjusted, adjust
+from retropole.carried.adjustment import Adjusted, adjust, moved_by
 from retropole.carried.linear import Seen
 from retropole.carried.rows import rows_of
 from retropole.carried.start import Start
@@ -18,8 +18,8 @@ from tests.carried.walks import RADIUS, REST, SeenWalk, seen_walk
 
 
 def adjusted(walk: SeenWalk, start: Start) -> Adjusted:
-    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
-    return adjust(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+    seen = [Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks]
+    return adjust(start.poses, walk.tracks, seen, RADIUS)
 
 
 def test_an_exact_walk_ends_at_the_truth() -> None:
@@ -66,24 +66,22 @@ def without_rests(track: Track, ahead: float) -> Track:
 def test_derivatives_are_those_of_the_residuals() -> None:
     """The depth of the cylinder hardly changes by the pose and is not differentiated."""
     walk = seen_walk(4.0)
-    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
+    seen = [Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks]
     start = Start(walk.T_target_source, walk.offset, 0.01, False)
-    frame = linear.frame_of(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+    poses = start.poses
+    frame = linear.frame_of(poses, walk.tracks, seen, RADIUS)
     rng = np.random.default_rng(1)
-    errors = np.zeros(len(frame.prior) - linear.CLOCK)
-    coefs = linear.first_coefs(frame, start, walk.tracks)
-    state = linear.State(coefs, start.T_target_source, np.r_[walk.offset, errors])
+    coefs = linear.first_coefs(frame, poses, walk.tracks)
+    clocks = np.stack([poses.offsets, np.zeros(2)], axis=1)
+    state = linear.State(coefs, poses.T, clocks, np.zeros(len(frame.sigma)))
     scale = np.ones((2, 2))
     system = linear.linearised(frame, state, scale)
-    step = 1e-4 * np.minimum(frame.prior, 1.0) * rng.normal(size=len(frame.prior))
+    prior = np.diag(frame.precision) ** -0.5
+    step = 1e-4 * np.minimum(prior, 1.0) * rng.normal(size=len(prior))
     moved = 1e-6 * rng.normal(size=coefs.shape)
 
     def residuals(sign: float) -> np.ndarray:
-        at = linear.State(
-            coefs + sign * moved,
-            se3.retract(state.T, sign * step[:6]),
-            state.border + sign * step[6:],
-        )
+        at = moved_by(frame, state, sign * moved, sign * step)
         return linear.linearised(frame, at, scale).residuals.ravel()
 
     change = (residuals(1.0) - residuals(-1.0)) / 2

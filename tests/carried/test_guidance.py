@@ -24,7 +24,7 @@ def so_far(lean: float = 0.25) -> Adjusted:
 def after(code: str) -> float:
     """The error once a candidate was walked, metres."""
     found = so_far()
-    poses = [found.frame.T_walk_target, found.frame.T_walk_target @ found.state.T]
+    poses = [found.frame.T_walk_target, found.frame.T_walk_target @ found.state.T[1]]
     to = next(each for each in _candidates(found, poses, "front") if each.code == code)
     T = se3.inverse(found.frame.T_walk_target)
 

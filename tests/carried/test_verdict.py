@@ -16,9 +16,9 @@ from tests.carried.walks import RADIUS, SeenWalk, seen_walk
 
 
 def adjusted(walk: SeenWalk) -> Adjusted:
-    seen = tuple(Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks)
+    seen = [Seen(rows_of(track, None, RADIUS), Sizes()) for track in walk.tracks]
     start = Start(walk.T_target_source, walk.offset, 0.01, False)
-    return adjust(start, walk.tracks, (seen[0], seen[1]), RADIUS)
+    return adjust(start.poses, walk.tracks, seen, RADIUS)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_a_sound_walk_is_taken(sound: Adjusted) -> None:
 
 
 def test_another_solution_that_fits_as_well_is_no_answer(sound: Adjusted) -> None:
-    other = replace(sound, offset=sound.offset + 0.4, cost=sound.cost + 5)
+    other = replace(sound, clocks=sound.clocks + np.array([[0, 0], [0.4, 0]]), cost=sound.cost + 5)
     assert code_of(sound, other) == "several_walks_fit"
     assert chosen([sound, replace(other, cost=sound.cost + 500)]) is sound
 
@@ -51,12 +51,13 @@ def test_what_does_not_fit_is_refused(sound: Adjusted) -> None:
 def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
     steady = np.array([[2.5, 1e-4, 2e-4], [7.5, -1e-4, 2e-4]])
     jump = np.array([[0.0, 0.02, 0.0], [0.0, 0.0, 0.0]])
-    assert chosen([replace(sound, clock_windows=steady)]) is not None
-    assert code_of(replace(sound, clock_windows=steady + jump)) == "clock_jumps"
+    none = sound.clock_windows[0]
+    assert chosen([replace(sound, clock_windows=(none, steady))]) is not None
+    assert code_of(replace(sound, clock_windows=(none, steady + jump))) == "clock_jumps"
     # Of a lasting step no window alone may say so.
-    step = np.array([5.0, 0.010, 0.0021])
-    assert code_of(replace(sound, clock_step=step)) == "clock_jumps"
-    assert chosen([replace(sound, clock_step=step * [1, 0.8, 1])]) is not None
+    steps = np.array([[0.0, 0.0, 0.0], [5.0, 0.010, 0.0021]])
+    assert code_of(replace(sound, clock_steps=steps)) == "clock_jumps"
+    assert chosen([replace(sound, clock_steps=steps * [1, 0.8, 1])]) is not None
 
 
 @pytest.mark.full
@@ -65,11 +66,11 @@ def test_a_step_of_the_clock_is_found_when_it_was() -> None:
     target, source = walk.tracks
     late = 0.015 * (source.stamps > 7.0)
     stepped = walk._replace(tracks=(target, replace(source, stamps=source.stamps + late)))
-    when, step, sigma = adjusted(stepped).clock_step
+    when, step, sigma = adjusted(stepped).clock_steps[1]
     assert abs(when - (7.0 - walk.offset)) <= 1.0
     assert abs(step - 0.015) < 3 * sigma
     assert step > 5 * sigma
-    assert abs(adjusted(walk).clock_step[1]) < 4 * sigma
+    assert abs(adjusted(walk).clock_steps[1, 1]) < 4 * sigma
 
 
 def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:

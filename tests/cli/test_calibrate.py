@@ -327,6 +327,7 @@ def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
         (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is of standing poles"),
         (("calibrate", "a", "b", "--carried", "--up"), "there is no use for up"),
         (("simulate", "street", "--carried", "--poles", "3"), "without --poles"),
+        (("simulate", "street", "--lidars", "3"), "--lidars is with --carried"),
         (("simulate", "street", "--sweeps", "300"), "200 at most without --carried"),
         (("simulate", "paper", "--carried"), "no walk in 'paper'"),
     ],

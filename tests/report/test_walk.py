@@ -9,6 +9,7 @@ from retropole.report import render_report
 from retropole.report.text import describe_result
 from retropole.result import ResultDoc, encode
 from retropole.result.decoding import decode
+from tests.report.site.made_up import document_of, made_up_site
 from tests.results import result_of
 
 NOTHING = Placement(*2 * (Scan(PointCloud(np.ones((1, 3)), np.ones(1))),))
@@ -33,6 +34,23 @@ def test_a_page_shows_the_walk() -> None:
     assert "t_target = t_source − 0.250000 s" in page
     assert page.count('class="line when-') > 10
     assert 'id="walk"' not in render_report(result_of("ok", [], np.eye(4)), [NOTHING])
+
+
+def test_a_page_shows_the_walk_of_a_site() -> None:
+    site = document_of(made_up_site(lidars=3, placements=1, count=30))
+    pair = document()
+    assert pair.walk is not None
+    of_two = pair.walk.of_site
+    third = replace(of_two.lidars[1], clock_offset_s=0.5)
+    found = replace(of_two, lidars=[*of_two.lidars, third])
+    page = render_report(replace(site, walk=found))
+    names = [lidar.name for lidar in site.lidars]
+    assert f"t_{names[0]} = t_{names[2]} + 0.500000 s" in page
+    assert "What each saw" in page
+    assert page.count('id="clocks-said-') == 2
+    words = describe_result(replace(site, walk=found), ["site-result.json"])
+    assert f"t_{names[0]} = t_{names[1]} − 0.250000 s" in " ".join(words.split())
+    assert "loop" not in words
 
 
 def test_a_terminal_says_how_clocks_differ() -> None:

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from ..base.bounded import Count, Direction, PartCovariance, Pose, Size, Status, Text, Vector
+from ..base.carried import SiteWalk
 from ..base.datatypes import Array, Scan, Test
 from ..base.description import Site
 from ..base.errors import Reason
@@ -200,6 +201,8 @@ class SiteCalibration:
         Time of each step.
     notes
         What to know of an answer that makes it no less true.
+    walk
+        Of a pole that was carried: the walk, and the clocks of all LiDARs; else None.
     """
 
     status: Status
@@ -217,3 +220,4 @@ class SiteCalibration:
     tests: tuple[Test, ...] = ()
     without: tuple[WithoutPlacement, ...] = ()
     notes: tuple[Reason, ...] = ()
+    walk: SiteWalk | None = None

@@ -144,14 +144,20 @@ def gaussian_factor(pose: PoseEstimate) -> PoleFactor:
     """Give the quadratic form of a pose with a covariance, which gives no information about the
     errors."""
     assert pose.covariance is not None
-    none = np.zeros(0, dtype=np.int64)
-    unknowns = Unknowns((none, none), 0, 0)
+    return gaussian_factor_of(poses_of_pair(pose.T_target_source), pose.covariance, OF_SOURCE)
+
+
+def gaussian_factor_of(T: Array, covariance: Array, free: BoolArray) -> PoleFactor:
+    """Give the same of poses (L, 4, 4) with a covariance (F, F) of those parameters that are free.
+
+    `free` is (6 L,).
+    """
+    unknowns = Unknowns(len(T) * (np.zeros(0, dtype=np.int64),), 0, 0)
     information = np.zeros((unknowns.kept, unknowns.kept))
-    own = unknowns.pose(1)
-    information[np.ix_(own, own)] = np.linalg.inv(pose.covariance)
-    T = poses_of_pair(pose.T_target_source)
+    own = np.flatnonzero(free)
+    information[np.ix_(own, own)] = np.linalg.inv(covariance)
     nothing = np.zeros(unknowns.kept)
-    return PoleFactor(T, unknowns, OF_SOURCE, information, nothing, np.inf, nothing[:, None])
+    return PoleFactor(T, unknowns, free, information, nothing, np.inf, nothing[:, None])
 
 
 DEPTH_SIGMA = 0.0015

@@ -250,11 +250,14 @@ def calibrate_site(
     documents = read.documents()
     seconds = time.perf_counter() - start
     twice = repeated(read, documents)
-    calibration = (
-        refused(read.site, twice)
-        if twice
-        else pipeline.calibrate_site(read.site, progress=progress)
-    )
+    if twice:
+        calibration = refused(read.site, twice)
+    elif read.site.carried:
+        from .carried import calibrate_site_walk
+
+        calibration, documents = calibrate_site_walk(read, documents, Listener(progress, on_read))
+    else:
+        calibration = pipeline.calibrate_site(read.site, progress=progress)
     document = site_document(
         calibration,
         inputs=documents,

@@ -1,8 +1,8 @@
-"""Two recordings of a walk with one pole: read sweep by sweep, and calibrated."""
+"""Recordings of a walk with one pole: read sweep by sweep, and calibrated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -10,45 +10,49 @@ import numpy as np
 from msgspec import structs
 from threadpoolctl import threadpool_limits
 
-from ..base.datatypes import Placement, PointCloud
-from ..base.errors import Refusal, UsageError
+from ..adjustment.answer import SiteCalibration
+from ..base.datatypes import Array, Placement, PointCloud
+from ..base.errors import Refusal, UsageError, refusing_of
 from ..base.quantities import step_of
 from ..base.timing import timed
+from ..carried.site import from_reference, state_walk_of_site
 from ..carried.statement import state_walk
 from ..carried.track import Track, find_track
-from ..carried.walk import calibrate_tracks
+from ..carried.walk import solve_tracks, taken
+from ..hypotheses.scans import find_scans
 from ..io.fields import in_metres
 from ..io.recordings import Frame, chosen_frames, is_unix
 from ..io.timed import timed_frames
 from ..result import ResultDoc, RunConfig, result_document
+from ..result.site import RecordingDoc
 from ..verdict.fitness import judge
-from ..verdict.statement import state_refusal
+from ..verdict.statement import state_refusal, state_site_refusal
 from .inputs import (
     CloudSource,
     Input,
-    InputPair,
     Listener,
     input_documents,
     read_placements,
     refuse_repeated,
     tell_repeated,
 )
+from .site_inputs import SiteInputs
 
 
 class SeenWalk(NamedTuple):
-    """What two LiDARs saw of the pole.
+    """What LiDARs saw of the pole, the target first.
 
     ``ahead`` is by how much each one's clock is ahead of the recorder's, s; None is not known.
     """
 
-    tracks: tuple[Track, Track]
-    ahead: tuple[float | None, float | None]
+    tracks: tuple[Track, ...]
+    ahead: tuple[float | None, ...]
 
     @property
-    def between(self) -> float | None:
-        """By how much the source's clock is ahead of the target's, as the recorders say, s."""
-        target, source = self.ahead
-        return None if target is None or source is None else source - target
+    def between(self) -> Array | None:
+        """(L,) by how much each clock is ahead of the target's, as the recorders say, s."""
+        known = [each for each in self.ahead if each is not None]
+        return np.array(known) - known[0] if len(known) == len(self.ahead) else None
 
 
 def calibrate_walk(
@@ -105,7 +109,7 @@ def calibrate_walk(
             ]
             with step("adjust"):
                 sensors = pair.target.sensor, pair.source.sensor
-                found = calibrate_tracks(seen.tracks, sensors, radius, seen.between)
+                found = taken(solve_tracks(seen.tracks, sensors, radius, seen.between))
             with step("refine"):
                 stated = state_walk(found, placement, seconds, scene=config.refine)
             calibration = judge(stated, config.need)
@@ -115,9 +119,62 @@ def calibrate_walk(
     return document, calibration.placements
 
 
-def _search(pair: InputPair, radius: float, listener: Listener) -> SeenWalk:
-    (target, first), (source, second) = (_track(each, radius, listener) for each in pair)
-    return SeenWalk((target, source), (first, second))
+def calibrate_site_walk(
+    read: SiteInputs, documents: Sequence[RecordingDoc], listener: Listener
+) -> tuple[SiteCalibration, list[RecordingDoc]]:
+    """Find poses and clocks of all LiDARs of a site before which one pole is carried.
+
+    Parameters
+    ----------
+    read, documents
+        The site, one recording of each LiDAR, and their entries in the result document.
+    listener
+        As of `calibration.calibrate_site`.
+
+    Returns
+    -------
+    SiteCalibration, list of RecordingDoc
+        The answer, or why there is none; and the entries with the thresholds that were used.
+
+    Raises
+    ------
+    UsageError
+        If a cloud is one sweep.
+    """
+    site, seconds, stated = read.site, dict[str, float](), list(documents)
+    step = partial(timed, seconds, listener.progress)
+    order = from_reference(site)
+    names, given = [site.lidars[k].name for k in order], [read.inputs[k, 0] for k in order]
+    with threadpool_limits(1, user_api="blas"):
+        with step("extract"):
+            scans = find_scans(site)
+        try:
+            for (lidar, _), fault in scans.faults:
+                with refusing_of(site.lidars[lidar].name):
+                    raise fault
+            with step("extract"):
+                seen = _search(given, site.radius, listener, names)
+            thresholds = dict(zip(order, (each.threshold for each in seen.tracks), strict=True))
+            stated = [structs.replace(each, threshold=thresholds[each.lidar]) for each in stated]
+            with step("adjust"):
+                sensors = [each.sensor for each in given]
+                solved = solve_tracks(seen.tracks, sensors, site.radius, seen.between, names)
+            with step("confirm"):
+                answer = state_walk_of_site(site, scans, solved, seconds)
+        except Refusal as refusal:
+            answer = state_site_refusal(site, scans, (), (), refusal, (), seconds)
+    return answer, stated
+
+
+def _search(
+    given: Iterable[Input], radius: float, listener: Listener, names: Sequence[str] = ("", "")
+) -> SeenWalk:
+    found = []
+    for each, name in zip(given, names, strict=True):
+        with refusing_of(name):
+            found.append(_track(each, radius, listener))
+    tracks, ahead = zip(*found, strict=True)
+    return SeenWalk(tracks, ahead)
 
 
 def _track(given: Input, radius: float, listener: Listener) -> tuple[Track, float | None]:

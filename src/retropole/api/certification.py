@@ -57,11 +57,13 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     Raises
     ------
     UsageError
-        If no two LiDARs recorded the same placement.
+        If no two LiDARs recorded the same placement, or a pole was carried.
     ReadError, MissingExtraError
         As `api.site_inputs.read_site`.
     """
     read = read_site(path, listener)
+    if read.site.carried:
+        raise UsageError(f"{path}: a field test needs poles that stand; here one was carried")
     lidars = read.site.lidars
     tests = {
         (lidars[a].name, lidars[b].name): test

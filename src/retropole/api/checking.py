@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -511,8 +512,10 @@ def shared_placements(target: LidarTable, source: LidarTable) -> list[int]:
 
 
 def stored_pairs(document: SiteDoc) -> list[tuple[str, str]]:
-    """Name the pairs that shared poles when the site was calibrated."""
+    """Name the pairs that shared poles when the site was calibrated: of one carried, all."""
     names = [lidar.name for lidar in document.lidars]
+    if document.config.carried:
+        return list(combinations(names, 2))
     return [
         (names[each.lidars[0]], names[each.lidars[1]])
         for each in document.pairs

@@ -100,15 +100,18 @@ def simulate_walk(
     sensor_source: str | None = None,
     radius: float = DEFAULT_CONFIG.radius_m,
     frames: int = 400,
+    lidars: int = 2,
     nuisances: str | None = None,
 ) -> SimulatedWalk:
-    """Draw a place where a person carries one taped pole before two LiDARs.
+    """Draw a place where a person carries one taped pole before two LiDARs or more.
 
     Parameters
     ----------
     scene, seed, sensor_target, sensor_source, radius, frames, nuisances
         As `simulate` takes them, but for the scene of the paper. Without their names, both LiDARs
         are a VLP-16.
+    lidars
+        How many there are: a third and more are of the source's model.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def simulate_walk(
         scene,
         np.random.default_rng(seed),
         seconds=SWEEP_SECONDS * frames,
-        sensors=(sensor_target or "VLP-16", sensor_source or "VLP-16"),
+        sensors=[sensor_target or "VLP-16", *(lidars - 1) * [sensor_source or "VLP-16"]],
         noise=_noise(nuisances or "typical"),
         radius=radius,
     )

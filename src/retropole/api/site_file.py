@@ -166,6 +166,7 @@ class SiteFile(_Table, frozen=True, kw_only=True):
     reference: ReferenceTable = ReferenceTable()
     need: NeedTable | None = None
     max_points: MaxPoints = MAX_POINTS
+    carried: bool = False
     survey: Annotated[str, Meta(min_length=1, max_length=LONGEST_PATH)] | None = None
     columns: Long | None = None
     lidar: Annotated[list[LidarTable], Meta(min_length=2, max_length=MOST_LIDARS)]
@@ -282,6 +283,8 @@ def _faults(site: SiteFile) -> Iterator[str]:
     for lidar in site.lidar:
         yield from _lidar_faults(lidar, len(site.placements))
     yield from _reference_faults(site)
+    if site.carried:
+        yield from _walk_faults(site)
     names = [lidar.name for lidar in site.lidar]
     if site.columns is not None and site.survey is None:
         yield "columns: expected survey, the file that has them"
@@ -304,6 +307,25 @@ def _faults(site: SiteFile) -> Iterator[str]:
             if name not in names:
                 yield f"control_point {point.name}, seen, lidar: {_no(name, names)}"
         yield from _twice(f"control_point {point.name}, seen, lidar", seeing)
+
+
+def _walk_faults(site: SiteFile) -> Iterator[str]:
+    """Say what does not go together with a pole that is carried."""
+    if len(site.placements) > 1:
+        yield (
+            f"carried: a walk is one recording of each LiDAR, expected one placement; there are "
+            f"{len(site.placements)}"
+        )
+    tables = {
+        "survey": site.survey is not None,
+        "surveyed_pole": bool(site.surveyed_pole),
+        "control_point": bool(site.control_point),
+        "poles, radius_sigma_m": site.poles.radius_sigma_m > 0,
+        "lidar, up": any(lidar.up is not None for lidar in site.lidar),
+        "lidar, mast_sway_deg": any(lidar.mast_sway_deg is not None for lidar in site.lidar),
+    }
+    for key in (key for key, is_there in tables.items() if is_there):
+        yield f"{key}: of a pole that is carried there is no use for it: leave it out"
 
 
 def _end_faults(

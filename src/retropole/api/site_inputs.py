@@ -137,7 +137,10 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     with naming(path, is_said_there=True):
         site = in_metres(site_of(file, inputs))
     config = SiteConfig(
-        site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
+        site_file=path_in_text(path),
+        site_sha256=sha256_of(str(path)),
+        max_points=file.max_points,
+        carried=file.carried,
     )
     return SiteInputs(site, inputs, config)
 
@@ -240,7 +243,7 @@ def inputs_of(site: Site) -> SiteInputs:
         for n, cloud in enumerate(lidar.clouds)
         if cloud is not None
     }
-    return SiteInputs(in_metres(site), inputs, SiteConfig())
+    return SiteInputs(in_metres(site), inputs, SiteConfig(carried=site.carried))
 
 
 def check_site(site: Site) -> None:
@@ -261,6 +264,9 @@ def check_site(site: Site) -> None:
                 f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
                 "one for each placement or None, and one at least"
             )
+    tied = site.poles or site.points or any(lidar.up is not None for lidar in site.lidars)
+    if site.carried and (len(site.placements) > 1 or tied):
+        raise UsageError("a walk has one placement, and nothing that is surveyed and no lidar's up")
     if not 0 <= site.reference < len(names):
         raise UsageError(f"reference is {site.reference}, expected 0 to {len(names) - 1}")
 
@@ -333,6 +339,7 @@ def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
             for point in file.control_point
         ),
         need=None if need is None else Need(need.within_cm / 100, need.at_m),
+        carried=file.carried,
     )
 
 

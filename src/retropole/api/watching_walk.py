@@ -163,7 +163,7 @@ def solve(
     except Refusal as none:
         return Solution(none, None, [], _each_alone(seen, names), 0.0, np.inf, np.inf)
     best = min(solved.solutions, key=lambda each: each.cost)
-    apart = best.offset + solved.ahead
+    apart = best.offset + solved.ahead[1]
     target, source = (track.times for track in seen.tracks)
     period = float(np.median(np.diff(target)))
     after = np.clip(np.searchsorted(source - apart, target), 1, len(source) - 1)

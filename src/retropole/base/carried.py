@@ -12,6 +12,52 @@ from .bounded import LONGEST_LIST, Count, Number, Share, Size, Vector
 Row = Annotated[list[Number], Meta(max_length=4)]
 
 
+class LidarWalk(msgspec.Struct, frozen=True, eq=False):
+    """What one LiDAR of a site saw of a walk, and its clock.
+
+    Attributes
+    ----------
+    clock_offset_s, clock_sigma_s, clock_drift, middle_s
+        What makes its times those of the reference, as of `CarriedWalk`; 0 of the reference.
+    sweeps, found, range_scale, edge_jitter_rad, clock_windows
+        Its own, as of `CarriedWalk`.
+    """
+
+    clock_offset_s: Number
+    clock_sigma_s: Size
+    clock_drift: Number
+    middle_s: Number
+    sweeps: Count
+    found: Count
+    range_scale: Size
+    edge_jitter_rad: Size
+    clock_windows: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
+
+
+class SiteWalk(msgspec.Struct, frozen=True, eq=False):
+    """A walk before the LiDARs of a site.
+
+    Attributes
+    ----------
+    begin_s
+        When the pole was first seen, by the clock of the reference.
+    seconds, along_m, across_m, lean_rad, left_out, up, path
+        As of `CarriedWalk`, in the frame of the site.
+    lidars
+        Of each LiDAR of the site, in their order.
+    """
+
+    begin_s: Number
+    seconds: Size
+    along_m: Size
+    across_m: Size
+    lean_rad: Size
+    left_out: Share
+    up: Vector
+    path: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
+    lidars: Annotated[list[LidarWalk], Meta(max_length=LONGEST_LIST)]
+
+
 class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     """A walk before two LiDARs, and their clocks.
 
@@ -61,3 +107,17 @@ class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     clock_windows: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
     up: Vector
     path: Annotated[list[Row], Meta(max_length=LONGEST_LIST)]
+
+    @property
+    def of_site(self) -> SiteWalk:
+        """The same of a site of two LiDARs."""
+        both = zip(self.sweeps, self.found, self.range_scale, self.edge_jitter_rad, strict=True)
+        own = self.clock_offset_s, self.clock_sigma_s, self.clock_drift
+        clocks = (0.0, 0.0, 0.0, self.middle_s), (*own, self.middle_s)
+        windows: tuple[list[Row], ...] = [], self.clock_windows
+        lidars = [
+            LidarWalk(*clock, *seen, window)
+            for clock, seen, window in zip(clocks, both, windows, strict=True)
+        ]
+        shared = {name: getattr(self, name) for name in SiteWalk.__struct_fields__[1:-1]}
+        return SiteWalk(self.middle_s - self.seconds / 2, **shared, lidars=lidars)

@@ -196,6 +196,8 @@ class Site:
         What was surveyed, in that frame, less `Frame.offset`.
     need
         How accurate every pose must be; None only requires usable.
+    carried
+        Whether a person carried one pole through the view of all LiDARs, in the one placement.
     """
 
     name: str
@@ -208,6 +210,7 @@ class Site:
     poles: tuple[SurveyedPole, ...] = ()
     points: tuple[ControlPoint, ...] = ()
     need: Need | None = None
+    carried: bool = False
 
 
 def is_pair(site: Site) -> bool:

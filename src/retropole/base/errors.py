@@ -213,6 +213,23 @@ def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
 
 
 @contextmanager
+def refusing_of(what: str) -> Iterator[None]:
+    """Name in a refusal what it is of; with no name, "", it stays as it is.
+
+    Raises
+    ------
+    Refusal
+        In place of the same without the name.
+    """
+    try:
+        yield
+    except Refusal as refusal:
+        if not what:
+            raise
+        raise Refusal(refusal.code, f"{what}: {refusal.message}", refusal.values) from None
+
+
+@contextmanager
 def readable(place: object) -> Iterator[None]:
     """Say what the system has against a file or folder; all other errors name it themselves."""
     try:

@@ -1,4 +1,4 @@
-"""Pose, clocks and the motion of the pole, adjusted together over a whole walk.
+"""Poses, clocks and the motion of the pole, adjusted together over a whole walk.
 
 In a frame W whose z axis is the mean direction of the pole, its axis at a height h is at
 ``(x + u h, y + v h, h)``. x, y, u and v are cubic B-splines in time, held together by white noise
@@ -7,28 +7,29 @@ along its beam by the depth of the cylinder, is off the axis by::
 
     e = P − (x + u Z, y + v Z, Z),     b₁·e ~ σ_r |d_⊥| / √k,     b₂·e ~ w / √3,
 
-b₁ being the beam across the axis, and b₂ across both. The source's clock runs ahead by
-``τ + κ (t − t_m)``. The systematic errors of both LiDARs (`base.systematic`) are unknowns with a
-prior. The normal equations have a band for the splines, and a border for all else.
+b₁ being the beam across the axis, and b₂ across both. The clock of each LiDAR but the first runs
+ahead by ``τ + κ (t − t_m)``. The systematic errors of every LiDAR (`base.systematic`) are unknowns
+with a prior. The normal equations have a band for the splines, and a border for all else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded, solve_banded
 from scipy.sparse import csr_array, hstack
 
-from ..alignment.certainty import Part
+from ..alignment.certainty import Part, joint_covariance
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from .linear import (
-    CLOCK,
     DEVICE_NAMES,
+    DRIFT_AT,
     KNOT,
+    OF_LIDAR,
     OFFSET,
     POSE,
     RING_NAMES,
@@ -42,8 +43,9 @@ from .linear import (
     first_coefs,
     frame_of,
     linearised,
+    of_each,
 )
-from .start import Start
+from .start import Poses
 from .track import Track
 
 NOISE = (0.2, 0.2, 0.08, 0.08)
@@ -92,13 +94,13 @@ class Adjusted:
 
     Attributes
     ----------
-    T_target_source
-        (4, 4).
+    T
+        (L, 4, 4) of all LiDARs in the frame of the first, the target.
     covariance
-        (7, 7) over ``[φ, δ, τ]``, rad, m and s, target axes.
-    offset, drift, middle
-        By how much the source's clock is ahead in the middle of what both saw, s, its rate, and
-        that middle by the target's clock.
+        (7 (L − 1), 7 (L − 1)) over ``[φ, δ, τ]`` of each other, rad, m and s, target axes.
+    clocks, middles
+        (L, 2) by how much each clock is ahead of the target's in the middle of what both saw, s,
+        and its rate, and (L,) that middle by the target's clock.
     motion
         (4,) noise of the acceleration, as `NOISE`.
     residuals, weights, times, lidar
@@ -113,27 +115,27 @@ class Adjusted:
     T_walk_target
         (4, 4) to the frame W.
     spread
-        (2, 2) how the rows of each LiDAR scatter beyond what is stated: along beams a factor,
+        (L, 2) how the rows of each LiDAR scatter beyond what is stated: along beams a factor,
         across an angle, rad.
     clock_windows
-        (K, 3) middle of each window of `WINDOW`, by the target's clock, the clocks' offset there
-        relative to that of all, and its 1 σ, s.
-    clock_step
-        (3,) when a step of the offset is likeliest, s, the step and its 1 σ, s.
+        Of each LiDAR (K, 3) middle of each window of `WINDOW`, by the target's clock, the clock's
+        offset there relative to that of all, and its 1 σ, s. Of the target of a pair none: it is
+        the source's.
+    clock_steps
+        (L, 3) when a step of each offset is likeliest, s, the step and its 1 σ, s.
     random, parts
-        (6, 6) of `covariance` from the scatter of the returns and the motion of the pole, and what
-        each systematic error adds.
+        (6 (L − 1), 6 (L − 1)) of `covariance` from the scatter of the returns and the motion of the
+        pole, and what each systematic error adds.
     converged, cost
         Whether steps came to rest; the sum of the robust losses with the priors.
     frame, state, border
         The knots, the unknowns about the start of the beams, and the covariance of the border.
     """
 
-    T_target_source: Array
+    T: Array
     covariance: Array
-    offset: float
-    drift: float
-    middle: float
+    clocks: Array
+    middles: Array
     motion: Array
     residuals: Array
     weights: Array
@@ -143,8 +145,8 @@ class Adjusted:
     at: Array
     T_walk_target: Array
     spread: Array
-    clock_windows: Array
-    clock_step: Array
+    clock_windows: tuple[Array, ...]
+    clock_steps: Array
     random: Array
     parts: tuple[Part, ...]
     off_along: Array
@@ -155,60 +157,62 @@ class Adjusted:
     border: Array
 
     @property
+    def T_target_source(self) -> Array:
+        """(4, 4) of a pair."""
+        return np.asarray(self.T[1])
+
+    @property
+    def offset(self) -> float:
+        """By how much the source's clock is ahead, of a pair, s."""
+        return float(self.clocks[1, 0])
+
+    @property
     def left_out(self) -> float:
-        """Share of the rows that have less weight than half."""
-        return float(np.mean(self.weights.min(axis=1) < 0.5))
+        """Share of the rows that have less weight than half, of the two LiDARs that lose most."""
+        count = np.bincount(self.lidar)
+        lost = np.bincount(self.lidar[self.weights.min(axis=1) < 0.5], minlength=len(count))
+        worst = np.argsort(lost / np.maximum(count, 1))[-2:]
+        return float(lost[worst].sum() / max(count[worst].sum(), 1))
 
 
-def adjust(
-    start: Start,
-    tracks: tuple[Track, Track],
-    seen: tuple[Seen, Seen],
-    radius: float,
-) -> Adjusted:
+def adjust(start: Poses, tracks: Sequence[Track], seen: Sequence[Seen], radius: float) -> Adjusted:
     """Adjust a walk from a start.
 
     Parameters
     ----------
     start
-        As `find_starts` gives it.
+        Poses and clocks of all LiDARs, as those of `find_starts`.
     tracks, seen
-        Of the target and the source.
+        Of each LiDAR, the target first.
     radius
         Of the pole, metres.
     """
-    frame = frame_of(start, tracks, seen, radius)
+    frame, lidars = frame_of(start, tracks, seen, radius), len(seen)
     state = State(
         first_coefs(frame, start, tracks),
-        start.T_target_source,
-        np.r_[start.offset, np.zeros(len(frame.prior) - CLOCK)],
+        start.T,
+        np.stack([start.offsets, np.zeros(lidars)], axis=1),
+        np.zeros(len(frame.sigma)),
     )
-    motion, spread = np.array(NOISE), np.array([[1.0, 0.0], [1.0, 0.0]])
+    motion, spread = np.array(NOISE), np.tile([1.0, 0.0], (lidars, 1))
     # Draws for the uncertainty of the motion: equal inputs give equal answers.
     draws = np.random.default_rng(0).normal(size=(4 * frame.count, DRAWS))
+    stated, posed = of_each(lidars, OFFSET + 1), of_each(lidars, OFFSET)
     converged = False
     for number in range(MAX_STEPS):
         system = linearised(frame, state, spread)
         weights = _weights(system.residuals)
         step = _solve(frame, state, system, weights, motion, draws)
-        moved = np.abs(step.border[: CLOCK + 1]) / np.sqrt(np.diag(step.covariance))[: CLOCK + 1]
+        moved = (np.abs(step.border) / np.sqrt(np.diag(step.covariance)))[stated]
         # The uncertainty of hits follows the motion and is not differentiated: full steps may
         # go to and fro about the end.
         part = 1.0 if number < FULL_STEPS else 0.5
-        state = State(
-            state.coefs + part * step.coefs,
-            se3.retract(state.T, part * step.border[POSE]),
-            state.border + part * step.border[OFFSET:],
-        )
+        state = moved_by(frame, state, part * step.coefs, part * step.border)
         grown = (np.maximum(step.motion, LEAST_MOTION) / motion) ** FASTER
         motion = np.maximum(motion * grown, LEAST_MOTION)
         if number > 2:
             spread = _spread(frame, system, weights, step.leverage)
-        if (
-            number >= FULL_STEPS
-            and moved[:7].max() < REST
-            and np.abs(np.log(grown)).max() < SETTLED
-        ):
+        if number >= FULL_STEPS and moved.max() < REST and np.abs(np.log(grown)).max() < SETTLED:
             converged = True
             break
     system = linearised(frame, state, spread)
@@ -217,19 +221,23 @@ def adjust(
     at = np.asarray(frame.first + KNOT * np.arange(frame.count - 3))
     size = np.abs(system.residuals)
     robust = np.where(size < HUBER, 0.5 * size**2, HUBER * np.minimum(size, BEYOND) - HUBER**2 / 2)
-    own = (state.border / frame.prior[OFFSET:])[1:]
+    own = _known(frame, state)
     second = curvature(state.coefs) ** 2 * KNOT / motion
-    cost = robust.sum() + 0.5 * (own @ own) + 0.5 * second.sum()
+    cost = robust.sum() + 0.5 * (own @ frame.precision @ own) + 0.5 * second.sum()
     cost += 0.5 * len(second) * np.log(motion).sum()
     parts = tuple(_parts(frame, state, step.covariance))
-    systematic = sum((part.root @ part.root.T for part in parts), np.zeros((12, 12)))[6:, 6:]
+    systematic = joint_covariance(parts)[6:, 6:]
     sigma = np.where(np.isfinite(system.sigma[:, 0]), system.sigma[:, 0], 0.0)
+    # What steps in the clock of a pair's target is a step in the source's.
+    tested = range(lidars) if lidars > 2 else (1,)
+    clocks = {k: _clock(k, frame, state, system, weights, motion, draws) for k in tested}
+    none = np.zeros((0, 3)), np.zeros(3)
+    windows, steps = zip(*(clocks.get(k, none) for k in range(lidars)), strict=True)
     return Adjusted(
         state.T,
-        step.covariance[:CLOCK, :CLOCK],
-        float(state.border[0]),
-        float(state.border[1]),
-        frame.middle,
+        step.covariance[np.ix_(stated, stated)],
+        state.clocks,
+        frame.middles,
         motion,
         system.residuals,
         weights,
@@ -239,8 +247,9 @@ def adjust(
         at,
         frame.T_walk_target,
         spread,
-        *_clock(frame, state, system, weights, motion, draws),
-        step.covariance[POSE, POSE] - systematic,
+        windows,
+        np.array(steps),
+        step.covariance[np.ix_(posed, posed)] - systematic,
         parts,
         sigma * system.residuals[:, 0],
         converged,
@@ -251,41 +260,63 @@ def adjust(
     )
 
 
-def in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Adjusted:
-    """Express what was found about the start of the beams in the frames of both recordings.
+def moved_by(frame: Frame, state: State, coefs: Array, border: Array) -> State:
+    """Take a step."""
+    own = border[: frame.first_error].reshape(-1, OF_LIDAR)
+    T = [se3.retract(each, step) for each, step in zip(state.T[1:], own[:, POSE], strict=True)]
+    return State(
+        state.coefs + coefs,
+        np.stack([state.T[0], *T]),
+        state.clocks + np.vstack([np.zeros(2), own[:, OFFSET:]]),
+        state.errors + border[frame.first_error :],
+    )
+
+
+def _known(frame: Frame, state: State) -> Array:
+    """(C,) the unknowns of the border of which something is known beforehand, 0 of all others."""
+    own = np.zeros((len(state.T) - 1, OF_LIDAR))
+    own[:, DRIFT_AT] = state.clocks[1:, 1]
+    return np.concatenate([own.ravel(), state.errors])
+
+
+def in_recordings(found: Adjusted, *frames: Array) -> Adjusted:
+    """Express what was found about the start of the beams in the frames of the recordings.
 
     Parameters
     ----------
     found
         As `adjust` gives it.
-    T_target, T_source
+    frames
         (4, 4) of each LiDAR from its beams to its recording, as `Track.T_recording_beams`.
     """
-    T = T_target @ found.T_target_source @ se3.inverse(T_source)
-    J = np.eye(7)
-    J[:6, :6] = steps_in_recordings(found, T_target, T_source)
-    wide = np.eye(12)
-    wide[6:, 6:] = J[:6, :6]
+    J = steps_in_recordings(found, *frames)
+    place = np.arange(len(found.covariance))
+    clock = place % (OFFSET + 1) == OFFSET
+    whole = np.eye(len(place))
+    whole[np.ix_(~clock, ~clock)] = J
+    wide = block_diag(np.eye(6), J)
     return replace(
         found,
-        T_target_source=T,
-        covariance=J @ found.covariance @ J.T,
-        random=J[:6, :6] @ found.random @ J[:6, :6].T,
+        T=frames[0] @ found.T @ np.stack([se3.inverse(each) for each in frames]),
+        covariance=whole @ found.covariance @ whole.T,
+        random=J @ found.random @ J.T,
         parts=tuple(replace(part, root=wide @ part.root) for part in found.parts),
-        T_walk_target=found.T_walk_target @ se3.inverse(T_target),
+        T_walk_target=found.T_walk_target @ se3.inverse(frames[0]),
     )
 
 
-def steps_in_recordings(found: Adjusted, T_target: Array, T_source: Array) -> Array:
-    """Give (6, 6) that takes errors ``[φ, δ]`` of a pose to the frames of `in_recordings`.
+def steps_in_recordings(found: Adjusted, *frames: Array) -> Array:
+    """Give the matrix that takes errors ``[φ, δ]`` of all poses to the frames of `in_recordings`.
 
-    They are those of another origin of the source, on other axes.
+    They are those of other origins, on other axes: (6 (L − 1), 6 (L − 1)).
     """
-    whose = T_target @ found.T_target_source
-    R, J = T_target[:3, :3], np.zeros((6, 6))
-    J[:3, :3] = J[3:, 3:] = R
-    J[3:, :3] = -se3.hat((whose @ se3.inverse(T_source))[:3, 3] - whose[:3, 3]) @ R
-    return J
+    R, blocks = frames[0][:3, :3], []
+    for T, own in zip(frames[0] @ found.T[1:], frames[1:], strict=True):
+        J = np.zeros((6, 6))
+        J[:3, :3] = J[3:, 3:] = R
+        J[3:, :3] = -se3.hat((T @ se3.inverse(own))[:3, 3] - T[:3, 3]) @ R
+        blocks.append(J)
+    return np.asarray(block_diag(*blocks))
 
 
 def _weights(residuals: Array) -> Array:
@@ -294,14 +325,14 @@ def _weights(residuals: Array) -> Array:
 
 
 def _spread(frame: Frame, system: System, weights: Array, leverage: Array) -> Array:
-    """What rows scatter by more than stated: along beams a factor, across an angle, (2, 2).
+    """What rows scatter by more than stated: along beams a factor, across an angle, (L, 2).
 
     The splines take up a part of the scatter, the leverage of the rows. Along, no factor is less
     than 1; across, the variance of an angle is added to that of the hits: beams that do
     not point where they should, and the glow of tape, move the edges of the pole.
     """
-    found = np.ones((2, 2))
-    for lidar in (0, 1):
+    found = np.ones((len(frame.seen), 2))
+    for lidar in range(len(found)):
         own = system.lidar == lidar
         w, sigma = weights[own], system.sigma[own]
         # Rows that leave the same open across are one, each a part of it.
@@ -338,8 +369,9 @@ def _solve(
     w = weights.reshape(-1)
     r = system.residuals.reshape(-1)
     weighted, factor, side, corner = _normal(frame, system, w, noise)
-    corner += np.diag(frame.prior**-2)
-    held = np.r_[np.zeros(7), state.border[1:] / frame.prior[7:] ** 2]
+    known = _known(frame, state)
+    held = frame.precision @ np.r_[known, np.zeros(len(corner) - len(known))]
+    corner += frame.precision
     second = curvature(state.coefs) * KNOT / noise
     pull = np.zeros_like(state.coefs)
     for k, part in enumerate(np.array([1.0, -2.0, 1.0]) / KNOT**2):
@@ -388,19 +420,20 @@ def information_of(frame: Frame, system: System, weights: Array, noise: Array) -
 
 
 def _parts(frame: Frame, state: State, covariance: Array) -> Iterator[Part]:
-    """What each error adds to the pose: where what is known of it is off by 1 σ, so is the pose."""
-    at = CLOCK + 1
+    """What each error adds to the poses: where what is known of it is off by 1 σ, so are they."""
+    at, poses = 0, of_each(len(frame.seen), OFFSET)
     for lidar, bands in enumerate(frame.bands):
         for name, unit, count in (*DEVICE_NAMES, *((*kind, len(bands)) for kind in RING_NAMES)):
-            own = slice(at, at + count)
-            root = np.zeros((12, count))
-            root[6:] = covariance[POSE, own] / frame.prior[own]
-            estimated = float(state.border[at - OFFSET]) if count == 1 else None
-            yield Part(name, lidar, float(frame.prior[at]), unit, estimated, root)
+            own = np.arange(at, at + count)
+            moved = covariance[np.ix_(poses, frame.first_error + own)] / frame.sigma[own]
+            estimated = float(state.errors[at]) if count == 1 else None
+            root = np.vstack([np.zeros((6, count)), moved])
+            yield Part(name, lidar, float(frame.sigma[at]), unit, estimated, root)
             at += count
 
 
 def _offsets(
+    lidar: int,
     frame: Frame,
     state: State,
     system: System,
@@ -409,31 +442,34 @@ def _offsets(
     draws: Array,
     place: IntArray,
 ) -> tuple[Array, Array]:
-    """Give the source's rows with each place (N,), from 0 on, a separate offset.
+    """Give the rows of a LiDAR with each place (N,), from 0 on, a separate offset.
 
     Returns the offsets (K,) relative to that of all, s, and their covariance (K, K).
     """
     number = int(place.max()) + 1
-    own = np.flatnonzero((system.lidar == 1) & (place >= 0))
+    own = np.flatnonzero((system.lidar == lidar) & (place >= 0))
     at = (2 * own[:, None] + [0, 1]).ravel(), np.repeat(place[own], 2)
     slopes = system.offset_slopes[own].ravel()
     windows = csr_array((slopes, at), shape=(system.residuals.size, number))
     wider = csr_array(hstack([system.by_border, windows]))
-    prior = np.r_[frame.prior, np.ones(number)]
-    prior[OFFSET] = HELD
+    precision = block_diag(frame.precision, np.eye(number))
+    # The target has no offset of its own: another is held in its place.
+    held = OF_LIDAR * max(lidar - 1, 0) + OFFSET
+    precision[held, held] = HELD**-2
     step = _solve(
-        replace(frame, prior=prior),
-        state._replace(border=np.r_[state.border, np.zeros(number)]),
+        replace(frame, precision=precision),
+        state,
         system._replace(by_border=wider),
         weights,
         motion,
         draws,
     )
-    of_windows = slice(len(frame.prior), None)
+    of_windows = slice(len(frame.precision), None)
     return step.border[of_windows], step.covariance[of_windows, of_windows]
 
 
 def _clock(
+    lidar: int,
     frame: Frame,
     state: State,
     system: System,
@@ -441,7 +477,7 @@ def _clock(
     motion: Array,
     draws: Array,
 ) -> tuple[Array, Array]:
-    """Where the clocks' offset changes: `Adjusted.clock_windows` and `Adjusted.clock_step`.
+    """Where the offset of a clock changes: its `Adjusted.clock_windows` and `clock_steps`.
 
     A step at t is tested against a steady offset by all of the walk: with offsets b of short
     windows, their covariance C and h = 1 from t on, its best estimate is::
@@ -450,11 +486,14 @@ def _clock(
 
     with the variance 1 / hᵀ P h. The likeliest t is taken.
     """
-    known = frame, state, system, weights, motion, draws
+    known = lidar, frame, state, system, weights, motion, draws
     place = ((system.times - frame.first) / WINDOW).astype(np.int64)
     counted = (weights > 0).all(axis=1)
-    of_both = (place[counted & (system.lidar == lidar)] for lidar in (0, 1))
-    counts = [np.bincount(each, minlength=place.max() + 1) for each in of_both]
+    is_own = system.lidar == lidar
+    counts = [
+        np.bincount(place[counted & whose], minlength=place.max() + 1)
+        for whose in (is_own, ~is_own)
+    ]
     number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
     if len(number) < 2:
         return np.zeros((0, 3)), np.zeros(3)
@@ -464,8 +503,7 @@ def _clock(
     middle = frame.first + WINDOW * (number + 0.5)
     windows = np.stack([middle, offset, np.sqrt(np.diag(covariance))], axis=1)
 
-    times = system.times[system.lidar == 1]
-    first = float(times.min())
+    first = float(system.times[is_own].min())
     offset, covariance = _offsets(
         *known, np.maximum((system.times - first) / SHORT, 0.0).astype(np.int64)
     )

@@ -78,7 +78,7 @@ def next_steps(
     known = np.linalg.inv(found.border)
     if surroundings is not None:
         known[POSE, POSE] += surroundings
-    poses = [found.frame.T_walk_target, found.frame.T_walk_target @ found.state.T]
+    poses = [found.frame.T_walk_target, found.frame.T_walk_target @ found.state.T[1]]
     now = error_of(np.asarray(np.linalg.inv(known)), at)
     steps = []
     for each in _candidates(found, poses, name):
@@ -146,10 +146,8 @@ def _information(
         # What one LiDAR sees alone says nothing of the pose.
         return np.zeros_like(found.border)
     first, count = begin - KNOT, round(SECONDS / KNOT) + 6
-    target, source = (
-        replace(seen, rows=own) for seen, own in zip(found.frame.seen, rows, strict=True)
-    )
-    frame = replace(found.frame, first=first, count=count, seen=(target, source))
+    seen = tuple(replace(each, rows=own) for each, own in zip(found.frame.seen, rows, strict=True))
+    frame = replace(found.frame, first=first, count=count, seen=seen)
     # Coefficients of a smooth spline are near its values at their knots.
     coefs = _axis(found, to, np.asarray(first + KNOT * (np.arange(count) - 1.0)))
     system = linearised(frame, found.state._replace(coefs=coefs), found.spread)
@@ -198,10 +196,8 @@ def _rows(
     if sensor is not None:
         seen &= sensor.has_in_view(hit)
     sweep, band, hit, ranges = sweep[seen], band[seen], hit[seen], ranges[seen]
-    border = found.state.border
-    stamp = times[sweep]
-    if lidar == 1:
-        stamp = stamp + border[0] + border[1] * (stamp - frame.middle)
+    ahead, drift = found.state.clocks[lidar]
+    stamp = times[sweep] + ahead + drift * (times[sweep] - frame.middles[lidar])
     hits = np.ones_like(ranges)
     if np.isfinite(rows.step):
         reach = frame.radius + 0.5 * rows.divergence * ranges

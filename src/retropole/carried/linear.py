@@ -1,11 +1,13 @@
 """The equations of a walk, linearised: residuals of all rows and their derivatives.
 
 The frame W, the splines, and what each unknown does to a row (`adjustment` has the equations). The
-border has the pose, the clocks, and the systematic errors of both LiDARs (`base.systematic`).
+border has pose and clock of each LiDAR but the first, whose frame and time are those of all, and
+the systematic errors of every LiDAR (`base.systematic`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +19,7 @@ from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.systematic import RING_KINDS, Sizes, band_of
 from .rows import Rows, left_open
-from .start import Start
+from .start import Poses
 from .track import Track
 
 KNOT = 0.1
@@ -35,8 +37,9 @@ DEEPER_AFAR = 1e-3
 a beam's edge is bright enough. In simulated fields it was 0.1 to 1.1 mm for each metre (tuning
 seeds 25 to 29)."""
 
-POSE, OFFSET, CLOCK = slice(0, 6), 6, 7
-"""Among the unknowns of the border: the pose, the clocks' offset and the drift."""
+POSE, OFFSET, DRIFT_AT, OF_LIDAR = slice(0, 6), 6, 7, 8
+"""Among the unknowns of the border that are of one LiDAR: its pose, the offset of its clock and the
+drift; and how many they are. Those of the second LiDAR come first."""
 
 DEVICE_NAMES = (
     ("range offset", "m", 1),
@@ -65,30 +68,47 @@ class Seen:
 
 
 class State(NamedTuple):
-    """Coefficients (M, 4) of the splines, pose (4, 4), and the border without the pose."""
+    """Coefficients (M, 4) of the splines, poses (L, 4, 4), clocks (L, 2), and errors (E,).
+
+    Each clock has by how much it is ahead, s, and the drift of that.
+    """
 
     coefs: Array
     T: Array
-    border: Array
+    clocks: Array
+    errors: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What does not change from step to step: the frame W, the knots, 1 σ of the border."""
+    """What does not change from step to step.
+
+    The frame W, the knots, the middle of what each LiDAR saw in common with the first, 1 σ (E,) of
+    the errors, and what is known beforehand of the border, the inverse (C, C) of a covariance.
+    """
 
     T_walk_target: Array
     first: float
-    middle: float
+    middles: Array
     count: int
     radius: float
-    seen: tuple[Seen, Seen]
-    bands: tuple[IntArray, IntArray]
-    prior: Array
+    seen: tuple[Seen, ...]
+    bands: tuple[IntArray, ...]
+    sigma: Array
+    precision: Array
+
+    @property
+    def first_error(self) -> int:
+        """Where the errors begin in the border."""
+        return OF_LIDAR * (len(self.seen) - 1)
 
 
-def frame_of(
-    start: Start, tracks: tuple[Track, Track], seen: tuple[Seen, Seen], radius: float
-) -> Frame:
+def of_each(lidars: int, own: int) -> IntArray:
+    """Places in the border of the first unknowns of each LiDAR but the first: pose, offset, …"""
+    return np.asarray((OF_LIDAR * np.arange(lidars - 1)[:, None] + np.arange(own)).ravel())
+
+
+def frame_of(start: Poses, tracks: Sequence[Track], seen: Sequence[Seen], radius: float) -> Frame:
     """Lay the frame W and the knots about the walk as a start has it."""
     target = tracks[0]
     up = target.directions.mean(axis=0)
@@ -97,14 +117,11 @@ def frame_of(
     side /= np.linalg.norm(side)
     R = np.stack([side, np.cross(up, side), up])
     T = se3.from_rt(R, -R @ target.points.mean(axis=0))
-    times = np.r_[seen[0].rows.times, seen[1].rows.times - start.offset]
-    first = float(times.min()) - 0.5
-    # Clocks are compared where both see the pole.
-    begin = max(seen[0].rows.times.min(), seen[1].rows.times.min() - start.offset)
-    end = min(seen[0].rows.times.max(), seen[1].rows.times.max() - start.offset)
-    middle = float(times[(times >= begin) & (times <= end)].mean()) if end > begin else first
-    count = int(np.ceil((float(times.max()) + 0.5 - first) / KNOT)) + 3
-    bands, prior = [], [np.full(6, 1e3), np.array([1e3, DRIFT])]
+    times = [each.rows.times - ahead for each, ahead in zip(seen, start.offsets, strict=True)]
+    first = min(float(own.min()) for own in times) - 0.5
+    last = max(float(own.max()) for own in times) + 0.5
+    count = int(np.ceil((last - first) / KNOT)) + 3
+    bands, prior = [], []
     for each in seen:
         band = np.unique(ring_bands(each.rows))
         s = each.sizes
@@ -124,10 +141,21 @@ def frame_of(
             )
         )
         prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
-    return Frame(
-        T, first, middle, count, radius, seen, (bands[0], bands[1]),
-        np.concatenate(prior),
-    )  # fmt: skip
+    sigma, others = np.concatenate(prior), len(seen) - 1
+    precision = np.diag(np.r_[np.full(OF_LIDAR * others, 1e-6), sigma**-2])
+    # Rates are relative to that of the first clock, which errs as any other.
+    drifts = OF_LIDAR * np.arange(others) + DRIFT_AT
+    rates = DRIFT**2 / 2 * (np.eye(others) + 1)
+    precision[np.ix_(drifts, drifts)] = np.linalg.inv(rates)
+    middles = np.array([_middle(times[0], own) for own in times])
+    return Frame(T, first, middles, count, radius, tuple(seen), tuple(bands), sigma, precision)
+
+
+def _middle(target: Array, own: Array) -> float:
+    """Middle of the time in which a LiDAR and the first see the pole; or of what it sees alone."""
+    both = np.r_[target, own]
+    begin, end = (max(target.min(), own.min()), min(target.max(), own.max()))
+    return float(both[(both >= begin) & (both <= end)].mean() if end > begin else own.mean())
 
 
 def ring_bands(rows: Rows) -> IntArray:
@@ -174,12 +202,10 @@ def axes_at(frame: Frame, coefs: Array, times: Array) -> Array:
     return np.asarray(np.einsum("nk,nkc->nc", _basis(u), near))
 
 
-def first_coefs(frame: Frame, start: Start, tracks: tuple[Track, Track]) -> Array:
-    """Splines through the lines of both tracks."""
+def first_coefs(frame: Frame, start: Poses, tracks: Sequence[Track]) -> Array:
+    """Splines through the lines of all tracks."""
     lines, times = [], []
-    for track, T, ahead in zip(
-        tracks, (np.eye(4), start.T_target_source), (0.0, start.offset), strict=True
-    ):
+    for track, T, ahead in zip(tracks, start.T, start.offsets, strict=True):
         T_walk = frame.T_walk_target @ T
         point, along = se3.apply(T_walk, track.points), track.directions @ T_walk[:3, :3].T
         kept = np.abs(along[:, 2]) > 0.3
@@ -220,8 +246,9 @@ def curvature_band(count: int, noise: Array) -> Array:
 
 
 def linearised(frame: Frame, state: State, spread: Array) -> System:
-    """Linearise the rows of both LiDARs."""
-    parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in (0, 1)]
+    """Linearise the rows of all LiDARs."""
+    every = range(len(frame.seen))
+    parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in every]
     both = _Linear(*(np.concatenate(each) for each in zip(*parts, strict=True)))
     rows, width = len(both.residuals), both.by_border.shape[2]
     column = 4 * (both.interval[:, None] + np.arange(4))[:, :, None] + np.arange(4)
@@ -231,18 +258,18 @@ def linearised(frame: Frame, state: State, spread: Array) -> System:
     J = csr_array((both.by_coefs.reshape(-1), column, ends), shape=shape)
     column = np.repeat(both.columns[:, None], 2, axis=1).reshape(-1)
     ends = np.arange(0, 2 * rows * width + 1, width)
-    shape = (2 * rows, len(frame.prior))
+    shape = (2 * rows, len(frame.precision))
     K = csr_array((both.by_border.reshape(-1), column, ends), shape=shape)
-    lidar = np.repeat([0, 1], [len(part.residuals) for part in parts])
-    slopes = both.by_border[:, :, OFFSET]
-    return System(both.residuals, J, K, both.times, lidar, slopes, both.sigma, both.stated)
+    lidar = np.repeat(every, [len(part.residuals) for part in parts])
+    return System(both.residuals, J, K, both.times, lidar, both.by_clock, both.sigma, both.stated)
 
 
 class _Linear(NamedTuple):
     """Linearised rows of one LiDAR.
 
     Residuals (N, 2), knot intervals (N,), derivatives by splines (N, 2, 4, 4) and by the border
-    (N, 2, C) with its columns (N, C), times (N,), σ and what is stated of it (N, 2).
+    (N, 2, C) with its columns (N, C), and by the offset of its clock (N, 2), times (N,), σ and what
+    is stated of it (N, 2).
     """
 
     residuals: Array
@@ -250,13 +277,14 @@ class _Linear(NamedTuple):
     by_coefs: Array
     by_border: Array
     columns: IntArray
+    by_clock: Array
     times: Array
     sigma: Array
     stated: Array
 
 
 def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
-    """Linearise the rows of the target (0) or the source (1)."""
+    """Linearise the rows of one LiDAR."""
     rows = frame.seen[lidar].rows
     band = np.searchsorted(frame.bands[lidar], ring_bands(rows))
     errors, first = _errors_of(frame, state, lidar)
@@ -276,12 +304,11 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     true /= np.linalg.norm(true, axis=1, keepdims=True)
     ranges = rows.ranges - errors[0] - errors[1] * rows.ranges - own[0]
 
-    T = np.eye(4) if lidar == 0 else state.T
-    T_walk = frame.T_walk_target @ T
+    T_walk = frame.T_walk_target @ state.T[lidar]
     R = T_walk[:3, :3]
-    stamp = rows.times
-    late = stamp - state.border[0] - frame.middle
-    times = stamp if lidar == 0 else stamp - state.border[0] - state.border[1] * late
+    ahead, drift = state.clocks[lidar]
+    late = rows.times - ahead - frame.middles[lidar]
+    times = rows.times - ahead - drift * late
     number, u = _interval(frame, times)
     near = state.coefs[number[:, None] + np.arange(4)]
     basis = _basis(u)
@@ -329,17 +356,16 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     # By the splines: x and y at the basis, u and v at it times the height.
     by_axis = -np.concatenate([b[:, :, :2], b[:, :, :2] * Z[:, None, None]], axis=2)
     by_coefs = basis[:, None, :, None] * by_axis[:, :, None, :]
-    if lidar == 0:
-        by_pose = np.zeros((len(d), 2, 8))
-    else:
+    # Later on the clock is earlier in the walk: the axis is where it was.
+    speed = moving[:, :2] + moving[:, 2:] * Z[:, None]
+    by_clock = np.einsum("nri,ni->nr", b[:, :, :2], speed)
+    by_pose = np.zeros((len(d), 2, OF_LIDAR))
+    if lidar:
         arm = (ranges + depth / sideways)[:, None] * (ray @ frame.T_walk_target[:3, :3])
         b_target = b @ frame.T_walk_target[:3, :3]
         turned = np.cross(arm[:, None], b_target)
-        # Later on the clock is earlier in the walk: the axis is where it was.
-        speed = moving[:, :2] + moving[:, 2:] * Z[:, None]
-        by_time = np.einsum("nri,ni->nr", b[:, :, :2], speed)
         by_pose = np.concatenate(
-            [turned, b_target, by_time[:, :, None], (by_time * late[:, None])[:, :, None]], axis=2
+            [turned, b_target, by_clock[:, :, None], (by_clock * late[:, None])[:, :, None]], axis=2
         )
     along = -np.einsum("nri,ni->nr", b, ray)
     right = np.einsum("nri,ni->nr", b, e_east) * (ranges * level)[:, None]
@@ -354,17 +380,18 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
         + [deeper, beyond, along, up, right],
         axis=2,
     )
+    own_first = OF_LIDAR * max(lidar - 1, 0)
     columns = np.concatenate(
         [
-            np.broadcast_to(np.arange(8), (len(d), 8)),
+            np.broadcast_to(own_first + np.arange(OF_LIDAR), (len(d), OF_LIDAR)),
             np.broadcast_to(first + np.arange(DEVICE), (len(d), DEVICE)),
             first + DEVICE + band[:, None] + count * np.arange(3),
         ],
         axis=1,
     )
     return _Linear(
-        residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, times, sigma,
-        stated,
+        residual, number, by_coefs, np.concatenate([by_pose, by_errors], 2), columns, by_clock,
+        times, sigma, stated,
     )  # fmt: skip
 
 
@@ -379,5 +406,5 @@ def _across(ray: Array, n: Array) -> tuple[Array, Array, Array]:
 def _errors_of(frame: Frame, state: State, lidar: int) -> tuple[Array, int]:
     """Errors of a LiDAR, and their index in the border."""
     sizes = [DEVICE + 3 * len(bands) for bands in frame.bands]
-    first = 8 + sum(sizes[:lidar])
-    return state.border[first - OFFSET : first - OFFSET + sizes[lidar]], first
+    first = sum(sizes[:lidar])
+    return state.errors[first : first + sizes[lidar]], frame.first_error + first

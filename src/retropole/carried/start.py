@@ -39,13 +39,29 @@ AS_GOOD = 4.0
 """Basins with up to this many times the least cost are starts, too."""
 
 
+class Poses(NamedTuple):
+    """Poses (L, 4, 4) of all LiDARs in the frame of the first, and how far ahead clocks are, s."""
+
+    T: Array
+    offsets: Array
+
+
 class Start(NamedTuple):
-    """A pose to start from, (4, 4), with the clock offset, s, its cost, rad, and which sign."""
+    """A pose to start from, (4, 4), with the clock offset, s, its cost, rad, and which sign.
+
+    ``common`` is how many sweeps it rests on.
+    """
 
     T_target_source: Array
     offset: float
     cost: float
     flipped: bool
+    common: int = 0
+
+    @property
+    def poses(self) -> Poses:
+        """Of both LiDARs."""
+        return Poses(np.stack([np.eye(4), self.T_target_source]), np.array([0.0, self.offset]))
 
 
 def find_starts(target: Track, source: Track) -> list[Start]:
@@ -108,4 +124,4 @@ def _fit(
         off = angle + distance / METRES_PER_RADIAN
         kept = off <= 3 * np.median(off)
     cost = float(np.median(angle) + np.median(distance) / METRES_PER_RADIAN)
-    return Start(se3.from_rt(R, t), tau, cost, flipped)
+    return Start(se3.from_rt(R, t), tau, cost, flipped, len(to))

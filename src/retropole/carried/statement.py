@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def state_walk(
         seconds=seconds,
         uncertainty=_uncertainty(adjusted) if refined is None else refined.uncertainty,
         confirmation=confirmation,
-        walk=_figures(found, points, directions),
+        walk=_walk(found, points, directions),
     )
     return origins.moved_back(answer)
 
@@ -146,31 +147,46 @@ def rms_of(adjusted: Adjusted) -> float:
     return float(np.sqrt(np.sum(weights * off**2) / max(weights.sum(), 1.0)))
 
 
-def _figures(found: WalkCalibration, points: Array, directions: Array) -> CarriedWalk:
-    adjusted, (target, source) = found.adjusted, found.tracks
+def figures_of(adjusted: Adjusted, points: Array, directions: Array) -> dict[str, Any]:
+    """Say how the pole was carried, by the names of `CarriedWalk` and `SiteWalk`.
+
+    Parameters
+    ----------
+    adjusted
+        The answer.
+    points, directions
+        As of `axes_in_target`.
+    """
     along, across, lean = extent_of(adjusted)
     first, last = adjusted.times.min(), adjusted.times.max()
     inside = (adjusted.at >= first) & (adjusted.at <= last)
     path = np.column_stack([adjusted.at - first, points])[inside]
-    scale, jitter = adjusted.spread.T
     # A direction has no sign: most LiDARs have their z axis upwards.
     up = directions.mean(axis=0)
-    up *= np.sign(up[2] + (found.T_target_source[:3, 2] @ up)) or 1.0
+    up *= np.sign(np.sum(adjusted.T[:, :3, 2] @ up)) or 1.0
+    return {
+        "seconds": float(last - first),
+        "along_m": along,
+        "across_m": across,
+        "lean_rad": lean,
+        "left_out": adjusted.left_out,
+        "up": up / np.linalg.norm(up),
+        "path": every_nth(path, MOST_PLACES).tolist(),
+    }
+
+
+def _walk(found: WalkCalibration, points: Array, directions: Array) -> CarriedWalk:
+    adjusted, (target, source) = found.adjusted, found.tracks
+    scale, jitter = adjusted.spread.T
     return CarriedWalk(
         clock_offset_s=-found.offset,
         clock_sigma_s=found.offset_sigma,
         clock_drift=-found.drift,
         middle_s=found.middle,
-        seconds=float(last - first),
         sweeps=(target.sweeps, source.sweeps),
         found=(len(target.times), len(source.times)),
-        along_m=along,
-        across_m=across,
-        lean_rad=lean,
-        left_out=adjusted.left_out,
         range_scale=(float(scale[0]), float(scale[1])),
         edge_jitter_rad=(float(jitter[0]), float(jitter[1])),
-        clock_windows=(adjusted.clock_windows * [1, -1, 1]).tolist(),
-        up=up / np.linalg.norm(up),
-        path=every_nth(path, MOST_PLACES).tolist(),
+        clock_windows=(adjusted.clock_windows[1] * [1, -1, 1]).tolist(),
+        **figures_of(adjusted, points, directions),
     )

@@ -51,6 +51,9 @@ hundreds are not independent to the last."""
 SAME_OFFSET = 0.02
 """Solutions whose clocks and poses agree are one: within this, s, and 5 σ."""
 
+PAIR = "target", "source"
+"""What the LiDARs of a pair are called. Of the only pose of a pair no name is needed."""
+
 
 def check_tracks(tracks: Sequence[Track]) -> None:
     """Refuse tracks in which more than one pole moves.
@@ -70,13 +73,15 @@ def check_tracks(tracks: Sequence[Track]) -> None:
         )
 
 
-def chosen(solutions: Sequence[Adjusted]) -> Adjusted:
+def chosen(solutions: Sequence[Adjusted], names: Sequence[str] = PAIR) -> Adjusted:
     """Take the solution that fits best, where it is the only one that fits and the walk tells.
 
     Parameters
     ----------
     solutions
         Of every start, at least one.
+    names
+        Of the LiDARs, for messages.
 
     Raises
     ------
@@ -85,19 +90,23 @@ def chosen(solutions: Sequence[Adjusted]) -> Adjusted:
     """
     best = min(solutions, key=lambda each: each.cost)
     _check_fit(best)
-    _check_clock(best)
+    _check_clock(best, names)
     for other in solutions:
-        is_other = abs(other.offset - best.offset) > SAME_OFFSET or _apart(best, other) > 5.0
-        if is_other and other.cost < best.cost + DECIDED:
-            off = se3.difference(best.T_target_source, other.T_target_source)
+        clocks = np.stack([best.clocks[:, 0], other.clocks[:, 0]])
+        late = np.abs(clocks[1] - clocks[0])
+        apart = _apart(best, other)
+        if (late.max() > SAME_OFFSET or apart.max() > 5.0) and other.cost < best.cost + DECIDED:
+            k = int(np.argmax(np.maximum(late / SAME_OFFSET, apart / 5.0)))
+            first, second = clocks[:, k].tolist()
+            off = se3.difference(best.T[k], other.T[k])
             raise Refusal(
                 "several_walks_fit",
-                f"clock offsets of {best.offset:.3f} s and {other.offset:.3f} s fit alike, with "
+                f"clock offsets{_of(names, k)} of {first:.3f} s and {second:.3f} s fit alike, with "
                 f"poses {np.degrees(off.rotation):.1f}° and {off.translation:.2f} m apart: walk "
                 "with turns, and lean the pole to all sides",
-                {"offset_s": best.offset, "other_offset_s": other.offset},
+                {"offset_s": first, "other_offset_s": second},
             )
-    _check_geometry(best)
+    _check_geometry(best, names)
     if not best.converged:
         raise Refusal(
             "walk_does_not_fit",
@@ -108,11 +117,24 @@ def chosen(solutions: Sequence[Adjusted]) -> Adjusted:
     return best
 
 
-def _apart(one: Adjusted, other: Adjusted) -> float:
-    """How far two poses are apart, in σ of both."""
-    step = se3.local(one.T_target_source, other.T_target_source)
-    both = (one.covariance + other.covariance)[:6, :6]
-    return float(np.sqrt(step @ np.linalg.solve(both, step)))
+def _of(names: Sequence[str], k: int, word: str = "of") -> str:
+    """Name one LiDAR of several; nothing of the source of a pair."""
+    return f" {word} {names[k]}" if len(names) > 2 else ""
+
+
+def _apart(one: Adjusted, other: Adjusted) -> Array:
+    """(L,) how far two poses of each LiDAR are apart, in σ of both; 0 of the target."""
+    found = [0.0]
+    for k, (T, T_other) in enumerate(zip(one.T[1:], other.T[1:], strict=True)):
+        step, own = se3.local(T, T_other), own_part(k + 1)
+        both = (one.covariance + other.covariance)[own, own]
+        found.append(float(np.sqrt(step @ np.linalg.solve(both, step))))
+    return np.array(found)
+
+
+def own_part(lidar: int) -> slice:
+    """Where the pose of a LiDAR, but for the first, is in `Adjusted.covariance`."""
+    return slice(7 * lidar - 7, 7 * lidar - 1)
 
 
 def _check_fit(best: Adjusted) -> None:
@@ -142,7 +164,7 @@ def _check_fit(best: Adjusted) -> None:
 def window_rms(best: Adjusted) -> float:
     """Largest root mean square of the residuals of a LiDAR in a window, in σ."""
     place = ((best.times - best.times.min()) / WINDOW).astype(np.int64)
-    group = 2 * place + best.lidar
+    group = len(best.T) * place + best.lidar
     known = best.residuals.any(axis=1)
     count = np.bincount(group[known])
     square = np.minimum(np.abs(best.residuals[known]), CLIPPED) ** 2
@@ -151,26 +173,36 @@ def window_rms(best: Adjusted) -> float:
     return float(np.sqrt((sums[:, enough] / count[enough]).max(initial=0.0)))
 
 
-def _check_clock(best: Adjusted) -> None:
+def _check_clock(best: Adjusted, names: Sequence[str]) -> None:
     """Refuse clocks whose offset changes within the walk by more than they drift."""
-    step = best.clock_step[1:]
-    found, most = best.clock_windows[:, 1:], JUMP_SIGMAS
-    if abs(step[0]) > STEP_SIGMAS * step[1]:
-        found, most = step[None], STEP_SIGMAS
-    jumps = (np.abs(found[:, 0]) > MAX_JUMP) & (np.abs(found[:, 0]) > most * found[:, 1])
-    if jumps.any():
-        jump, off = found[int(np.argmax(np.abs(found[:, 0]) * jumps))]
+    jumped = []
+    for k, (windows, (_, *step)) in enumerate(
+        zip(best.clock_windows, best.clock_steps, strict=True)
+    ):
+        found, most = windows[:, 1:], JUMP_SIGMAS
+        if abs(step[0]) > STEP_SIGMAS * step[1]:
+            found, most = np.array([step]), STEP_SIGMAS
+        jumps = (np.abs(found[:, 0]) > MAX_JUMP) & (np.abs(found[:, 0]) > most * found[:, 1])
+        if jumps.any():
+            jump, off = found[int(np.argmax(np.abs(found[:, 0]) * jumps))]
+            jumped.append((abs(jump) / off, k, float(jump), float(off)))
+    if jumped:
+        # A clock that jumps does so against all others, which seem to jump less.
+        _, k, jump, off = max(jumped)
         raise Refusal(
             "clock_jumps",
-            f"within the walk the clocks' offset changes by {1e3 * jump:+.1f} ± {1e3 * off:.1f} "
-            "ms: let the clocks synchronise first, and record again",
-            {"jump_s": float(jump), "sigma_s": float(off)},
+            f"within the walk the clocks' offset{_of(names, k)} changes by {1e3 * jump:+.1f} ± "
+            f"{1e3 * off:.1f} ms: let the clocks synchronise first, and record again",
+            {"jump_s": jump, "sigma_s": off},
         )
 
 
-def _check_geometry(best: Adjusted) -> None:
-    """Refuse a walk that leaves the pose open, and say what it lacked."""
-    error = predicted_error(best.covariance[:6, :6], (AT,))[0].sigma_m
+def _check_geometry(best: Adjusted, names: Sequence[str]) -> None:
+    """Refuse a walk that leaves a pose open, and say what it lacked."""
+    each = range(1, len(best.T))
+    parts = [best.covariance[own_part(k), own_part(k)] for k in each]
+    errors = [predicted_error(part, (AT,))[0].sigma_m for part in parts]
+    error, worst = max(zip(errors, each, strict=True))
     if error <= MAX_ERROR:
         return
     along, across, lean = extent_of(best)
@@ -186,8 +218,9 @@ def _check_geometry(best: Adjusted) -> None:
     why = ", ".join(lacks) or "the walk was short"
     raise Refusal(
         "too_little_walk",
-        f"{AT:g} m away a point would be off by {error:.2g} m, 1 σ, no more than {MAX_ERROR:g} m "
-        f"may be: {why}; walk on, to and fro and across, and lean the pole to all sides",
+        f"{AT:g} m away a point{_of(names, worst)} would be off by {error:.2g} m, 1 σ, no more "
+        f"than {MAX_ERROR:g} m may be: {why}; walk on, to and fro and across, and lean the pole "
+        "to all sides",
         {"sigma_m": error, "along_m": along, "across_m": across, "lean_rad": lean},
     )
 

@@ -1,12 +1,19 @@
-"""The method on one page: from two recordings of a walk to a pose and a clock offset."""
+"""The method on one page: from recordings of a walk to poses and clock offsets.
+
+Of a pair, and in `solve_tracks` of any number of LiDARs: poses of pairs are chained from the first
+LiDAR on, along the pairs that fit best for longest.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from ..base.errors import Refusal
 from ..base.sensors import Sensor
@@ -15,12 +22,12 @@ from ..base.uncertainty import floor
 from .adjustment import Adjusted, adjust, in_recordings
 from .linear import Seen
 from .rows import rows_of
-from .start import FEWEST, WIDEST, Start, find_starts
+from .start import FEWEST, WIDEST, Poses, Start, find_starts
 from .track import Track, find_track
-from .verdict import check_tracks, chosen
+from .verdict import PAIR, check_tracks, chosen
 
 MOST_STARTS = 4
-"""At most this many starts are adjusted: each takes about a second."""
+"""At most this many starts of a pair are adjusted: each takes about a second."""
 
 WORST_START = 0.1
 """A start whose lines are further apart, rad, is none: of sound walks it was 0.010 to
@@ -114,28 +121,41 @@ def calibrate_tracks(
     Refusal
         As `calibrate_walk`.
     """
-    return taken(solve_tracks(tracks, sensors, radius, ahead))
+    late = None if ahead is None else np.array([0.0, ahead])
+    return taken(solve_tracks(tracks, sensors, radius, late))
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What fits two tracks: a solution for each start, about the start of the beams.
+    """What fits all tracks: a solution for each start, about the start of the beams.
 
-    ``ahead`` is by how much the source's clock was taken to be ahead, s; offsets are beside it.
+    ``ahead`` (L,) is by how much each clock was taken to be ahead, s; offsets are beside it.
     """
 
-    tracks: tuple[Track, Track]
-    ahead: float
+    tracks: tuple[Track, ...]
+    ahead: Array
     solutions: tuple[Adjusted, ...]
 
 
 def solve_tracks(
-    tracks: tuple[Track, Track],
-    sensors: tuple[Sensor | None, Sensor | None],
+    tracks: Sequence[Track],
+    sensors: Sequence[Sensor | None],
     radius: float,
-    ahead: float | None = None,
+    ahead: Array | None = None,
+    names: Sequence[str] = PAIR,
 ) -> Solved:
     """Adjust the walk from each start, as `calibrate_tracks` does before it judges.
+
+    Parameters
+    ----------
+    tracks, sensors
+        Of each LiDAR, the target first.
+    radius
+        Of the pole, metres.
+    ahead
+        (L,) by how much each clock is ahead of the target's, as of `calibrate_tracks`.
+    names
+        Of the LiDARs, for messages.
 
     Raises
     ------
@@ -144,28 +164,101 @@ def solve_tracks(
     """
     check_tracks(tracks)
     if ahead is None:
-        ahead = apart(*tracks)
-    times, stamps = tracks[1].times - ahead, tracks[1].stamps - ahead
-    both = tracks[0], replace(tracks[1], times=times, stamps=stamps)
-    starts = distinct(find_starts(*both))
-    if not starts or starts[0].cost > WORST_START:
+        ahead = apart(tracks)
+    near = [
+        replace(track, times=track.times - late, stamps=track.stamps - late)
+        for track, late in zip(tracks, ahead, strict=True)
+    ]
+    links = _links(near, names)
+    seen = [
+        Seen(rows_of(track, sensor, radius), sizes_of(sensor))
+        for track, sensor in zip(near, sensors, strict=True)
+    ]
+    solved: dict[tuple[int, ...], Adjusted] = {}
+    best = (0,) * len(links)
+    while True:
+        # Another basin of one pair at a time: what two change costs more than what one does.
+        others = (
+            (*best[:at], k, *best[at + 1 :])
+            for at, (_, starts) in enumerate(links)
+            for k in range(len(starts))
+        )
+        for which in others:
+            if which not in solved:
+                poses = _chained(links, which)
+                solved[which] = adjust(poses, near, seen, radius)
+        before, best = best, min(solved, key=lambda which: solved[which].cost)
+        if best == before:
+            return Solved(tuple(tracks), ahead, tuple(solved.values()))
+
+
+Link = tuple[tuple[int, int], list[Start]]
+"""Two LiDARs that both see the walk, and the starts of the second in the frame of the first."""
+
+
+def _links(tracks: Sequence[Track], names: Sequence[str]) -> list[Link]:
+    """Find the pairs that link all LiDARs best, from the first one on.
+
+    Raises
+    ------
+    Refusal
+        ``no_common_walk`` if there are none.
+    """
+    count = len(tracks)
+    found: dict[tuple[int, int], list[Start]] = {}
+    for pair in combinations(range(count), 2):
+        starts = distinct(find_starts(*(tracks[k] for k in pair)))
+        if starts and starts[0].cost <= WORST_START:
+            found[pair] = starts
+    costs = np.zeros((count, count))
+    for (i, j), (best, *_) in found.items():
+        # At some offset, parts of two walks fit by chance; long ones do not. 0 would be no link.
+        costs[i, j] = max(best.cost, 1e-9) / best.common
+    tree = minimum_spanning_tree(costs)
+    order, before = breadth_first_order(tree, 0, directed=False)
+    if len(order) < count:
+        linked, others = (
+            [names[k] for k in range(count) if (k in order) == is_linked]
+            for is_linked in (True, False)
+        )
+        one, other = (
+            " and ".join(f"the {name}" if names is PAIR else name for name in each)
+            for each in (linked, others)
+        )
+        all_of_them = "both" if count == 2 else "all"
         raise Refusal(
             "no_common_walk",
-            f"with clocks that differ by up to {WIDEST:g} s, no {FEWEST} sweeps of the target are "
-            "there in which the source sees the pole too: record both at once, and walk where "
-            "both see it",
-            {"target": len(tracks[0].times), "source": len(tracks[1].times)},
+            f"with clocks that differ by up to {WIDEST:g} s, no {FEWEST} sweeps of {one} are "
+            f"there in which {other} sees the pole too: record {all_of_them} at once, and walk "
+            "where both see it",
+            {name: len(track.times) for name, track in zip(names, tracks, strict=True)},
         )
-    target, source = (
-        Seen(rows_of(track, sensor, radius), sizes_of(sensor))
-        for track, sensor in zip(both, sensors, strict=True)
-    )
-    solutions = [adjust(start, both, (target, source), radius) for start in starts]
-    return Solved(tracks, ahead, tuple(solutions))
+    links = []
+    for k in order[1:]:
+        first, second = sorted((int(before[k]), int(k)))
+        links.append(((first, second), found[first, second]))
+    return links
+
+
+def _chained(links: Sequence[Link], which: Sequence[int]) -> Poses:
+    """Chain poses and clock offsets of pairs, one start of each, from the first LiDAR on."""
+    count = len(links) + 1
+    T, offsets = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count)
+    known = {0}
+    for ((first, second), starts), k in zip(links, which, strict=True):
+        start = starts[k]
+        if first in known:
+            T[second] = T[first] @ start.T_target_source
+            offsets[second] = offsets[first] + start.offset
+        else:
+            T[first] = T[second] @ se3.inverse(start.T_target_source)
+            offsets[first] = offsets[second] - start.offset
+        known |= {first, second}
+    return Poses(T, offsets)
 
 
 def taken(solved: Solved) -> WalkCalibration:
-    """Take the solution that is the answer, in the frames of the recordings.
+    """Take the solution of a pair that is the answer, in the frames of the recordings.
 
     Raises
     ------
@@ -178,25 +271,27 @@ def taken(solved: Solved) -> WalkCalibration:
     return WalkCalibration(
         best.T_target_source,
         covariance,
-        best.offset + solved.ahead,
+        best.offset + float(solved.ahead[1]),
         float(np.sqrt(best.covariance[6, 6])),
-        best.drift,
-        best.middle,
-        solved.tracks,
+        float(best.clocks[1, 1]),
+        float(best.middles[1]),
+        (solved.tracks[0], solved.tracks[1]),
         best,
     )
 
 
-def apart(target: Track, source: Track) -> float:
-    """Offset of the clocks, s, where the walks do not overlap by half as they are; else 0.
+def apart(tracks: Sequence[Track]) -> Array:
+    """Offsets of the clocks (L,) from that of the first, s.
 
-    Taken from where the pole was first seen.
+    0 of those whose walks overlap by half as they are; of others taken from where the pole was
+    first seen by any whose walks do.
     """
-    begins, ends = ([each.times[k] for each in (target, source)] for k in (0, -1))
-    shorter = min(target.times[-1] - target.times[0], source.times[-1] - source.times[0])
-    if min(ends) - max(begins) >= shorter / 2:
-        return 0.0
-    return float(source.times[0] - target.times[0])
+    begins, ends = (np.array([each.times[k] for each in tracks]) for k in (0, -1))
+    common = np.minimum.outer(ends, ends) - np.maximum.outer(begins, begins)
+    overlap = common >= np.minimum.outer(ends - begins, ends - begins) / 2
+    count, group = connected_components(overlap, directed=False)
+    first = np.array([begins[group == k].min() for k in range(count)])
+    return np.where(group == group[0], 0.0, first[group] - first[group[0]])
 
 
 def distinct(starts: Sequence[Start]) -> list[Start]:

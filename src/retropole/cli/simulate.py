@@ -115,6 +115,12 @@ class _OrSite(Brief, click.Group):
     "--carried", is_flag=True, help="A person carries one pole, and both LiDARs record the walk."
 )
 @click.option(
+    "--lidars",
+    type=Whole(2, 12),
+    help="Number of LiDARs with --carried; a third and more are of the second's model, and all are "
+    "in site.toml.  [default: 2]",
+)
+@click.option(
     "--sweeps",
     "frames",
     type=Whole(1, 1200),
@@ -136,6 +142,7 @@ def simulate(
     poles: int | None,
     carried: bool,
     frames: int | None,
+    lidars: int | None,
     quiet: bool,
     **drawn: Any,
 ) -> int:
@@ -152,12 +159,16 @@ def simulate(
       retropole plan bare/lidar0.pcd bare/lidar1.pcd
       retropole simulate street --carried --seed 1 --out w
       retropole calibrate w/lidar0 w/lidar1 --carried
+      retropole simulate street --carried --lidars 3 --seed 1 --out w3
+      retropole site calibrate w3/site.toml
     """
     most = 1200 if carried else 200
     if (frames or 1) > most:
         raise click.UsageError(f"--sweeps is {frames}, {most} at most without --carried")
     if carried and poles is not None:
         raise click.UsageError("--carried is with one pole, and without --poles")
+    if lidars is not None and not carried:
+        raise click.UsageError("--lidars is with --carried; 'simulate site' is of standing poles")
     from ..api.simulation import simulate as run
     from ..api.simulation import simulate_walk as run_walk
     from ..api.simulation import write_pair, write_walk
@@ -165,11 +176,13 @@ def simulate(
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
         if carried:
-            walk = run_walk(scene, seed, radius=radius_m, frames=frames or 400, **drawn)
+            drawn |= {"frames": frames or 400, "lidars": lidars or 2}
+            walk = run_walk(scene, seed, radius=radius_m, **drawn)
             recordings = write_walk(walk, out, seed)
         else:
             drawn |= {"poles": 2 if poles is None else poles, "frames": frames or 1}
             recordings = write_pair(run(scene, seed, radius=radius_m, **drawn), out)
     if not quiet:
-        show_written(*(out / name for name in (*recordings, "truth.json")))
+        site = ["site.toml"] if len(recordings) > 2 else []
+        show_written(*(out / name for name in (*recordings, "truth.json", *site)))
     return 0

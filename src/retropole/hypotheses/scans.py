@@ -86,7 +86,7 @@ class SiteScans:
 
 
 def find_scans(site: Site) -> SiteScans:
-    """Search every recording of a site for poles.
+    """Search every recording of a site for poles; where one was carried, leave out what moved.
 
     A recording that cannot be used is left out and told in `SiteScans.faults`: others may do.
     """
@@ -99,7 +99,7 @@ def find_scans(site: Site) -> SiteScans:
         row: list[Scan | None] = []
         clouds: list[PointCloud | None] = []
         for p, cloud in enumerate(lidar.clouds):
-            scan = None if cloud is None else _scan(lidar, cloud, origins[i], site.radius)
+            scan = None if cloud is None else _scan(site, lidar, cloud, origins[i])
             clouds.append(None if scan is None else scan.cloud)
             try:
                 row.append(_checked(lidar.name, scan))
@@ -111,13 +111,14 @@ def find_scans(site: Site) -> SiteScans:
     return SiteScans(tuple(rows), origins, tuple(faults), tuple(recorded))
 
 
-def _scan(lidar: SiteLidar, cloud: PointCloud, origin: Array, radius: float) -> Scan:
+def _scan(site: Site, lidar: SiteLidar, cloud: PointCloud, origin: Array) -> Scan:
     about = replace(cloud, xyz=cloud.xyz - origin, origin=cloud.origin - origin)
     return find_poles(
         about,
         sensor=lidar.sensor,
         threshold=lidar.threshold,
-        radius=radius,
+        radius=site.radius,
+        search=not site.carried,
         mast_sway=lidar.mast_sway,
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..adjustment.snooping import POOR
 from ..base import se3
-from ..base.carried import CarriedWalk
+from ..base.carried import SiteWalk
 from ..base.clocks import NOTICED, is_set, words_of
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
@@ -25,7 +25,7 @@ from ..base.uncertainty import (
 from ..hypotheses.choice import hypothesis_name
 from ..result import HypothesisDoc, InputDoc, PoleDoc, ResultDoc, TestDoc
 from ..result.contents import RejectedDoc
-from ..result.site import FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc
+from ..result.site import LIDARS, FoundDoc, LidarDoc, LoopDoc, PairDoc, SiteDoc
 from .subject import Subject, pair_name
 
 POLE_COLUMNS = "pole; x, m; y, m; z, m; length, m; points; rings; rms, mm"
@@ -371,14 +371,21 @@ def radius_words(result: ResultDoc) -> str | None:
     return f"{given} given, {value_and_error(radius.estimated, radius.sigma)} estimated"
 
 
-def clock_words(found: CarriedWalk) -> str:
-    """Say how the clocks of both LiDARs differ."""
-    offset = found.clock_offset_s
-    apart = f"{'+' if offset >= 0 else '−'} {abs(offset):.6f} s"
-    return f"t_target = t_source {apart}, 1 sigma {1e3 * found.clock_sigma_s:.2g} ms"
+def clock_words(subject: Subject, lidar: int) -> str:
+    """Say how the clock of a LiDAR before which a pole was carried differs from the reference's."""
+    assert subject.site.walk is not None
+    own, names = subject.site.walk.lidars[lidar], walk_names(subject)
+    apart = f"{'+' if own.clock_offset_s >= 0 else '−'} {abs(own.clock_offset_s):.6f} s"
+    sigma = f"1 sigma {1e3 * own.clock_sigma_s:.2g} ms"
+    return f"t_{names[subject.site.reference]} = t_{names[lidar]} {apart}, {sigma}"
 
 
-def carried_words(found: CarriedWalk) -> str:
+def walk_names(subject: Subject) -> Sequence[str]:
+    """Name the LiDARs before which a pole was carried: those of a pair target and source."""
+    return LIDARS if subject.pair else [each.name for each in subject.site.lidars]
+
+
+def carried_words(found: SiteWalk) -> str:
     """Say how the pole was carried."""
     return (
         f"{found.seconds:.0f} s, {found.along_m:.1f} m to either side along and "
@@ -421,6 +428,10 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
         found = max(site.sways, key=lambda each: each.sway.left_rad)
         yield f"swayed while recorded: {subject.called(found.lidar)} {found.sway.words}"
     yield from clocks(subject)
+    if site.walk is not None:
+        others = (k for k in range(len(site.lidars)) if k != site.reference)
+        yield f"clocks: {'; '.join(clock_words(subject, k) for k in others)}"
+        yield f"walk: {carried_words(site.walk)}"
     if pair is not None:
         yield from _of_pair(pair, verbose)
         if verbose and subject.answered and site.tests:
@@ -462,9 +473,6 @@ def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
     """Say what only a pair states: its weakest direction, the radius, what the scene shows."""
     if pair.weakest is not None:
         yield f"weakest direction, 1 sigma: {pair.weakest.words}"
-    if pair.walk is not None:
-        yield f"clocks: {clock_words(pair.walk)}"
-        yield f"walk: {carried_words(pair.walk)}"
     radius, scene = radius_words(pair), scene_words(pair)
     if verbose and radius is not None:
         yield f"radius of the poles: {radius}"
@@ -477,7 +485,7 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
     if len(site.groups) > 1:
         groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
         yield f"not linked with each other: {' | '.join(groups)}"
-    if answered:
+    if answered and site.walk is None:
         yield from checks_of_site(site)
 
 

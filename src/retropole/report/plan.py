@@ -30,7 +30,7 @@ class Plan:
 
 
 def plan_of(document: SiteDoc) -> Plan:
-    """Lay a site level: by its surveyed frame, by an inertial sensor, or else by its poles."""
+    """Lay a site level: by its surveyed frame, by an inertial sensor, or its poles or walk."""
     frame = document.frame
     if frame.surveyed or frame.epsg is not None or frame.geodetic is not None:
         north = "north" if frame.geodetic is not None else None
@@ -40,6 +40,8 @@ def plan_of(document: SiteDoc) -> Plan:
         if lidar.up is not None and lidar.T_site_lidar is not None:
             up = np.array(lidar.T_site_lidar)[:3, :3] @ lidar.up.direction
             return Plan(turning(up), f"what the inertial sensor of {lidar.name} says", None)
+    if document.walk is not None:
+        return Plan(turning(document.walk.up), "the way the pole points on average", None)
     if not document.poles:
         return Plan(np.eye(3), "the z axis of the site's frame", None)
     return Plan(turning(_along_poles(document)), "the way the poles stand on average", None)

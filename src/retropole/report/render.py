@@ -88,7 +88,7 @@ def render_report(
     answer, plan = subject.site, plan_of(subject.site)
     view = page_view(subject, plan, max_points)
     # Of a pole that moves nothing is listed as standing.
-    carried = subject.pair is not None and subject.pair.config.carried
+    carried = answer.config.carried
     found = EMPTY if carried else poles(subject)
     refused, heading = answer.status == "refused", answer.name or "Site"
     if subject.pair is not None:

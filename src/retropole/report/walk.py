@@ -1,4 +1,4 @@
-"""The walk with one pole, from above, and the clocks of both LiDARs in each part of it."""
+"""The walk with one pole, from above, and the clocks of the LiDARs in each part of it."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..base.carried import CarriedWalk
+from ..base.carried import SiteWalk
 from ..base.datatypes import Array
 from ..base.quantities import large, round_below
-from ..result import ResultDoc
-from ..result.site import LIDARS, input_names
-from .listings import Listing, carried_words, clock_words
+from ..result.site import input_names
+from .listings import Listing, carried_words, clock_words, walk_names
 from .map import MARGIN, fit
-from .page import EMPTY, Html, fill, listed
+from .page import EMPTY, Html, fill, join, listed
 from .plan import turning
 from .subject import Subject, colour_class
 from .svg import WIDTH, Chart, Labels, picture, round_numbers, short
@@ -24,23 +23,23 @@ SHADES = 6
 
 def walk(subject: Subject) -> Html:
     """Show the walk; nothing of poles that stood."""
-    pair = subject.pair
-    if pair is None or pair.walk is None or pair.T_target_source is None:
+    found = subject.site.walk
+    if found is None or not subject.answered:
         return EMPTY
+    others = (k for k in range(len(found.lidars)) if k != subject.site.reference)
     return fill(
         "walk",
-        above=_from_above(pair, pair.walk),
-        clocks=_clocks(pair.walk),
-        figures=listed(_figures(pair.walk)),
+        above=_from_above(subject, found),
+        clocks=join(_clocks(subject, found, k) for k in others),
+        figures=listed(_figures(subject, found)),
     )
 
 
-def _from_above(pair: ResultDoc, found: CarriedWalk) -> Html:
-    assert pair.T_target_source is not None
+def _from_above(subject: Subject, found: SiteWalk) -> Html:
     R = turning(np.array(found.up))
     times, path = np.split(np.array(found.path).reshape(-1, 4), [1], axis=1)
     way = path @ R.T
-    lidars = np.stack([np.zeros(3), np.array(pair.T_target_source)[:3, 3]]) @ R.T
+    lidars = np.array([np.array(each.T_site_lidar)[:3, 3] for each in subject.site.lidars]) @ R.T
     scale, height, chart = fit(np.concatenate([lidars, way])[:, :2])
     labels = Labels(WIDTH, height)
     labels.keep_free(40.0, height - 10.0, 40.0)
@@ -51,7 +50,8 @@ def _from_above(pair: ResultDoc, found: CarriedWalk) -> Html:
         x, y = chart.at(at[None])[0]
         marks.append(fill("walk-end", x=x, y=y))
         marks.append(labels.place(name, x, y, 9.0, "soft"))
-    names = input_names(pair) or LIDARS
+    recorded = input_names(subject.pair) if subject.pair else []
+    names = recorded or walk_names(subject)
     for k, ((x, y), name) in enumerate(zip(chart.at(lidars), names, strict=False)):
         marks.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
         marks.append(labels.place(short(name), x, y, 11.0, f"name {colour_class(k)}"))
@@ -75,12 +75,13 @@ def _way(chart: Chart, way: Array) -> list[Html]:
     ]
 
 
-def _clocks(found: CarriedWalk) -> Html:
-    """Draw the offset of the clocks in each window relative to that of the walk, with 1 σ."""
-    if len(found.clock_windows) < 2:
+def _clocks(subject: Subject, found: SiteWalk, lidar: int) -> Html:
+    """Draw the offset of a clock in each window relative to that of the walk, with 1 σ."""
+    own = found.lidars[lidar]
+    if len(own.clock_windows) < 2:
         return EMPTY
-    middle, offset, sigma = np.array(found.clock_windows).T
-    at, offset, sigma = middle - found.middle_s + found.seconds / 2, 1e3 * offset, 1e3 * sigma
+    middle, offset, sigma = np.array(own.clock_windows).T
+    at, offset, sigma = middle - found.begin_s, 1e3 * offset, 1e3 * sigma
     most = 1.1 * float(np.max(np.abs(offset) + sigma))
     chart = Chart((70.0, 34.0, 500.0, 196.0), (0.0, found.seconds), (-most, most))
     marks = chart.axes(
@@ -92,17 +93,19 @@ def _clocks(found: CarriedWalk) -> Html:
             y = chart.at(np.array([[x, value]]))[0, 1]
             marks.append(fill("clock-window", x=low[0], low=low[1], high=high[1], y=y))
     said = (
-        f"{clock_words(found)}. The chart has windows of 5 s, relative to the whole walk, 1 σ. "
-        "Clocks that keep one rate stay about zero."
+        f"{clock_words(subject, lidar)}. The chart has windows of 5 s, relative to the whole walk, "
+        "1 σ. Clocks that keep one rate stay about zero."
     )
-    return picture("clocks-said", 250.0, marks, said, "curve")
+    name = "clocks-said" if subject.pair else f"clocks-said-{lidar}"
+    return picture(name, 250.0, marks, said, "curve")
 
 
-def _figures(found: CarriedWalk) -> Listing:
-    seen = [f"{n} of {count}" for n, count in zip(found.found, found.sweeps, strict=True)]
+def _figures(subject: Subject, found: SiteWalk) -> Listing:
+    seen = found.lidars
     rows = [
-        ["sweeps in which the pole was found", *seen],
-        ["scatter of ranges, times what is stated", *(f"{x:.2f}" for x in found.range_scale)],
-        ["edges of the pole move by, mrad", *(f"{1e3 * x:.2f}" for x in found.edge_jitter_rad)],
+        ["sweeps in which the pole was found", *(f"{x.found} of {x.sweeps}" for x in seen)],
+        ["scatter of ranges, times what is stated", *(f"{x.range_scale:.2f}" for x in seen)],
+        ["edges of the pole move by, mrad", *(f"{1e3 * x.edge_jitter_rad:.2f}" for x in seen)],
     ]
-    return Listing("What both saw", ["", *LIDARS], rows)
+    caption = "What both saw" if len(seen) == 2 else "What each saw"
+    return Listing(caption, ["", *walk_names(subject)], rows)

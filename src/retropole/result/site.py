@@ -34,6 +34,7 @@ from ..base.bounded import (
     Status,
     Text,
 )
+from ..base.carried import SiteWalk
 from ..base.datatypes import Array, Scan
 from ..base.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
@@ -68,7 +69,8 @@ SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad
 class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
     """How a site was read: the site file, and the options of the run.
 
-    None stands for frames evenly spread; frames are start, stop and step.
+    None stands for frames evenly spread; frames are start, stop and step. A pole that was carried
+    stands nowhere.
     """
 
     site_file: Text = ""
@@ -76,6 +78,7 @@ class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
     frames: Frames | None = None
     max_points: MaxPoints = MAX_POINTS
     unit: Unit = "m"
+    carried: bool = False
 
 
 class LidarDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
@@ -189,6 +192,7 @@ class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     sways: Annotated[list[SwayDoc], Meta(max_length=LONGEST_LIST)] = msgspec.field(
         default_factory=list
     )
+    walk: SiteWalk | None = None
     inputs: Annotated[list[RecordingDoc], Meta(max_length=LONGEST_LIST)]
     config: SiteConfig
     version: Text
@@ -243,7 +247,8 @@ def as_site(document: ResultDoc | SiteDoc) -> SiteDoc:
             recording_document(item, k % 2, k // 2, reads[k % 2])
             for k, item in enumerate(document.inputs)
         ],
-        config=SiteConfig(max_points=config.max_points),
+        walk=None if document.walk is None else document.walk.of_site,
+        config=SiteConfig(max_points=config.max_points, carried=config.carried),
     )
 
 

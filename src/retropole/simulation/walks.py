@@ -1,4 +1,4 @@
-"""A person who carries a taped pole through the view of two LiDARs, recorded return by return.
+"""A person who carries a taped pole through the view of LiDARs, recorded return by return.
 
 All that moves is met where it is when each beam leaves. What stands is cast once for a few phases
 of a LiDAR whose lines repeat, since nothing of it changes from sweep to sweep.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -219,27 +220,31 @@ class SimulatedWalk:
     surfaces
         What stands, in the world frame.
     recorders
-        The target and the source.
+        The target, and the source or several.
     """
 
     walks: tuple[Walk, ...]
     surfaces: tuple[Surface, ...]
-    recorders: tuple[Recorder, Recorder]
+    recorders: tuple[Recorder, ...]
+
+    @property
+    def T_target_lidar(self) -> Array:
+        """(L, 4, 4) true pose of each LiDAR in the frame of the target."""
+        world = np.stack([each.T_world_sensor for each in self.recorders])
+        return np.asarray(se3.inverse(world[0]) @ world)
 
     @property
     def T_target_source(self) -> Array:
-        """(4, 4) true pose."""
-        target, source = (each.T_world_sensor for each in self.recorders)
-        return se3.inverse(target) @ source
+        """(4, 4) true pose of the source."""
+        return np.asarray(self.T_target_lidar[1])
 
-    @property
-    def clock_offset(self) -> float:
-        """What is added to the source's times to have the target's, at the walk's middle, s."""
-        source = self.recorders[1]
+    def clock_offset(self, lidar: int = 1) -> float:
+        """What is added to a LiDAR's times to have the target's, at the walk's middle, s."""
+        source = self.recorders[lidar]
         return -source.clock - source.drift * self.walks[0].seconds / 2
 
     def record(self, lidar: int, rng: np.random.Generator) -> Iterator[PointCloud]:
-        """Give the sweeps of the target (0) or the source (1), with the times of its clock."""
+        """Give the sweeps of the target (0) or another LiDAR, with the times of its clock."""
         return record_walk(self.walks, self.surfaces, self.recorders[lidar], rng)
 
 
@@ -248,7 +253,7 @@ def simulate_walk(
     rng: np.random.Generator,
     *,
     seconds: float = 40.0,
-    sensors: tuple[str, str] = ("VLP-16", "VLP-16"),
+    sensors: Sequence[str] = ("VLP-16", "VLP-16"),
     noise: NoiseModel = TYPICAL,
     radius: float = PAPER_RADIUS,
     clock: float = 2.0,
@@ -257,7 +262,7 @@ def simulate_walk(
     wears_vest: bool = False,
     stops: int = 0,
 ) -> SimulatedWalk:
-    """Draw a place, two LiDARs and a walk.
+    """Draw a place, two LiDARs or more and a walk.
 
     Parameters
     ----------
@@ -268,13 +273,13 @@ def simulate_walk(
     seconds
         How long is walked.
     sensors
-        Names of the target's and the source's model.
+        Names of the models, the target's first.
     noise
         How recordings differ from exact geometry.
     radius
         Of the pole, metres.
     clock
-        The source's clock is off by up to so much, s.
+        Clocks are off that of the target by up to so much, s.
     lean
         As in `draw_walk`.
     people
@@ -304,19 +309,20 @@ def simulate_walk(
             for _ in range(people)
         )
         in_view = all(_is_in_view(walks[0], *each) for each in zip(models, poses, strict=True))
-        if in_view and np.linalg.norm(at[0] - at[1]) > APART:
+        near = min(np.linalg.norm(one - other) for one, other in combinations(at, 2))
+        if in_view and near > APART:
             break
     else:
         raise SimulationError(
-            f"{MAX_DRAWS} draws of {scene!r} gave none where {sensors[0]} and {sensors[1]} both "
-            "have the pole in view"
+            f"{MAX_DRAWS} draws of {scene!r} gave none where {' and '.join(sensors)} all have the "
+            "pole in view"
         )
-    offset, drift = rng.uniform(-clock, clock), rng.normal(0, 5e-6)
+    clocks = [(rng.uniform(-clock, clock), rng.normal(0, 5e-6)) for _ in sensors[1:]]
     recorders = tuple(
         Recorder(model, draw_device(model, noise, rng), pose, noise, *own)
-        for model, pose, own in zip(models, poses, ((0.0, 0.0), (offset, drift)), strict=True)
+        for model, pose, own in zip(models, poses, [(0.0, 0.0), *clocks], strict=True)
     )
-    return SimulatedWalk(walks, tuple(place.surfaces), (recorders[0], recorders[1]))
+    return SimulatedWalk(walks, tuple(place.surfaces), recorders)
 
 
 def _draw_pose(model: Sensor, rng: np.random.Generator) -> Array:

@@ -50,8 +50,10 @@ def write_pair(pair: SimulatedPair, out: Path) -> tuple[str, str]:
     return names
 
 
-def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
+def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, ...]:
     """Write ``lidar0`` (target) and ``lidar1`` (source), a file for each sweep, and ``truth.json``.
+
+    Of more than two LiDARs ``lidar2`` and so on as well, and ``site.toml``.
 
     Parameters
     ----------
@@ -65,12 +67,12 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
     Returns
     -------
     tuple of str
-        The names of both recordings.
+        The names of all recordings.
     """
-    names = ("lidar0", "lidar1")
+    names = tuple(f"lidar{k}" for k in range(len(walk.recorders)))
     truth = {
         "T_target_source": walk.T_target_source,
-        "clock_offset_s": walk.clock_offset,
+        "clock_offset_s": walk.clock_offset(),
         "clock_drift": -walk.recorders[1].drift,
         "target": names[0],
         "source": names[1],
@@ -79,9 +81,27 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
         "radius_m": walk.walks[0].size[0],
         "devices": {
             role: each.device.as_dict()
-            for role, each in zip(("target", "source"), walk.recorders, strict=True)
+            for role, each in zip(("target", "source"), walk.recorders, strict=False)
         },
     }
+    site = None
+    if len(names) > 2:
+        each = zip(names, walk.recorders, strict=True)
+        lidars = [(name, recorder.sensor.name, [name]) for name, recorder in each]
+        lines = _keys({"name": "simulated walk", "placements": ["walk"], "carried": True})
+        radius = {"radius_m": walk.walks[0].size[0]}
+        site = _tables(lines, [("\n[poles]", radius), *_lidar_tables(lidars)])
+        truth["lidars"] = [
+            {
+                "name": name,
+                "sensor": recorder.sensor.name,
+                "T_world_lidar": recorder.T_world_sensor,
+                "clock_offset_s": walk.clock_offset(k),
+                "clock_drift": -recorder.drift,
+                "device": recorder.device.as_dict(),
+            }
+            for k, (name, recorder) in enumerate(zip(names, walk.recorders, strict=True))
+        ]
     (out / "truth.json").unlink(missing_ok=True)
     for lidar, name in enumerate(names):
         for left in (out / name).glob("[0-9]*.pcd"):
@@ -89,6 +109,8 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, str]:
         for k, cloud in enumerate(walk.record(lidar, np.random.default_rng([seed, lidar]))):
             write_pcd(out / name / f"{k:04}.pcd", cloud)
     write_atomically(out / "truth.json", _json(truth))
+    if site is not None:
+        write_atomically(out / "site.toml", site.encode())
     return names
 
 
@@ -211,10 +233,10 @@ def _site_file(site: SimulatedSite) -> str:
         ("\n[poles]", {"radius_m": site.radius}),
         ("\n[reference]", {"frame": "local"} if surveyed else {"lidar": site.names[0]}),
     ]
-    for k, (name, sensor) in enumerate(zip(site.names, site.sensors, strict=True)):
-        recordings = [_file(site, k, p) for p in range(len(site.placements))]
-        lidar = {"name": name, "sensor": sensor.name, "recordings": recordings}
-        tables.append(("\n[[lidar]]", lidar))
+    tables += _lidar_tables(
+        (name, sensor.name, [_file(site, k, p) for p in range(len(site.placements))])
+        for k, (name, sensor) in enumerate(zip(site.names, site.sensors, strict=True))
+    )
     for pole in site.surveyed:
         named = {"placement": site.placements[pole.placement]}
         tables.append(("\n[[surveyed_pole]]", {**_plain(pole), **named}))
@@ -226,8 +248,20 @@ def _site_file(site: SimulatedSite) -> str:
             named = {"lidar": site.names[own["lidar"]]}
             tables.append(("[[control_point.seen]]", {**own, **named}))
     lines = _keys({"name": f"simulated {site.kind}", "placements": site.placements})
-    for head, keys in tables:
-        lines += [head, *_keys(keys)]
+    return _tables(lines, tables)
+
+
+def _lidar_tables(
+    lidars: Iterable[tuple[str, str, list[str]]],
+) -> list[tuple[str, dict[str, Any]]]:
+    """Give the tables of LiDARs by their names, sensors and recordings."""
+    keys = "name", "sensor", "recordings"
+    return [("\n[[lidar]]", dict(zip(keys, each, strict=True))) for each in lidars]
+
+
+def _tables(lines: list[str], tables: Iterable[tuple[str, dict[str, Any]]]) -> str:
+    """Put tables, by their heads, below the first lines."""
+    lines = [*lines, *(line for head, keys in tables for line in (head, *_keys(keys)))]
     return "\n".join(lines) + "\n"
 
 

@@ -14,7 +14,7 @@ from ..adjustment.snooping import POOR
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, Test
 from ..base.description import Site
-from ..base.errors import Reason, Refusal
+from ..base.errors import Reason, Refusal, refusing_of
 from ..base.quantities import at_most
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
@@ -106,10 +106,8 @@ def confirm_links(
         key = link.lidars
         found = _confirmation(scans, adjusted, by_lidars[key])
         names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
-        try:
+        with refusing_of(names):
             check_confirmation(found)
-        except Refusal as refusal:
-            raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
         if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
             poles = "two poles alone link" if len(link.poles) > 1 else "one pole alone links"
@@ -178,7 +176,7 @@ def weaknesses(
             f"the poses still moved after {adjusted.end.iterations} iterations; record more frames",
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
-    yield from _not_fit(site, lidars)
+    yield from not_fit(site, lidars)
 
 
 def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
@@ -311,7 +309,12 @@ def fitness_of(site: Site, covariance: Array) -> Fitness | None:
     return fitness(covariance, site.need or USABLE)
 
 
-def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
+def not_fit(
+    site: Site,
+    lidars: Sequence[LidarPose],
+    helps: str = "a placement with the poles in another way",
+) -> Iterator[Reason]:
+    """Say which poses are not as accurate as was asked for, and what `helps`."""
     short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]
     if not short:
         return
@@ -322,7 +325,7 @@ def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
     names = ", ".join(site.lidars[one.lidar].name for one in short)
     yield Reason(
         "not_fit_for_purpose",
-        f"{names}: {fit.words}{bound}; what would help: a placement with the poles in another way",
+        f"{names}: {fit.words}{bound}; what would help: {helps}",
         {
             "lidars": names,
             "within_m": fit.within_m,

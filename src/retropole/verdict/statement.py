@@ -16,7 +16,7 @@ from ..adjustment.refinement import Refinement
 from ..adjustment.site import Adjusted, adjusted_of_two
 from ..adjustment.solved import axes_of, without_placements
 from ..alignment.adjustment import BeamAlignment
-from ..alignment.certainty import SIDES, budget_of
+from ..alignment.certainty import SIDES, Part, budget_of
 from ..alignment.origins import BeamOrigins
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Test
@@ -152,7 +152,7 @@ def state_site_answer(
     """State the answer: all poses in the frames of the clouds, and everything that was checked."""
     end = adjusted.end
     poses, covariance = poses_in_clouds(end.T, adjusted.covariance, scans.origins)
-    lidars = tuple(_lidar_pose(site, adjusted, i, T, covariance) for i, T in enumerate(poses))
+    lidars = lidar_poses(site, adjusted.parts, poses, covariance)
     loops = tuple(close_loops(adjusted.solved, end))
     every = (*found, *weaknesses_of_site(site, scans, adjusted, loops, lidars))
     reasons, notes = warnings_and_notes(every)
@@ -332,8 +332,26 @@ def list_unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> 
         )
 
 
+def lidar_poses(
+    site: Site, parts: Sequence[Part], poses: Array, covariance: Array
+) -> tuple[LidarPose, ...]:
+    """State the pose of each LiDAR, (L, 4, 4), with what it is certain to and why.
+
+    Parameters
+    ----------
+    site
+        For names, and how accurate they must be.
+    parts
+        Every source of error.
+    poses, covariance
+        As `SiteCalibration` has them.
+    """
+    each = enumerate(poses)
+    return tuple(_lidar_pose(site, parts, lidar, T, covariance) for lidar, T in each)
+
+
 def _lidar_pose(
-    site: Site, adjusted: Adjusted, lidar: int, T: Array, covariance: Array
+    site: Site, parts: Sequence[Part], lidar: int, T: Array, covariance: Array
 ) -> LidarPose:
     own = slice(POSE * lidar, POSE * (lidar + 1))
     block = covariance[own, own]
@@ -342,7 +360,7 @@ def _lidar_pose(
         lidar,
         T,
         block,
-        budget_of(adjusted.parts, lidar, names),
+        budget_of(parts, lidar, names),
         predicted_error(block),
         fitness_of(site, block),
     )
