@@ -69,6 +69,8 @@ SENSORS = (
     ("OS1-128", "OS1-128"),
     ("OS1-128", "XT32"),
     ("Mid-360", "VLP-16"),
+    ("Mid-360", "Mid-360"),
+    ("Mid-360", "OS1-128"),
 )
 SECONDS = 20.0, 40.0, 60.0
 WITHOUT_RINGS = "OS1-128", "OS1-128"
@@ -287,7 +289,11 @@ class Missed(NamedTuple):
 
 def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
     """Draw the walk of a seed."""
-    scene = (seed + seed // 15) % len(SCENES) if args.mixed else seed % len(SCENES)
+    scene = (
+        (seed + seed // (len(SENSORS) * len(SECONDS))) % len(SCENES)
+        if args.mixed
+        else seed % len(SCENES)
+    )
     return simulate_walk(
         args.scene or SCENES[scene],
         np.random.default_rng(seed),
@@ -335,7 +341,7 @@ def main() -> None:
     for seed in range(args.first, args.first + args.seeds):
         deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
         if args.mixed:
-            args.sensors, args.seconds = SENSORS[seed % 5], SECONDS[seed % 3]
+            args.sensors, args.seconds = SENSORS[seed % len(SENSORS)], SECONDS[seed % 3]
         walk = draw(args, seed, deception)
         kind = f"{deception} {' '.join(args.sensors)} {args.seconds:g} s".strip()
         spent: list[float] = []
