@@ -65,7 +65,7 @@ def without_misplaced(
     Refusal
         ``poles_inconsistent``.
     """
-    if _stand_alike(aligned):
+    if _have_same_arrangement(aligned):
         return paired, aligned
     T, found = aligned.pose.T_target_source, []
     explained = iter(aligned.axes_test.by_pole)
@@ -79,7 +79,7 @@ def without_misplaced(
                 other = align(fewer, T, radius=radius, radius_sigma=radius_sigma)
             except Refusal:
                 continue
-            if _stand_alike(other):
+            if _have_same_arrangement(other):
                 found.append((fewer, other))
     if len(found) > 1:
         found = [one for one in found if scene and _scene_agrees(refine_by_scene(*one))]
@@ -92,7 +92,7 @@ def _scene_agrees(refined: Refinement | None) -> bool:
     return refined is not None and refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ
 
 
-def _stand_alike(aligned: BeamAlignment) -> bool:
+def _have_same_arrangement(aligned: BeamAlignment) -> bool:
     test = aligned.axes_test
     return test.chi2 <= MAX_AXES_CHI2 * test.freedom
 
@@ -107,7 +107,7 @@ def check_axes(aligned: BeamAlignment) -> None:
     """
     test = aligned.axes_test
     limit = MAX_AXES_CHI2 * test.freedom
-    if not _stand_alike(aligned):
+    if not _have_same_arrangement(aligned):
         # Of two poles neither can be told to be the one that moved.
         worst = int(np.argmax(test.by_pole)) if len(test.by_pole) > 2 else None
         named = "" if worst is None else f", freeing pole {worst} explains most of it"

@@ -27,14 +27,14 @@ from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
 from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
-from .datum import Datum, Hanging, without_poles, without_survey
+from .datum import Datum, Dependent, without_poles, without_survey
 from .descent import CLOSE, FEW, End, SceneTerm
 from .refinement import distance_sq
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, find_links, without_observations
 from .snooping import POOR
 
-PLACED_APART = 2 * CLOSE
+PLACED_DIFFERENTLY = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""
 
 MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
@@ -87,7 +87,7 @@ def _coinciding(
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
         apart = patches.residuals + patches.by_errors(errors)
         weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
-        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_APART
+        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_DIFFERENTLY
         count += float(np.sum(weights[differ]))
     return count
 
@@ -127,7 +127,7 @@ def conflicting_poles(
             yield k, *found
 
 
-def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
+def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
     """Refuse what hangs on poles without which far more of the surroundings coincides.
 
     One pole conflicts with nothing across itself, where it alone decides and surfaces look for
@@ -146,12 +146,12 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
         ``site_inconsistent``.
     """
     datum, site = adjusted.datum, recorded.site
-    for each in datum.hanging:
+    for each in datum.dependent:
         across = each.across(datum.poles)
-        others = tuple(one for one in datum.hanging if one is not each)
-        parted = replace(datum, hanging=others, poles=each.parted(datum.poles))
+        others = tuple(one for one in datum.dependent if one is not each)
+        parted = replace(datum, dependent=others, poles=each.split_across(datum.poles))
         some = _without(recorded, adjusted, parted, [each.lidars], few=True)
-        if some is not None and some[1] < MORE_PATCHES / FEW and _is_held(each, some[0]):
+        if some is not None and some[1] < MORE_PATCHES / FEW and _is_constrained(each, some[0]):
             continue
         every = _without(recorded, adjusted, parted, [each.lidars], few=False)
         names = ", ".join(datum.poles[k].name(site) for k in across)
@@ -163,7 +163,7 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
                 "record the placement again",
                 {"poles": names, "more": every[1], "allowed": MORE_PATCHES},
             )
-        if every is None or not _is_held(each, every[0]):
+        if every is None or not _is_constrained(each, every[0]):
             yield Reason(
                 "not_checked",
                 f"{names} alone holds a part of the pose between {each.names(site)}, and the "
@@ -172,8 +172,8 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
             )
 
 
-def _is_held(hanging: Hanging, found: Adjusted) -> bool:
-    return is_held(hanging.covariance(found.end.T, found.covariance))
+def _is_constrained(dependent: Dependent, found: Adjusted) -> bool:
+    return is_held(dependent.covariance(found.end.T, found.covariance))
 
 
 def _contradicted(

@@ -40,7 +40,7 @@ from ..surfaces.sweeps import observe, timed, without
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class CommonMotion:
     """One motion of all LiDARs.
 
     Attributes
@@ -121,8 +121,8 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     sequence
         The same where no placement shows that they do, or where they are there.
     """
-    moving = [[scan for scan in row if scan is not None and _is_open(scan)] for row in rows]
-    found = [together(row, poses) if len(row) == len(poses) else None for row in moving]
+    moving = [[scan for scan in row if scan is not None and _is_swaying(scan)] for row in rows]
+    found = [common_motion(row, poses) if len(row) == len(poses) else None for row in moving]
     odds = sum(each.odds for each in found if each is not None)
     if odds <= 0:
         return rows
@@ -133,12 +133,12 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     ]
 
 
-def _is_open(scan: Scan) -> bool:
+def _is_swaying(scan: Scan) -> bool:
     """Whether a scan sways, and was not brought to the rest of others yet."""
     return scan.motion is not None and scan.sway is not None and not scan.sway.is_shared
 
 
-def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
+def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion:
     """Ask whether one motion explains the returns of all LiDARs, recorded at the same time.
 
     Parameters
@@ -168,7 +168,7 @@ def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
     ways = ways_of(motions[0])
     found = infer(both, axes_along(both, ways), SIZES, ways)
     shared = [own @ A[k].T for k, own in enumerate(np.split(found.motion, cuts))]
-    return Together(
+    return CommonMotion(
         COUNTED * (found.total - apart),
         tuple((own - one).mean(axis=0) for own, one in zip(motions, shared, strict=True)),
     )

@@ -33,13 +33,13 @@ from ..base import se3
 from ..base.datatypes import Array, Test
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, left_of_each
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, remaining_sway_of_each
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in
 from ..hypotheses.scans import SiteScans
 from ..surfaces.patches import Patches
 from .axes import maximise_from_lines
-from .datum import Datum, check_hanging, check_poles_left, of_lidar, without_poles
+from .datum import Datum, check_dependent, check_poles_left, of_lidar, without_poles
 from .descent import End, RefinementProblem, ScenePair, minimise
 from .refinement import Refinement
 from .shared import SharedPole, extent_of, sights_of
@@ -84,7 +84,7 @@ class Recorded:
     def left(self) -> tuple[Array, ...]:
         """What is left of the sway of each LiDAR; empty if none swayed."""
         every = range(len(self.site.lidars))
-        return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
+        return remaining_sway_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
     """
     site = recorded.site
-    check_poles_left(site, datum.hanging, datum.poles)
+    check_poles_left(site, datum.dependent, datum.poles)
     sights = sights_of(recorded.scans, datum.poles)
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
     none = np.zeros(0, dtype=np.int64)
@@ -160,7 +160,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     parts = parts_of(problem, end, POLES_AND_SURVEY)
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    check_hanging(site, datum.hanging, end.T, covariance)
+    check_dependent(site, datum.dependent, end.T, covariance)
     return tested(site, datum, aligned, end, parts, few=few)
 
 

@@ -99,7 +99,7 @@ def pole_moved(at: Solved, pole: int) -> Bias | None:
     return Bias(*of_columns(at, parts), metres, 4 * (len(parts) - 1))
 
 
-def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
+def pole_displaced_for(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
     """A pole that is at one position for some LiDARs, and at another for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
@@ -152,7 +152,7 @@ def placement_moved(at: Solved, one: Observation) -> Bias:
     return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
 
 
-def lidar_apart(at: Solved, lidar: int) -> Bias | None:
+def lidar_displaced(at: Solved, lidar: int) -> Bias | None:
     """A LiDAR for which all poles stand elsewhere, but for its pose."""
     parts = [
         (one, np.concatenate([_axis_columns(one, int(pole)) for pole in one.poles]))
@@ -341,7 +341,7 @@ def all_tests(
     astray
         By LiDAR and pole the χ² of returns that lie next to it (`snooping.find_outlying`).
     """
-    asked = list(_asked(at, site, poles, astray))
+    asked = list(_tested(at, site, poles, astray))
     found = outcomes(at, [(each.error, each.unit) for each in asked])
     for each, one in zip(asked, found, strict=True):
         chi2, freedom = max(one.chi2, each.beside or 0.0), each.error.freedom
@@ -361,7 +361,7 @@ def all_tests(
         )
 
 
-class _Asked(NamedTuple):
+class _Tested(NamedTuple):
     """A test: the bias that an observation may have, the likeliest `among` this many.
 
     `unit` is metres for each of its lengths; `beside` the χ² of returns that lie next to a pole.
@@ -378,9 +378,9 @@ class _Asked(NamedTuple):
     among: int = 1
 
 
-def _asked(
+def _tested(
     at: Solved, site: Site, poles: Sequence[SharedPole], astray: Mapping[tuple[int, int], float]
-) -> Iterator[_Asked]:
+) -> Iterator[_Tested]:
     names = [lidar.name for lidar in site.lidars]
     for k, pole in enumerate(poles):
         yield from _of_pole(at, pole.name(site), k, pole.placement, names, astray)
@@ -393,17 +393,17 @@ def _asked(
             assert one.by_value is not None
             assert one.kind != "returns"
             wrong, unit = value_wrong(at, one), one.by_value[2]
-            yield _Asked(one.kind, one.lidar, None, None, one.name, wrong, unit)
+            yield _Tested(one.kind, one.lidar, None, None, one.name, wrong, unit)
             continue
         assert one.lidar is not None
         assert one.placement is not None
         name = f"{names[one.lidar]} in placement {site.placements[one.placement]}"
         moved = placement_moved(at, one)
-        yield _Asked("placement", one.lidar, one.placement, None, name, moved)
+        yield _Tested("placement", one.lidar, one.placement, None, name, moved)
     for lidar, name in enumerate(names):
-        apart = lidar_apart(at, lidar)
+        apart = lidar_displaced(at, lidar)
         if apart is not None:
-            yield _Asked("lidar", lidar, None, None, name, apart)
+            yield _Tested("lidar", lidar, None, None, name, apart)
 
 
 def _of_pole(
@@ -413,23 +413,23 @@ def _of_pole(
     placement: int,
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
-) -> Iterator[_Asked]:
+) -> Iterator[_Tested]:
     """Test a pole: as a whole, as each LiDAR sees it, and split in the likeliest way."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:
-        yield _Asked("pole", None, placement, pole, name, moved)
+        yield _Tested("pole", None, placement, pole, name, moved)
     for one in views:
         assert one.lidar is not None
         beside = astray.get((one.lidar, pole))
         # That one LiDAR alone sees, its survey checks.
         if len(views) != 2 or beside is not None:
             of_one = f"{name} as {names[one.lidar]} sees it"
-            elsewhere = pole_seen_elsewhere(at, [one], pole)
-            yield _Asked("pole", one.lidar, placement, pole, of_one, elsewhere, beside=beside)
+            elsewhere = pole_displaced_for(at, [one], pole)
+            yield _Tested("pole", one.lidar, placement, pole, of_one, elsewhere, beside=beside)
     parts = list(splits(len(views)))
     if moved is not None and parts:
         some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        parted, words = pole_seen_elsewhere(at, some, pole), f"{name} as {seen_by} see it"
-        yield _Asked("pole", None, placement, pole, words, parted, among=len(parts))
+        parted, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Tested("pole", None, placement, pole, words, parted, among=len(parts))

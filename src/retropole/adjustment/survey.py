@@ -23,7 +23,7 @@ from ..hypotheses.correspondence import match_poles
 from ..surfaces.visibility import OVERLAP_DISTANCE
 from .shared import SharedPole
 
-BESIDE_END = 0.3
+END_MARGIN = 0.3
 """Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
 a wrong end of the tape, and the poles' pose along the pole."""
 
@@ -191,7 +191,7 @@ def _fit(
     for k, each in enumerate(site.poles):
         found = pole_at(each, there)
         if found is not None:
-            gaps += [beside(end, found) for end in ends_of(each)]
+            gaps += [axis_distance(end, found) for end in ends_of(each)]
             met.add(k)
     for q, point in enumerate(site.points):
         for k, seen in sightings_of(site, q, origins, poses):
@@ -217,18 +217,18 @@ def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | Non
         pole
         for pole in poles
         if pole.placement == each.placement
-        and farthest_beside(each, pole) < OVERLAP_DISTANCE
+        and worst_offset(each, pole) < OVERLAP_DISTANCE
         and _is_between(each, pole)
     ]
-    return min(near, key=lambda pole: farthest_beside(each, pole), default=None)
+    return min(near, key=lambda pole: worst_offset(each, pole), default=None)
 
 
-def farthest_beside(each: SurveyedPole, pole: SharedPole) -> float:
+def worst_offset(each: SurveyedPole, pole: SharedPole) -> float:
     """How far the worse end of a surveyed pole is from the axis of one that is seen, metres."""
-    return max(beside(end, pole) for end in ends_of(each))
+    return max(axis_distance(end, pole) for end in ends_of(each))
 
 
-def beside(end: Array, pole: SharedPole) -> float:
+def axis_distance(end: Array, pole: SharedPole) -> float:
     """How far a point is from the axis of a pole, metres."""
     return float(np.linalg.norm(np.cross(end - pole.point, pole.direction)))
 
@@ -242,7 +242,7 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
         # All on one side of it.
-        return bool(min(along.max(), -along.min()) < BESIDE_END)
+        return bool(min(along.max(), -along.min()) < END_MARGIN)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
     between = min(along.max(), length) - max(along.min(), 0.0)
@@ -272,7 +272,7 @@ MOST_RMS = 0.02
 as this, metres."""
 
 
-def lay_on_survey(
+def align_to_survey(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> Fit:
     """Find how what the LiDARs see lies in the frame of the survey.
@@ -416,7 +416,7 @@ def list_unmet(
     Parameters
     ----------
     site, origins, poses, poles
-        As `lay_on_survey` takes them.
+        As `align_to_survey` takes them.
     fit
         How they lie in the frame of the survey.
     """
@@ -455,7 +455,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
                 f"{where}, and was left out: which placement does it belong to?",
                 {**values, "other": name},
             )
-    gaps = [farthest_beside(each, pole) for pole in poles if pole.placement == each.placement]
+    gaps = [worst_offset(each, pole) for pole in poles if pole.placement == each.placement]
     near = "the LiDARs see no pole there"
     if gaps:
         values["gap_m"] = min(gaps)

@@ -55,7 +55,7 @@ from .network import (
 from .observations import Beams
 from .posterior import JointState, Posterior
 from .solver import Solution
-from .survey import NOTHING_SURVEYED, KnownPose, Surveyed
+from .survey import NOTHING_SURVEYED, PriorPose, Surveyed
 from .unknowns import POSE
 
 RADIUS_EDGE = 0.12
@@ -179,7 +179,7 @@ RADIUS_TOLERANCE = 0.02
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""
 
-PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
+SURROUNDINGS_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
 and m, as far as
 the poles are used: wide compared with what surfaces show afterwards. Of 66 that were
@@ -308,7 +308,7 @@ def align_beams(
         poses_of_pair(T_start), np.zeros(2), radius, points, directions, np.zeros((0, 3))
     )
     stood = np.zeros(len(own), dtype=np.int64) if placement is None else placement
-    known = (KnownPose("the place", 1, T_start, PLACE_SIGMA),) if by_place else ()
+    known = (PriorPose("the place", 1, T_start, SURROUNDINGS_SIGMA),) if by_place else ()
     model = ErrorModel(sizes, given_sigma)
     found = align_all(state, sights, model, stood, OF_SOURCE, surveyed=Surveyed(poses=known))
     return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma, left))
@@ -316,7 +316,7 @@ def align_beams(
 
 def without_poles(T: Array, radius: float) -> BeamAlignment:
     """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing."""
-    covariance = np.diag(PLACE_SIGMA**2)
+    covariance = np.diag(SURROUNDINGS_SIGMA**2)
     pose = PoseEstimate(T, covariance, 0.0)
     nothing = np.zeros((0, 3))
     return BeamAlignment(
@@ -423,7 +423,7 @@ def widest(covariance: Array) -> tuple[float, float]:
     return rotation, translation
 
 
-def leaves_little(covariance: Array) -> bool:
+def is_nearly_determined(covariance: Array) -> bool:
     """Whether a covariance (6, 6) of a pose is within what poles may leave of it."""
     rotation, translation = widest(covariance)
     return rotation < MAX_ROTATION_SIGMA and translation < MAX_TRANSLATION_SIGMA
@@ -463,7 +463,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         ]
     )
     covariance = uncertainty.covariance
-    if not leaves_little(covariance):
+    if not is_nearly_determined(covariance):
         rotation, translation = widest(covariance)
         raise Refusal(
             "degenerate_poles",

@@ -36,7 +36,7 @@ OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres: what is
 farther behind it is something else."""
 
-LOST = 0.05
+MISSED_SHARE = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, FEW_NODES = 20, 6
@@ -332,8 +332,8 @@ def passed_beam_likelihood(
         (-radius - half_width - lateral_offset) * s,
     )
     density = [np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi) for x in (right, left)]
-    keep = 1.0 - LOST
-    p = LOST + keep * (1.0 - ndtr(right) + ndtr(left))
+    keep = 1.0 - MISSED_SHARE
+    p = MISSED_SHARE + keep * (1.0 - ndtr(right) + ndtr(left))
     # First and second derivatives of p with respect to m and r.
     p_m, p_r = keep * s * (density[0] - density[1]), -keep * s * (density[0] + density[1])
     curve = [-x * d * keep * s**2 for x, d in zip((right, left), density, strict=True)]

@@ -18,7 +18,7 @@ PASSING = 0.015
 """A beam passes next to a pole within this distance of its surface, and returns from farther behind
 it than outliers lie, metres."""
 
-BESIDE = 0.2
+NEXT_TO_POLE = 0.2
 """Beams this much further aside, along such a stretch of the pole, show whether those next to it
 are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
 
@@ -167,7 +167,7 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     # What is farther from the middle of the pole across the ray, or nearer along it, plays no part.
-    reach = np.abs(own).max() + room + 2 * BESIDE
+    reach = np.abs(own).max() + room + 2 * NEXT_TO_POLE
     ahead = (pole.point - cloud.origin) / away
     cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
     toward = cloud.xyz @ ahead - cloud.origin @ ahead
@@ -178,7 +178,7 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     nearby = (ranges > away - reach) & (toward > cosine * ranges)
     # A ray passes the axis at no less than its part across the plane of the axis and the origin.
     across = np.abs(ray @ np.cross(pole.direction, pole.point - cloud.origin))
-    nearby &= across < (room + BESIDE) * ranges
+    nearby &= across < (room + NEXT_TO_POLE) * ranges
     ray, ranges = ray[nearby], ranges[nearby]
     directions = ray / ranges[:, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
@@ -186,15 +186,15 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     behind = ranges > by.ranges + OUTLIER_RADIUS
     within = (along > own.min()) & (along < own.max())
     passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
-    stretches = max(int(np.ptp(own) / BESIDE), 1)
-    length = max(float(np.ptp(own)) / stretches, BESIDE)
+    stretches = max(int(np.ptp(own) / NEXT_TO_POLE), 1)
+    length = max(float(np.ptp(own)) / stretches, NEXT_TO_POLE)
 
     def stretch(along: Array) -> IntArray:
         place = np.clip((along - own.min()) / length, 0, stretches - 1)
         return np.asarray(place, dtype=np.int64)
 
-    near = behind & (np.abs(by.lateral_offset) < room + BESIDE)
-    near &= (along > own.min() - BESIDE) & (along < own.max() + BESIDE)
+    near = behind & (np.abs(by.lateral_offset) < room + NEXT_TO_POLE)
+    near &= (along > own.min() - NEXT_TO_POLE) & (along < own.max() + NEXT_TO_POLE)
     beside = np.zeros(len(own))
     for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
         seen = np.bincount(stretch(along[side]), minlength=stretches) > 0

@@ -202,7 +202,7 @@ def beam_geometry(
     return BeamGeometry(ahead * by.sine, by.lateral_offset, by.sine, J)
 
 
-def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
+def lidar_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
     """Geometry of a LiDAR's beams that hit poles, and of those that passed next to them."""
     # All at once: the arrays are small, and calls cost as much as what they compute.
     any_range = np.zeros(len(beams.passed_pole))
@@ -227,7 +227,7 @@ class Terms:
     log: float
     score: Array
     information: Array
-    lifted: Array
+    damped: Array
 
 
 class Movable(Protocol):
@@ -286,14 +286,14 @@ def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tupl
     Terms, OnPoles
         Of all its beams; and what its returns on the poles show of the noise.
     """
-    seen, beside = own_geometry(state, lidar, beams)
+    seen, beside = lidar_geometry(state, lidar, beams)
     on_poles = _on_poles(state, seen, beams, noise)
     on, by = on_poles.terms, _passed(state, beside, beams, noise)
     together = Terms(
         on.log + by.log,
         on.score + by.score,
         on.information + by.information,
-        on.lifted + by.lifted,
+        on.damped + by.damped,
     )
     return together, on_poles
 
@@ -347,13 +347,13 @@ def _terms(log: Array, score: Array, information: Array, J: Array, least: Array)
     size = J.shape[2]
     flat = J.reshape(-1, size)
     total = flat.T @ (information @ J).reshape(-1, size)
-    lift = lift_of(information, least)
-    raised = np.flatnonzero(lift)
-    rows = (np.sqrt(lift[raised])[:, None, None] * J[raised]).reshape(-1, size)
+    damping = damping_of(information, least)
+    raised = np.flatnonzero(damping)
+    rows = (np.sqrt(damping[raised])[:, None, None] * J[raised]).reshape(-1, size)
     return Terms(float(log.sum()), score.reshape(-1) @ flat, total, total + rows.T @ rows)
 
 
-def lift_of(information: Array, least: Array) -> Array:
+def damping_of(information: Array, least: Array) -> Array:
     """By how much (N,) to raise all eigenvalues of each (N, C, C), so that none is below the least
     (N,).
     """

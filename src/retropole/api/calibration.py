@@ -169,7 +169,7 @@ def calibrate_with(
             [pair.target.cloud for pair in pairs],
             [pair.source.cloud for pair in pairs],
             options=replace(
-                known_of(pairs[0], config),
+                options_of(pairs[0], config),
                 poles=0 if config.map and config.poles is None else config.poles,
                 scene=config.refine,
                 prior=prior_of(config),
@@ -199,7 +199,7 @@ def prior_of(config: RunConfig) -> PosePrior | None:
     return pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg, distance)
 
 
-def known_of(pair: InputPair, config: RunConfig) -> Options:
+def options_of(pair: InputPair, config: RunConfig) -> Options:
     """Say what is known of two LiDARs and their poles, as the method takes it."""
     return Options(
         radius=config.radius_m,

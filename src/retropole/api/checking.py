@@ -30,7 +30,7 @@ from ..io.fields import USUAL, Unit, Wanted
 from ..result import DEFAULT_CONFIG, SITE_RESULT_FILE, ResultDoc, RunConfig, refusal_of, result_file
 from ..result.decoding import decode_site
 from ..result.site import SiteDoc
-from .calibration import calibrate_with, known_of
+from .calibration import calibrate_with, options_of
 from .inputs import SILENT, InputPair, Listener, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
 from .site_inputs import read_of, site_file_in
@@ -282,7 +282,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
         stored.pose,
         pair.target.cloud,
         pair.source.cloud,
-        options=known_of(pair, config),
+        options=options_of(pair, config),
         uncertainty=stored.uncertainty,
         tolerance=tolerance,
     )

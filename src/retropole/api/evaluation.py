@@ -23,7 +23,7 @@ from ..checking.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
-from .calibration import known_of
+from .calibration import options_of
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import with_keywords
 from .result import CalibrationResult
@@ -125,7 +125,7 @@ def compare(
         pair.target.cloud,
         pair.source.cloud,
         methods,
-        options=known_of(pair, config),
+        options=options_of(pair, config),
         T_true=T_true,
         sigma=sigma,
         seed=seed,

@@ -402,14 +402,14 @@ def stated_sway(sigma: float) -> Sway:
     return Sway(sigma, None, 0.0, covariance)
 
 
-def left_of(sways: Sequence[Sway | None]) -> Array:
+def remaining_sway(sways: Sequence[Sway | None]) -> Array:
     """(6, 6) covariance of what is left of the sway of one LiDAR in the mean of its recordings."""
     left = sum((each.covariance for each in sways if each is not None), np.zeros((6, 6)))
     return np.asarray(left / max(len(sways), 1) ** 2)
 
 
-def left_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
-    """`left_of` each LiDAR's recordings; none if none moved."""
+def remaining_sway_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
+    """`remaining_sway` each LiDAR's recordings; none if none moved."""
     if not any(each for row in rows for each in row):
         return ()
-    return tuple(left_of(row) for row in rows)
+    return tuple(remaining_sway(row) for row in rows)

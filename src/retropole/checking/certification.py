@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from scipy.special import ndtri
 
-from ..adjustment.axes import OwnAxes, find_axes
+from ..adjustment.axes import LidarAxes, find_axes
 from ..alignment.origins import beam_origins
 from ..base.bounded import Count, Number, Size
 from ..base.datatypes import Array, Placement, Pole, Scan
@@ -347,7 +347,7 @@ def _seen(used: Sequence[tuple[Placement, Correspondence]], lidar: int) -> Seen:
     ]
 
 
-def _axes(seen: Seen, radius: float, radius_sigma: float) -> OwnAxes:
+def _axes(seen: Seen, radius: float, radius_sigma: float) -> LidarAxes:
     return find_axes(
         [(pole, scan.cloud) for scan, poles in seen for pole in poles],
         sensor=seen[0][0].sensor,
@@ -357,7 +357,7 @@ def _axes(seen: Seen, radius: float, radius_sigma: float) -> OwnAxes:
 
 
 def _targets(
-    used: Sequence[tuple[Placement, Correspondence]], axes: tuple[OwnAxes, OwnAxes]
+    used: Sequence[tuple[Placement, Correspondence]], axes: tuple[LidarAxes, LidarAxes]
 ) -> tuple[list[Targets], list[Targets]]:
     """Say for each LiDAR which of its axes belong together, and where on them to measure."""
     targets: tuple[list[Targets], list[Targets]] = [], []

@@ -12,7 +12,7 @@ import numpy as np
 from ..base.datatypes import Array, Calibration, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
-from ..pipeline import NOTHING_KNOWN, Options, calibrate
+from ..pipeline import NO_OPTIONS, Options, calibrate
 from .methods import ALL_METHODS, OURS, missing_extra
 from .metrics import KERNEL_WIDTH, Alignment, Errors, errors_of, evaluate
 from .rivals import FUNCTIONS
@@ -59,7 +59,7 @@ def compare(
     source: PointCloud,
     methods: Sequence[str],
     *,
-    options: Options = NOTHING_KNOWN,
+    options: Options = NO_OPTIONS,
     T_true: Array | None = None,
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtr, fdtri
 
-from ..adjustment.axes import OwnAxes, maximise_alone
+from ..adjustment.axes import LidarAxes, maximise_alone
 from ..alignment.expansion import find_view
 from ..alignment.observations import beams_of
 from ..alignment.posterior import SHARED, State
@@ -123,7 +123,7 @@ def middles(state: State, poles: Sequence[Pole], index: IntArray, signs: Array) 
     return np.asarray(np.einsum("ki,ki->k", seen, directions))
 
 
-def measure(axes: OwnAxes, placements: Sequence[Targets]) -> Measured:
+def measure(axes: LidarAxes, placements: Sequence[Targets]) -> Measured:
     """Measure all distances between poles of the same placement."""
     lengths, by_axes = distances_of(axes.state, placements)
     return Measured(
@@ -219,7 +219,7 @@ def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -
 
 
 def spread_of_sweeps(
-    seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: OwnAxes, placements: Sequence[Targets]
+    seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: LidarAxes, placements: Sequence[Targets]
 ) -> Spread | None:
     """Measure the distances of every placement in each sweep alone; None if none has several.
 
@@ -255,7 +255,7 @@ def spread_of_sweeps(
 
 
 def _of_placement(
-    scan: Scan, poles: Sequence[Pole], axes: OwnAxes, targets: Targets
+    scan: Scan, poles: Sequence[Pole], axes: LidarAxes, targets: Targets
 ) -> list[tuple[Array, Array]]:
     """Distances (D,) of each sweep of a placement, and the covariance (D, D) its returns allow."""
     frames = scan.cloud.frame

@@ -36,7 +36,7 @@ from ..hypotheses.choice import MIN_OVERLAP
 from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict, scenes_of
 from ..hypotheses.placements import left_in
 from ..hypotheses.prior import PosePrior
-from ..pipeline import NOTHING_KNOWN, Options, calibrate
+from ..pipeline import NO_OPTIONS, Options, calibrate
 from ..surfaces.consistency import Standing
 from ..surfaces.registration import MIN_CLOUD_POINTS
 from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare_views, view_of
@@ -305,7 +305,7 @@ def check(
     target: PointCloud,
     source: PointCloud,
     *,
-    options: Options = NOTHING_KNOWN,
+    options: Options = NO_OPTIONS,
     uncertainty: Uncertainty | None = None,
     tolerance: Asked = NOT_ASKED,
 ) -> CheckResult:

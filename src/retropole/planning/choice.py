@@ -20,7 +20,7 @@ from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of
 
-UNSURE = 0.3, 3.0
+UNKNOWN_SIGMA = 0.3, 3.0
 """1 σ of an unknown pose, rad and m: poles are compared before they determine it."""
 
 MOST_ROUNDS = 10
@@ -39,7 +39,7 @@ MOST_TRIED = 10
 DEARER = 1.25
 """Factor by which the error may grow if one LiDAR fewer depends on a single pole."""
 
-HANGS = 1.0
+UNCONSTRAINED = 1.0
 """A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
@@ -47,7 +47,7 @@ LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.
 two or three stand. A half turn about the vertical lays two of equal leans on each other: on bare
 ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
-TOLD_APART = float(np.radians(6.0)), 0.3
+DISTINGUISHABLE = float(np.radians(6.0)), 0.3
 """Angles between poles, rad, or distances, metres, that differ by this amount show which is which.
 Two poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
 
@@ -56,9 +56,9 @@ NOT_BEHIND = float(np.radians(2.0))
 other."""
 
 
-def unsure(unknowns: Unknowns) -> Array:
+def unknown_precision(unknowns: Unknowns) -> Array:
     """(6 L,) precision of unknown poses."""
-    return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
+    return np.tile(np.repeat(UNKNOWN_SIGMA, 3) ** -2.0, unknowns.lidars)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +90,15 @@ class Rules:
         # Two LiDARs are linked by two poles that both see.
         shared = np.count_nonzero(self.seen[k] & self.seen[list(others)], axis=1) >= 2
         together = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
-        return together and (len(others) < 2 or self._is_told_apart([*others, k]))
+        return together and (len(others) < 2 or self._is_distinguishable([*others, k]))
 
-    def _is_told_apart(self, poles: Sequence[int]) -> bool:
+    def _is_distinguishable(self, poles: Sequence[int]) -> bool:
         """Whether three poles or more fit each other in one way: no exchange looks the same."""
         angle, gap = (each[np.ix_(poles, poles)] for each in (self.angle, self.gap))
         for order in list(permutations(range(len(poles))))[1:]:
             other = np.ix_(order, order)
             turned, away = np.abs(angle[other] - angle), np.abs(gap[other] - gap)
-            if turned.max() < TOLD_APART[0] and away.max() < TOLD_APART[1]:
+            if turned.max() < DISTINGUISHABLE[0] and away.max() < DISTINGUISHABLE[1]:
                 return False
         return True
 
@@ -144,7 +144,7 @@ class Design:
         total = self.informations[int(alone)].copy()
         poses = np.arange(self.unknowns.poses)
         free = np.arange(POSE, self.unknowns.kept)
-        total[poses, poses] += unsure(self.unknowns)
+        total[poses, poses] += unknown_precision(self.unknowns)
         for k in chosen:
             place, root = self.roots[k]
             total[np.ix_(place, place)] += root @ root.T
@@ -227,7 +227,7 @@ def choose(
                 chosen[p] = [*others, best[0] if better and best is not None else first]
         if chosen == before:
             break
-    return carried(design, held_twice(design, chosen))
+    return carried(design, constrained_twice(design, chosen))
 
 
 def carried(design: Design, chosen: list[list[int]]) -> list[list[int]]:
@@ -246,21 +246,21 @@ def walk_factor(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Arra
     return np.asarray(1.0 + WALK * cdist(design.feet, design.feet[others]).min(axis=1))
 
 
-def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
+def count_dependent(design: Design, chosen: Sequence[Sequence[int]]) -> int:
     """Count, over all poles, the LiDARs that those left do not hold when one is taken away."""
     every = [k for own in chosen for k in own]
     inverse = design.inverse(every, alone=True)
     left = [design.squares(inverse) + design.change(inverse, k, -1.0) for k in every]
-    return int(np.count_nonzero(np.array(left) > HANGS**2))
+    return int(np.count_nonzero(np.array(left) > UNCONSTRAINED**2))
 
 
-def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
+def constrained_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
     """Exchange poles where LiDARs depend on one, as far as that helps.
 
     A blunder of a pole that no observation checks does not show. Two poles always depend on each
     other.
     """
-    now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
+    now = count_dependent(design, chosen) if sum(map(len, chosen)) > 2 else 0
     most = DEARER * error_of(design, chosen)
     for p, own in enumerate(chosen):
         for n in range(len(own)):
@@ -271,7 +271,7 @@ def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
                 if error > most:
                     break
                 other = [*rest[:p], [*own[:n], k, *own[n + 1 :]], *rest[p + 1 :]]
-                count = hanging(design, other)
+                count = count_dependent(design, other)
                 if count < now:
                     chosen, own, now = other, other[p], count
     return chosen

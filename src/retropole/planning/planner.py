@@ -26,7 +26,7 @@ from ..pipeline import Options, calibrate, calibrate_site
 from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import in_sensor_frame, range_noise, with_poles
-from .choice import HANGS, Design, choose, errors_of, rules_of, unsure
+from .choice import UNCONSTRAINED, Design, choose, errors_of, rules_of, unknown_precision
 from .place import FAR, Area, Candidates, Place, Station, candidate_poles, survey
 from .prediction import (
     Prediction,
@@ -331,7 +331,7 @@ def design_of(
     alone[errors, errors] = prior_of(unknowns, known)
     informations = alone + scene_information(stations, surfaces, unknowns), alone
     rules = rules_of(candidates, seen, [each.at for each in stations])
-    before = np.r_[unsure(unknowns), np.diag(alone)[unknowns.poses :]]
+    before = np.r_[unknown_precision(unknowns), np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
     return Design(roots, informations, unknowns, reach, rules, candidates.foot[:, :2])
 
@@ -340,7 +340,7 @@ def _check_linked(
     stations: Sequence[Station], design: Design, chosen: Sequence[Sequence[int]]
 ) -> None:
     errors = errors_of(design, chosen)[1]
-    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > HANGS]
+    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > UNCONSTRAINED]
     if lost:
         raise Refusal(
             "not_linked",

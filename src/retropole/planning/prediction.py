@@ -20,7 +20,7 @@ from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.expansion import MAX_ROUNDS, WIDEST
 from ..alignment.maximum import Sight
 from ..alignment.network import Network, PoleFactor, bands_of, factor_of, observe
-from ..alignment.observations import BESIDE, beams_of
+from ..alignment.observations import NEXT_TO_POLE, beams_of
 from ..alignment.posterior import JointState, Posterior
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
@@ -65,7 +65,7 @@ def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, 
     noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
     xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
     away = float(np.linalg.norm(own.centre))
-    reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
+    reach = min(own.bounding_radius + 3 * NEXT_TO_POLE, 0.99 * away)
     cone = np.sqrt(1 - (reach / away) ** 2)
     near = np.flatnonzero(beams.directions @ (own.centre / away) > cone)
     near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], met.beam)
