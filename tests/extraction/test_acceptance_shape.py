@@ -86,14 +86,14 @@ LIMITS: dict[str, tuple[Line, Line, str, str]] = {
         "more than any post",
     ),
     "points of what is thick": (
-        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),
     "thickness of few points": (
-        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_SURE_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_CONFIRMED_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),

@@ -15,7 +15,7 @@ import pytest
 from retropole.base.files import write_atomically
 from retropole.fleet import batch, storage
 from retropole.fleet.batch import calibrate_fleet, whole_groups
-from retropole.fleet.dataset import Row, known_in, partitions_in, read_rows, read_runs
+from retropole.fleet.dataset import Row, known_answers, partitions_in, read_rows, read_runs
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, answer
 from retropole.result.decoding import decode
@@ -221,7 +221,9 @@ def test_a_dataset_may_be_a_url(fleet: Path, out: Path) -> None:
         for path in memory.find("/city/fleet/answers")
     }
     assert found == bytes_of(out)
-    assert set(known_in("memory://city/fleet")) == {name for ids in ENDS.values() for name in ids}
+    assert set(known_answers("memory://city/fleet")) == {
+        name for ids in ENDS.values() for name in ids
+    }
 
 
 def test_reports_are_made_where_they_are_not(fleet: Path, tmp_path: Path) -> None:

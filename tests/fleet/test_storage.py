@@ -16,7 +16,7 @@ from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 from retropole.base.errors import ReadError, UsageError
 from retropole.base.files import RUNNING, leaving
 from retropole.fleet import storage
-from retropole.fleet.dataset import known_in, partition_of, read_rows, write_partition
+from retropole.fleet.dataset import known_answers, partition_of, read_rows, write_partition
 from retropole.fleet.process import done
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.storage import alone_in, below, exists, read_bytes, remove, write_bytes
@@ -139,7 +139,7 @@ def test_columns_are_read_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         return data
 
     monkeypatch.setattr(MemoryFile, "read", read, raising=False)
-    assert known_in(out).keys() == {row.id for row in rows}
+    assert known_answers(out).keys() == {row.id for row in rows}
     assert 0 < taken < 0.1 * sum(len(row.document or "") for row in long)
 
 

@@ -21,7 +21,7 @@ from retropole.planning.live_advice import (
     keep_still,
     outcome_of,
 )
-from retropole.planning.live_poles import Looked, Tracked, View, word_on
+from retropole.planning.live_poles import Looked, Tracked, View, fault_of
 from retropole.result import ReasonDoc, ResultDoc, SwayDoc
 from tests.conftest import PoleMaker
 from tests.report.made_up import made_up
@@ -162,11 +162,11 @@ def test_a_check_needs_no_poles() -> None:
 
 def test_words_on_a_pole(poles: list[Pole]) -> None:
     (track, _) = view("front", poles).tracks
-    assert word_on(track, NOW) == ""
-    assert word_on(track, NOW + 5) == "lost"
-    assert word_on(replace(track, since=NOW - 0.1, has_moved=True), NOW) == "moving"
-    assert word_on(replace(track, since=NOW - 0.1), NOW) == "new"
-    assert word_on(replace(track, pole=replace(track.pole, rings=2)), NOW) == "few rings"
+    assert fault_of(track, NOW) == ""
+    assert fault_of(track, NOW + 5) == "lost"
+    assert fault_of(replace(track, since=NOW - 0.1, has_moved=True), NOW) == "moving"
+    assert fault_of(replace(track, since=NOW - 0.1), NOW) == "new"
+    assert fault_of(replace(track, pole=replace(track.pole, rings=2)), NOW) == "few rings"
 
 
 # --- after an answer ----------------------------------------------------------------------------

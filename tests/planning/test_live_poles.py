@@ -27,7 +27,7 @@ from retropole.planning.live_poles import (
     begun,
     follow,
     hidden_by,
-    is_elsewhere,
+    is_new_placement,
     is_same_pair,
     look,
     present,
@@ -199,23 +199,23 @@ def test_another_placement_is_told_by_its_poles(make_pole: PoleMaker) -> None:
         for k, pole in enumerate([make_pole([5, 0, 0], UP), make_pole([5, 2, 0], UP)])
     )
     capture = begun([here, here], 1.0)
-    assert not is_elsewhere(capture, [here, here], 1.0)
+    assert not is_new_placement(capture, [here, here], 1.0)
     # Rings meet it elsewhere.
     other = replace(here[0], pole=make_pole([5, 0, 0.2], UP))
-    assert not is_elsewhere(capture, [here, (other, here[1])], 1.0)
+    assert not is_new_placement(capture, [here, (other, here[1])], 1.0)
     moved = replace(here[0], pole=make_pole([5, 0.5, 0], UP))
-    assert is_elsewhere(capture, [here, (moved, here[1])], 1.0)
-    assert is_elsewhere(capture, [(moved, here[1]), here], 1.0)
+    assert is_new_placement(capture, [here, (moved, here[1])], 1.0)
+    assert is_new_placement(capture, [(moved, here[1]), here], 1.0)
     # One that is not seen now says nothing.
     gone = replace(moved, seen=-10.0)
-    assert not is_elsewhere(capture, [here, (gone, here[1])], 1.0)
+    assert not is_new_placement(capture, [here, (gone, here[1])], 1.0)
 
 
 def test_sweeps_that_do_not_repeat_are_searched_together() -> None:
     def sizes(sensor: str) -> list[int]:
         watched = Watched(cast(Source, None), View("front", sensor=find_sensor(sensor)), None)
         sweeps = (PointCloud(np.full((5, 3), float(k)), np.arange(5.0)) for k in range(4))
-        return [len(watched.together(sweep)) for sweep in sweeps]
+        return [len(watched.accumulated(sweep)) for sweep in sweeps]
 
     assert sizes("Avia") == [5, 10, 10, 10]
     assert sizes("XT32") == [5, 5, 5, 5]

@@ -11,7 +11,7 @@ from retropole.base import se3
 from retropole.base.errors import Reason
 from retropole.base.uncertainty.purpose import Need
 from retropole.planning.comparison import NEAR
-from retropole.planning.place import DIRECTIONS, LEANS, OWN, Station, leaning
+from retropole.planning.place import DIRECTIONS, LEANS, LIDAR_CLEARANCE, Station, leaning
 from retropole.planning.planner import More
 from retropole.planning.words import (
     LEAN_STEP_DEG,
@@ -121,7 +121,7 @@ def test_two_choices_never_read_alike(own: tuple[Station, ...]) -> None:
     words = [
         pole_words("", foot, *leaning_words(foot, axis, own), own)
         for foot, axis in zip(poles.foot, poles.axis, strict=True)
-        if min(np.linalg.norm(foot[:2] - each.at[:2]) for each in own) > OWN
+        if min(np.linalg.norm(foot[:2] - each.at[:2]) for each in own) > LIDAR_CLEARANCE
     ]
     assert len(set(words)) == len(words)
 

@@ -32,7 +32,7 @@ from .inputs import (
     intensity_hint,
     read_placements,
     refuse_repeated,
-    tell_repeated,
+    warn_repeated,
 )
 from .options import checked_options, with_keywords
 from .result import CalibrationResult, SiteResult
@@ -159,7 +159,7 @@ def calibrate_with(
     inputs = [each for pair in pairs for each in pair]
     documents = input_documents(inputs)
     seconds_read = time.perf_counter() - start
-    twice = refuse_repeated(inputs, documents, partial(tell_repeated, inputs))
+    twice = refuse_repeated(inputs, documents, partial(warn_repeated, inputs))
     if twice is not None:
         scans = [[Scan(each.cloud, each.sensor) for each in pair] for pair in pairs]
         unsearched = tuple(Placement(target, source) for target, source in scans)

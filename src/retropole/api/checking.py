@@ -22,7 +22,7 @@ from ..checking.movement import FALSE_ALARM as FALSE_ALARM
 from ..checking.movement import CheckResult as CheckResult
 from ..checking.movement import Movement as Movement
 from ..checking.movement import Status, compare_poses
-from ..checking.tolerance import Asked
+from ..checking.tolerance import RequestedTolerance
 from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import sha256_of, topics_of
@@ -209,7 +209,9 @@ def check_recordings(
     if known.map:
         x, y, z = map(float, stored.pose.T_target_source[:3, 3])
         config = replace_options(config, prior_xyz=(x, y, z))
-        return check_in_map(stored, target, source, config, Asked(rotation, translation), listener)
+        return check_in_map(
+            stored, target, source, config, RequestedTolerance(rotation, translation), listener
+        )
     pair = InputPair(
         read_input(target, config.of_target._replace(wanted=of_target), listener),
         read_input(source, config.of_source._replace(wanted=of_source), listener),
@@ -218,7 +220,7 @@ def check_recordings(
     topics = topics_swapped(known, pair.target.topic, pair.source.topic)
     if topics is not None:
         return CheckResult("cannot_tell", (topics, *stored.warnings))
-    return check_pair(stored, pair, config, Asked(rotation, translation))
+    return check_pair(stored, pair, config, RequestedTolerance(rotation, translation))
 
 
 def check_in_map(
@@ -226,7 +228,7 @@ def check_in_map(
     target: Path,
     source: Path,
     config: RunConfig,
-    tolerance: Asked,
+    tolerance: RequestedTolerance,
     listener: Listener = SILENT,
 ) -> CheckResult:
     """Calibrate a new recording to the map of a stored result, and compare both poses.
@@ -258,7 +260,9 @@ def check_in_map(
     return compare_poses(stored.pose, new, "scene", tolerance, said, parts)
 
 
-def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: Asked) -> CheckResult:
+def check_pair(
+    stored: Stored, pair: InputPair, config: RunConfig, tolerance: RequestedTolerance
+) -> CheckResult:
     """Check recordings that were read against a stored result.
 
     Parameters
@@ -399,7 +403,7 @@ def check_site(
     tables = {lidar.name: lidar for lidar in file.lidar}
     # Each is read once, of whatever pairs its LiDAR is.
     read = cache(partial(read_of, file, site, listener, known=wanted_of(document)))
-    asked = Asked(rotation, translation)
+    asked = RequestedTolerance(rotation, translation)
     checked = []
     for k, (target, source) in enumerate(pairs, 1):
         listener.progress(step_of(f"check {target} and {source}", k, len(pairs)))

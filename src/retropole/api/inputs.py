@@ -305,7 +305,7 @@ def refuse_repeated(
     return None
 
 
-def tell_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
+def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
     """Say that a recording is given twice.
 
     Parameters

@@ -32,7 +32,7 @@ from ..base.errors import Refusal, RetropoleError, UsageError, quoting
 from ..base.files import stream_atomically
 from ..export.clouds import About, columns_of, comments_of, surfel_columns
 from ..export.recording import Track, cloud_publisher, cloud_stream, write_recording
-from ..fusion.merging import Points, fused, inside, together, voxels
+from ..fusion.merging import Points, fused, inside, joined_points, voxels
 from ..fusion.surfels import moments_of, surfels_of
 from ..io import Frame
 from ..io.fields import NANOSECONDS, USUAL, records_of
@@ -285,7 +285,7 @@ class LiveMerge:
         if not joined:
             return False
         poses = [own.lidar.T_frame_lidar for own in self._readers]
-        points = together([fused(each.frame.cloud, poses[k], k) for k, each in joined])
+        points = joined_points([fused(each.frame.cloud, poses[k], k) for k, each in joined])
         if self._crop is not None:
             points = points[inside(points["xyz"], self._crop)]
         self._give(points, newest)

@@ -34,7 +34,7 @@ from ..export.clouds import (
 from ..export.tree import GROUND, MAP, SITE
 from ..fusion import surfels as fusing
 from ..fusion.merging import Points, fused, inside, is_static, usual_view, voxels
-from ..fusion.surfels import Apart, Distance, Surfels
+from ..fusion.surfels import Distance, SurfaceDistance, Surfels
 from ..io import Frame, Recording, chosen_frames, open_recording
 from ..io.fields import USUAL, in_metres
 from ..io.recordings import is_unix
@@ -97,7 +97,7 @@ class Merged:
     moving: int = 0
     written: int = 0
     surfels: Surfels | None = None
-    apart: tuple[Apart, ...] = ()
+    apart: tuple[SurfaceDistance, ...] = ()
     distances: list[Distance] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     reasons: list[ReasonDoc] = field(default_factory=list)
@@ -297,7 +297,7 @@ def merge(
         is_level = at.name == GROUND or (site.frame.surveyed and at.name in (SITE, MAP))
         up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
         origins = stream.origins()
-        apart = tuple(fusing.surfaces_apart(moments, origins, up))
+        apart = tuple(fusing.surface_distances(moments, origins, up))
         found = fusing.surfels_of(moments, origins)
         written = len(found.centres)
         if out is not None:

@@ -22,7 +22,7 @@ from ..pipeline import Options, calibrate
 from ..planning.place import Area, Station
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
-from ..planning.stations import bare_scan, stand, stand_drawn
+from ..planning.stations import bare_scan, place_drawn_lidars, place_lidars
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..report.pole_plan_picture import PlanPicture
@@ -284,7 +284,7 @@ def plan_drawn(
     ]
     names = [name for name, _, _ in lidars]
     sensors = [find_sensor(sensor) for _, sensor, _ in lidars]
-    stations = stand_drawn(names, sensors, [T for _, _, T in lidars], standing)
+    stations = place_drawn_lidars(names, sensors, [T for _, _, T in lidars], standing)
     planned = _ask(stations, wish, listener)
     nothing = [("", "")] * len(lidars)
     return PolePlan(plan_document(planned, nothing, wish.need), planned)
@@ -301,7 +301,7 @@ def _planned(
     scans = [bare_scan(each.cloud, each.sensor) for each in inputs]
     listener.progress("stand the LiDARs")
     poses = _poses(names, scans, rough)
-    stations = stand(names, scans, poses)
+    stations = place_lidars(names, scans, poses)
     planned = _ask(stations, wish, listener)
     recordings = [(each.path, each.sha256) for each in input_documents(inputs)]
     return PolePlan(plan_document(planned, recordings, wish.need), planned)

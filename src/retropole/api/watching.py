@@ -49,7 +49,7 @@ from ..planning.live_poles import (
     Watched,
     angle_between,
     begun,
-    is_elsewhere,
+    is_new_placement,
     present,
     seen_now,
     take,
@@ -273,7 +273,7 @@ class Watch:
         """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
         radius, busy = self._wish.config.radius_m, self._work is not None
         taken = take(self._lidars[k], radius, self._clock, busy=busy)
-        for words in taken.said:
+        for words in taken.messages:
             self._note(f"{self._wish.names[k]}: {words}")
         if taken.is_of_another_frame:
             self._capture = None
@@ -308,7 +308,7 @@ class Watch:
             return advice
         elif capture is None:
             kept, outcome = self._kept, self._outcome
-            if kept and outcome and not is_elsewhere(kept, self._tracks, now):
+            if kept and outcome and not is_new_placement(kept, self._tracks, now):
                 return advice_after(outcome, again)
             self._capture = capture = begun(self._tracks, now)
         assert capture is not None

@@ -65,7 +65,7 @@ class CarrierMotion:
         """(6,) ``[φ, δ]`` that it adds to the pose, rad and m, target axes."""
         return self.velocity * self.apart
 
-    def taken_out(
+    def without_motion(
         self, T: Array, target: PointCloud, source: PointCloud
     ) -> tuple[PointCloud, PointCloud]:
         """Bring both recordings to the middle of the target's."""

@@ -43,7 +43,7 @@ from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare
 from ..verdict.preference import preferences
 from .carrier import CarrierMotion, carrier_motion
 from .movement import FALSE_ALARM, ROTATION, TRANSLATION, CheckResult, Method, compare_poses
-from .tolerance import NOT_ASKED, Asked
+from .tolerance import NO_REQUEST, RequestedTolerance
 
 PARTS = ROTATION, TRANSLATION
 
@@ -68,13 +68,13 @@ right pose has up to 0.02 of them, at the edges of objects; wrong ones that clin
 class NewPose:
     """A pose found again, or None, and what there is to say of it.
 
-    `unsure` says that it must not be taken for a movement, nor for none.
+    `is_uncertain` says that it must not be taken for a movement, nor for none.
     """
 
     pose: PoseEstimate | None
     uncertainty: Uncertainty | None = None
     reasons: tuple[Reason, ...] = ()
-    unsure: bool = False
+    is_uncertain: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ MORE = 3.0
 """So many times more voxels agree with the stored pose reversed than with the stored one. In six
 simulated scenes, swapped, it was 10 and more."""
 
-APART = 3.0
+SEPARATION = 3.0
 """The stored pose and its reverse must be so many times farther from each other. Where they are
 not, as of two LiDARs back to back at one height, either order gives the same answer."""
 
@@ -239,7 +239,7 @@ def swapped_clouds(
     """
     reverse = se3.inverse(T_stored)
     rotation, translation = _apart(T_stored, reverse)
-    if rotation < APART * NEAR_ROTATION and translation < APART * NEAR_TRANSLATION:
+    if rotation < SEPARATION * NEAR_ROTATION and translation < SEPARATION * NEAR_TRANSLATION:
         return None
     there = count(scenes, reverse)
     agrees = (
@@ -295,7 +295,7 @@ class _Question:
 
     stored: PoseEstimate
     uncertainty: Uncertainty | None
-    tolerance: Asked
+    tolerance: RequestedTolerance
     sensors: tuple[Sensor | None, Sensor | None]
     carrier: CarrierMotion | None
 
@@ -307,7 +307,7 @@ def check(
     *,
     options: Options = NO_OPTIONS,
     uncertainty: Uncertainty | None = None,
-    tolerance: Asked = NOT_ASKED,
+    tolerance: RequestedTolerance = NO_REQUEST,
 ) -> CheckResult:
     """Find the pose again and test it against the stored one.
 
@@ -338,7 +338,7 @@ def check(
         raise UsageError("the stored pose has no covariance: its uncertainty is unknown")
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
-        target, source = carrier.taken_out(stored.T_target_source, target, source)
+        target, source = carrier.without_motion(stored.T_target_source, target, source)
     question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
     # Surfaces about the stored pose show more than candidate poles, in a thirtieth of the time.
     confirmed = replace(options, candidates=False)
@@ -369,7 +369,7 @@ def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckRe
         return answer
     reason = carrier.explains(answer.step)
     if answer.status == "moved":
-        return answer.untold(reason)
+        return answer.withdrawn(reason)
     return replace(answer, reasons=(*answer.reasons, reason))
 
 
@@ -395,7 +395,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
         swapped = swapped_clouds(T_stored, T_poles, scenes, found)
         if swapped is not None:
             return CheckResult("cannot_tell", (swapped,), confirmation=found)
-    return _held_against_scene(replace(answer, confirmation=found), found)
+    return _checked_against_scene(replace(answer, confirmation=found), found)
 
 
 def _is_off(answer: CheckResult) -> bool:
@@ -431,11 +431,11 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     answer = _compared(question, found, "scene", reasons)
     doubt = _doubt(stored, clouds, answer)
     if doubt is not None:
-        return answer.untold(doubt.reason)
-    return answer.untold() if found.unsure else answer
+        return answer.withdrawn(doubt.reason)
+    return answer.withdrawn() if found.is_uncertain else answer
 
 
-def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
+def _checked_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
     """Take back that nothing moved where the scene conflicts with the stored pose."""
     if answer.status != "same" or not is_in_conflict(found):
         return answer
@@ -451,7 +451,7 @@ def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult
             "allowed": MAX_CONFLICTING,
         },
     )
-    return answer.untold(contradicted)
+    return answer.withdrawn(contradicted)
 
 
 def _compared(
@@ -506,7 +506,7 @@ def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
     Poles that were carried alike between the recordings draw the surfaces along, into a minimum
     that is none without them. What the search alone would hold is no denial.
     """
-    if found.pose is None or found.unsure:
+    if found.pose is None or found.is_uncertain:
         return False
     assert found.pose.covariance is not None
     held = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())

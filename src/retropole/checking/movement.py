@@ -40,7 +40,7 @@ from ..base.quantities import error, percent
 from ..base.reasons import Code
 from ..base.uncertainty import Uncertainty, floor
 from ..base.uncertainty.confirmation import Confirmation
-from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
+from .tolerance import NO_REQUEST, WIDEST_TOLERANCE, RequestedTolerance, Tolerance
 
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
@@ -88,7 +88,7 @@ CONFIDENCE = 0.95
 """With which it has moved by less than the tolerance before *same* is said: of movements of the
 tolerance, so many at least are not answered by *same*."""
 
-SURE = f"with {percent(CONFIDENCE)} confidence"
+CONFIDENTLY = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
 """Probability of finding a movement of the tolerance, below which its size counts as uncertain."""
@@ -168,36 +168,36 @@ class Weakness:
     ----------
     stored, new
         Both poses' uncertainties.
-    told
+    reported
         By how much it has moved at most, with `CONFIDENCE`.
-    asked
+    requested
         The tolerance requested, or the default.
     """
 
     stored: Uncertainty
     new: Uncertainty
-    told: Tolerance
-    asked: Tolerance
+    reported: Tolerance
+    requested: Tolerance
 
     def too_weak(self, widest: Tolerance) -> Reason:
         """Say that nothing is confirmed: what these data tell is wider than the widest they may."""
         parts = (
-            (self.told.rotation > widest.rotation, widest.rotation_in_words),
-            (self.told.translation > widest.translation, widest.translation_in_words),
+            (self.reported.rotation > widest.rotation, widest.rotation_in_words),
+            (self.reported.translation > widest.translation, widest.translation_in_words),
         )
         missing = " and ".join(words for is_missing, words in parts if is_missing)
         return self._reason(
             "too_weak",
-            f"no movement was found, but these data tell only, {SURE}, that it moved by no more "
-            f"than {self.told.in_words} ({missing} must be told): ",
+            f"no movement was found, but these data tell only, {CONFIDENTLY}, that it moved by no "
+            f"more than {self.reported.in_words} ({missing} must be told): ",
         )
 
     def wider_tolerance(self) -> Reason:
         """Say that *same* holds within more than the default, and why within no less."""
         return self._reason(
             "wider_tolerance",
-            f"the same within {self.told.in_words}, {SURE}; the default, {self.asked.in_words}, "
-            "cannot be determined by these data: ",
+            f"the same within {self.reported.in_words}, {CONFIDENTLY}; the default, "
+            f"{self.requested.in_words}, cannot be determined by these data: ",
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
@@ -214,9 +214,9 @@ class Weakness:
             code,
             f"{words}{directions_in_words(covariance)}; {remedy}",
             {
-                "tolerance_rad": self.told.rotation,
-                "tolerance_m": self.told.translation,
-                "power": detection_power(covariance, self.asked),
+                "tolerance_rad": self.reported.rotation,
+                "tolerance_m": self.reported.translation,
+                "power": detection_power(covariance, self.requested),
                 "sigma_rad": least_certain(covariance, ROTATION).sigma,
                 "sigma_m": least_certain(covariance, TRANSLATION).sigma,
                 "stored_share": share,
@@ -228,9 +228,11 @@ class Weakness:
 
         What does not cancel is blamed on the poses by what they would have had alone.
         """
-        told, asked = self.told, self.asked
+        reported, requested = self.reported, self.requested
         # Whichever part is the farther beyond its tolerance.
-        by_rotation = told.rotation / asked.rotation > told.translation / asked.translation
+        by_rotation = (
+            reported.rotation / requested.rotation > reported.translation / requested.translation
+        )
         part = ROTATION if by_rotation else TRANSLATION
         worst = least_certain(step_covariance(self.stored, self.new), part).direction
         alone = [
@@ -325,7 +327,7 @@ class CheckResult:
         """How far it was translated, metres."""
         return self._part(TRANSLATION)
 
-    def untold(self, *more: Reason) -> CheckResult:
+    def withdrawn(self, *more: Reason) -> CheckResult:
         """The same answer, taken back: for some reason nothing is to be confirmed by it."""
         reasons = *self.reasons, *more
         return replace(self, status="cannot_tell", reasons=reasons, tolerance=None)
@@ -341,7 +343,7 @@ def compare_poses(
     stored: PoseEstimate,
     new: PoseEstimate,
     used: Method,
-    asked: Asked = NOT_ASKED,
+    requested: RequestedTolerance = NO_REQUEST,
     reasons: Sequence[Reason] = (),
     uncertainties: tuple[Uncertainty | None, Uncertainty | None] = (None, None),
 ) -> CheckResult:
@@ -353,7 +355,7 @@ def compare_poses(
         The poses, both with a covariance.
     used
         What the new one was found by.
-    asked
+    requested
         The movement that matters, or as small a one as these data can resolve.
     reasons
         Further reasons to report.
@@ -366,25 +368,25 @@ def compare_poses(
     covariance = step_covariance(*parts)
     chi2 = float(step @ np.linalg.solve(covariance, step))
     p_value = float(chdtrc(6, chi2))
-    power = detection_power(covariance, asked.least)
+    power = detection_power(covariance, requested.least)
     said = list(reasons)
     status: Status = "moved" if p_value < FALSE_ALARM else "same"
-    told: Tolerance | None = None
-    least, widest = asked.least, asked.widest
+    reported: Tolerance | None = None
+    least, widest = requested.least, requested.widest
     if used == "scene":
         # Beyond, the search about the stored pose would confirm itself.
         least, widest = (each.or_narrower(WIDEST_TOLERANCE) for each in (least, widest))
     limit = upper_limit(step, covariance)
     if status == "same":
-        told = asked.least.or_wider(limit)
+        reported = requested.least.or_wider(limit)
         if not limit.is_within(widest):
             status = "cannot_tell"
-            said.append(Weakness(*parts, limit, asked.least).too_weak(widest))
-        elif told != asked.least:
-            said.append(Weakness(*parts, told, asked.least).wider_tolerance())
+            said.append(Weakness(*parts, limit, requested.least).too_weak(widest))
+        elif reported != requested.least:
+            said.append(Weakness(*parts, reported, requested.least).wider_tolerance())
     elif upper_limit(step, covariance, BOUND_SIGMAS).is_within(least):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
-        status, told = "same", asked.least
+        status, reported = "same", requested.least
         message = "it moved, but certainly by less than the tolerance"
         said.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
@@ -393,5 +395,5 @@ def compare_poses(
         said.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(
-        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, told
+        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, reported
     )

@@ -52,7 +52,7 @@ uncertain as that, and is not within it with `CONFIDENCE`."""
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestedTolerance:
     """The tolerance that a user requested, rad and m; None for a part that is left to the data.
 
     What was requested is kept. A part that was not is the default, or else the least beyond it
@@ -79,5 +79,5 @@ class Asked:
         )
 
 
-NOT_ASKED = Asked()
+NO_REQUEST = RequestedTolerance()
 """All is left to the data."""

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
-from .common import BY_SITE_FILE, command_line, listening, result_told, say
-from .level import LEVEL, level_beside
+from .common import BY_SITE_FILE, command_line, listening, report_result, say
+from .level import LEVEL, write_level
 from .options import (
     CLOUD,
     READING,
@@ -102,14 +102,14 @@ def calibrate(
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, "TARGET", "SOURCE"),
     }
-    code = result_told(
+    code = report_result(
         result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
     )
     if wanted is not None and not quiet:
         for line in cost_of(wanted, result):
             say(f"plan: {line}")
     if with_level and result.status != "refused":
-        level_beside(out, quiet or as_json)
+        write_level(out, quiet or as_json)
     return code
 
 
@@ -170,9 +170,9 @@ def site_calibrate(
         "field test of the LiDARs": command_line("certify", site_file, "--out", out),
         "later, with new recordings": command_line("site", "check", out, "SITE"),
     }
-    code = result_told(
+    code = report_result(
         result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
     )
     if with_level and result.status != "refused":
-        level_beside(written[0], quiet or as_json)
+        write_level(written[0], quiet or as_json)
     return code

@@ -179,8 +179,8 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
     yield from cloud.notes
     if read is not None and read.left_out:
         yield (
-            f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
-            f"{read.numbers.step // read.asked.step}, since all have too many points; "
+            f"read {len(read.numbers)} of {len(read.requested)} frames, one in "
+            f"{read.numbers.step // read.requested.step}, since all have too many points; "
             f"{advice.to_keep} reads more"
         )
     elif read is not None and not asked and not read.is_whole:
@@ -212,7 +212,7 @@ def echo_warning(code: str, message: str) -> None:
     say(f"retropole: warning ({code}): {message}")
 
 
-def result_told(
+def report_result(
     result: CalibrationResult | SiteResult,
     written: Sequence[Path],
     following: Mapping[str, str],

@@ -166,7 +166,7 @@ def export(
         from ..api.inputs import Listener
         from ..api.stored import recording_of
 
-        listener = Listener(on_read=_tell_origin)
+        listener = Listener(on_read=_report_origin)
         _write(recording_of(transform, result, clouds, _note, listener), out)
     else:
         _write(FORMATS[fmt or "urdf"].write(transform), out)
@@ -195,7 +195,7 @@ def _note(words: str) -> None:
     say(f"retropole: {words}")
 
 
-def _tell_origin(given: Input) -> None:
+def _report_origin(given: Input) -> None:
     """Say on stderr where the beams of a cloud start if that is not its origin."""
     if given.cloud.origin.any():
         _note(

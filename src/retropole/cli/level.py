@@ -103,7 +103,7 @@ LEVEL = more_option(
 )
 
 
-def level_beside(result: Path, quiet: bool) -> None:
+def write_level(result: Path, quiet: bool) -> None:
     """Level the LiDARs of a result that was just written, and write that next to it.
 
     If that is refused, the calibration stays what it is: the reason is printed.

@@ -10,7 +10,7 @@ import click
 
 from .common import progress_on_terminal, say, show_written
 from .options import CLOUD, FILE, Brief
-from .out import alone_beside
+from .out import locked_folder
 
 
 @click.command(cls=Brief)
@@ -72,7 +72,7 @@ def report(
     from ..result import result_file
 
     file = result_file(result)
-    beside = nullcontext() if out else alone_beside(file)
+    beside = nullcontext() if out else locked_folder(file)
     with beside, progress_on_terminal(quiet) as progress:
         older = {"target": serial_target, "source": serial_source}
         named = {lidar: number for lidar, number in older.items() if number} | dict(serials)

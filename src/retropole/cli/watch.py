@@ -210,7 +210,7 @@ def watch(
         if not sources:
             return stopped.code or EXIT_INTERRUPTED
         made = (WalkWatch if options["carried"] else Watch)(sources, wish, out)
-        stack.callback(lambda: _told(made.finish(), quiet))
+        stack.callback(lambda: _report(made.finish(), quiet))
         if not no_page:
             server = _served(lambda: latest[0], port, listen=listen)
             stack.callback(server.stop)
@@ -299,7 +299,7 @@ def _served(state: Callable[[], bytes], port: int, *, listen: bool) -> WatchServ
     return server
 
 
-def _told(written: list[Path], quiet: bool) -> None:
+def _report(written: list[Path], quiet: bool) -> None:
     if written and not quiet:
         show_written(*written)
 

@@ -53,7 +53,7 @@ FEW_POLE_POINTS = 10
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
-MAX_SURE_RMS = 0.03
+MAX_CONFIRMED_RMS = 0.03
 """Largest scatter of the returns of a confirmed pole about their line, metres, and of a
 line with few points: 12 mm of a cylinder
 of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
@@ -109,7 +109,7 @@ def shape_failure(
         return Failure("too_wide", reason)
     if line.rms > MAX_RMS + line.thicker or is_long_and_thick:
         return Failure("too_wide", f"{size}, more than any post")
-    if line.rms > line.with_beams(MAX_SURE_RMS) and count < FEW_POLE_POINTS:
+    if line.rms > line.with_beams(MAX_CONFIRMED_RMS) and count < FEW_POLE_POINTS:
         reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
         return Failure("too_wide", reason)
     along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings

@@ -27,7 +27,7 @@ LINK = 1.2
 a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring divides no pole.
 Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
-MAX_BESIDE = 0.35
+MAX_NEIGHBOUR_DISTANCE = 0.35
 """A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
 of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
 5 of them recorded posts, 16 fewer false."""
@@ -327,19 +327,19 @@ def propose_lines(
     return lines
 
 
-class DistanceAndPlace(NamedTuple):
+class LineCoordinates(NamedTuple):
     """Distances (N,) of points from a line, and their places (N,) along it, metres."""
 
     distances: Array
     places: Array
 
 
-def distance_and_place(xyz: Array, point: Array, direction: Array) -> DistanceAndPlace:
+def line_coordinates(xyz: Array, point: Array, direction: Array) -> LineCoordinates:
     """Measure points (N, 3) from a line through ``point`` (3,) with a unit direction (3,)."""
     offset = xyz - point
     along = offset @ direction
     square = np.einsum("ni,ni->n", offset, offset) - along * along
-    return DistanceAndPlace(np.sqrt(np.maximum(square, 0.0)), along)
+    return LineCoordinates(np.sqrt(np.maximum(square, 0.0)), along)
 
 
 class PrincipalLine(NamedTuple):

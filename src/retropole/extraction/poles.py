@@ -35,8 +35,8 @@ from ..io.scan_lines import with_rings
 from .acceptance_shape import MIN_LENGTH, Failure
 from .certainty import doubt_of
 from .extent import check_coordinates
-from .line_search import Judged, Sought, find_lines, left_over, near_box, parts_of
-from .lines import HALF, LINK, MAX_BESIDE, MIN_POLE_POINTS, PROPOSALS, TUBE, clusters
+from .line_search import Judged, LineSearch, find_lines, near_box, parts_of, why_left
+from .lines import HALF, LINK, MAX_NEIGHBOUR_DISTANCE, MIN_POLE_POINTS, PROPOSALS, TUBE, clusters
 from .sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS, Beams, beams_by, check_sensor
 from .surroundings import surroundings_failure
 
@@ -107,10 +107,10 @@ def extract_poles(
     sure: list[Judged] = []
     doubtful: list[tuple[Judged, Failure]] = []
     failures: list[tuple[IntArray, Failure]] = []
-    sought = confirmed(radius, beams_by(sensor))
+    search = confirmed(radius, beams_by(sensor))
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
-        found, failure = _search(cloud, columns, cluster, free, sought)
+        found, failure = _search(cloud, columns, cluster, free, search)
         for each in found:
             doubt = doubt_of(cloud, each.line, radius, knows_origin)
             if doubt is None:
@@ -131,9 +131,9 @@ def extract_poles(
     )
 
 
-def confirmed(radius: float, beams: Beams) -> Sought:
+def confirmed(radius: float, beams: Beams) -> LineSearch:
     """What passes all rules, of poles of a radius, metres."""
-    return Sought(
+    return LineSearch(
         radius,
         beams,
         surroundings_failure,
@@ -142,7 +142,7 @@ def confirmed(radius: float, beams: Beams) -> Sought:
         least_odds=-np.inf,
         proposals=PROPOSALS,
         rooms=(TUBE,),
-        shell=(radius + TUBE, MAX_BESIDE),
+        shell=(radius + TUBE, MAX_NEIGHBOUR_DISTANCE),
     )
 
 
@@ -172,7 +172,7 @@ def is_too_low(intensity: Array, threshold: float) -> bool:
 
 
 def _search(
-    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, sought: Sought
+    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, search: LineSearch
 ) -> tuple[list[Judged], Failure]:
     """Find the poles of one cluster, line by line, and say why the rest is not one.
 
@@ -186,10 +186,10 @@ def _search(
     is_saturated = failure is not None
     found: list[Judged] = []
     for part in parts:
-        lines, why = find_lines(cloud, near, part, free, free, sought, is_saturated)
+        lines, why = find_lines(cloud, near, part, free, free, search, is_saturated)
         found += lines
         failure = failure or why
-    return found, failure or left_over(free, parts)
+    return found, failure or why_left(free, parts)
 
 
 def _poles_on(cloud: PointCloud, found: Sequence[Judged]) -> tuple[Pole, ...]:

@@ -26,7 +26,7 @@ import msgspec
 
 from ..base.errors import MissingExtraError, RetropoleError, UsageError, quoting, said
 from .process import Reader
-from .work import Outcome, Task, environment, lost
+from .work import Outcome, Task, environment, unanswered
 
 ANSWER_WITHIN = 60.0
 """Seconds that a cluster may take to have a worker, or a scheduler to be there again."""
@@ -343,4 +343,4 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except Exception as error:
         words = quoting(f"{type(error).__name__}: {said(error)}")
         raise UsageError(f"a worker cannot do the work: {words}") from None
-    return lost(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None
+    return unanswered(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

@@ -337,7 +337,7 @@ def _listed(overview: Overview, status: Status, link: Callable[[Seen], str]) -> 
     if not sites:
         return EMPTY
     shown = sites[:MOST_FAILED]
-    rows = [(*_said(site), _next(site)) for site in shown]
+    rows = [(*_site_text(site), _next(site)) for site in shown]
     links = [link(site) for site in shown]
     parts = [fill("fleet-again")] if status == "error" else []
     parts.append(_table(FIRST[status][2], ("codes", "what is wrong"), rows, links))
@@ -372,7 +372,7 @@ def _listed_changes(overview: Overview, link: Callable[[Seen], str]) -> Html:
     return _table(CHANGED[2], ("kind", "what changed"), rows, links) if rows else EMPTY
 
 
-def _said(site: Seen) -> tuple[str, str, str]:
+def _site_text(site: Seen) -> tuple[str, str, str]:
     """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
     meant = "; ".join(_explained(code)[0] for code in site.codes)
     words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
@@ -432,7 +432,7 @@ def fleet_map(sites: Sequence[Seen], link: Callable[[Seen], str] = lambda site: 
         height=round(view.height),
         marks=join((*reversed(marks), view.scale_bar())),
         legend=join(reversed(keys)),
-        said=_map_said(len(placed), len(sites), view),
+        said=_map_text(len(placed), len(sites), view),
     )
 
 
@@ -499,7 +499,7 @@ def _marks(
     return fill("fleet-marks", status=status, size=round(10 * size), marks=join(drawn))
 
 
-def _map_said(placed: int, sites: int, view: _View) -> str:
+def _map_text(placed: int, sites: int, view: _View) -> str:
     """Say what the map shows, also for those who do not see it."""
     said = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
     if max(view.metres) > FLAT_BELOW:

@@ -130,14 +130,14 @@ def environment() -> str:
     return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
 
 
-def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
+def answer(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
     """Calibrate one site, unless the row that there is was made of the same.
 
     Parameters
     ----------
     task
         The site, and what there is of it.
-    tell
+    report
         Called with the hashes of its files before anything is read of what is in them.
 
     Returns
@@ -153,7 +153,7 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     try:
         with local_files(task.site) as local:
             hashed = _hashed(task.site, local)
-            tell(hashed)
+            report(hashed)
             if hashed.key == task.known and _is_reported(task, hashed):
                 return Outcome(task.site.id)
             row, steps = _calibrated(task, local, hashed)
@@ -204,7 +204,7 @@ def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
     )
 
 
-def lost(
+def unanswered(
     site: FleetSite, code: str, message: str, hashed: Hashed | None = None, seconds: float = 0.0
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
@@ -357,9 +357,9 @@ class LocalFiles:
         for lidar in file.lidar:
             for placement, name in zip(file.placements, lidar.recordings, strict=True):
                 if name:
-                    yield lidar.name, placement, self._beside(self.site, lidar.name, name)
+                    yield lidar.name, placement, self._brought(self.site, lidar.name, name)
 
-    def _beside(self, site: Path, lidar: str, name: str) -> Path:
+    def _brought(self, site: Path, lidar: str, name: str) -> Path:
         """Bring a recording that a site file names."""
         path, given = site.parent / name, self._given.get(str(site))
         if given is not None:
@@ -390,11 +390,11 @@ class LocalFiles:
 
             file = read_site_file(self.site)
             if file.survey is not None:
-                found.append(self._beside(self.site, "survey", file.survey))
+                found.append(self._brought(self.site, "survey", file.survey))
             for lidar in file.lidar:
                 if lidar.angles is not None:
                     name = os.path.relpath(lidar.angles, self.site.parent)
-                    found.append(self._beside(self.site, lidar.name, name))
+                    found.append(self._brought(self.site, lidar.name, name))
         return [hash_of(path) for path in found]
 
     def renamed(self, text: str) -> str:

@@ -67,7 +67,7 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
     return points
 
 
-def together(parts: Sequence[Points]) -> Points:
+def joined_points(parts: Sequence[Points]) -> Points:
     """Join fused points (N,): as bytes, which is ten times as fast as field by field."""
     return np.concatenate([part.view(np.uint8) for part in parts]).view(POINT)
 

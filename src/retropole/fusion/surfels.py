@@ -95,7 +95,7 @@ class Surfels:
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
+class SurfaceDistance:
     """How far apart the surfaces of two LiDARs are, place by place.
 
     Attributes
@@ -320,7 +320,7 @@ def _surfels(
         left &= ~group
 
 
-def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apart]:
+def surface_distances(moments: Moments, origins: Array, up: Array) -> Iterator[SurfaceDistance]:
     """Compare the surfaces that two LiDARs see, for each two that share any.
 
     Both are planes with one normal n, that of the mean of their covariances, through their means
@@ -353,7 +353,7 @@ def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apar
         kinds = _kinds(centres, normals, min(origins[i] @ up, origins[j] @ up), up)
         # One surfel for each column of cells along the axis nearest to the normal.
         areas = moments.size**2 / np.abs(normals).max(axis=1)
-        yield Apart((i, j), centres, normals, off, kinds, areas)
+        yield SurfaceDistance((i, j), centres, normals, off, kinds, areas)
 
 
 def _some(fit: _Fit, rows: IntArray) -> _Fit:
@@ -393,7 +393,7 @@ def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
     return np.asarray(T_frame_lidar[:3, :3] @ normal)
 
 
-def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:
+def distance_at(surfels: Surfels, apart: Sequence[SurfaceDistance], reach: float) -> Array:
     """Give the distance (M,) that was found nearest to each surfel, NaN if none is in reach."""
     found = np.full(len(surfels.centres), np.nan)
     if not apart or not len(found):
@@ -409,7 +409,7 @@ def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array
     return found
 
 
-def distances(apart: Iterable[Apart]) -> list[Distance]:
+def distances(apart: Iterable[SurfaceDistance]) -> list[Distance]:
     """Sum up the distances of surfaces, by pair of LiDARs and kind of surface; none is left out.
 
     Medians: single objects that moved, or that both see otherwise, move them little.

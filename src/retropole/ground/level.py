@@ -92,7 +92,7 @@ a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
 """What is not known better, rad and m, is no answer."""
 
-ROUNDS, SETTLED = 3, 0.001
+ROUNDS, CONVERGED = 3, 0.001
 """The rough axes are those of the plane after at most this many rounds; they are where they are not
 tilted against it by more than this, rad: a LiDAR 6 m high has its foot 6 mm aside."""
 
@@ -228,7 +228,7 @@ def level(
         )
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
-        if not left or np.hypot(*plane[1:]) < SETTLED:
+        if not left or np.hypot(*plane[1:]) < CONVERGED:
             break
         turned = ground_frame(plane, ground.T_rough_frame)
         ground = find_ground(viewers, radius, (turned, ground.ceiling))
@@ -287,7 +287,7 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
     up = ground.T_rough_frame[2, :3]
     while True:
         parts = [
-            _own_cells(viewer, index, ground.T_rough_frame, side)
+            _lidar_cells(viewer, index, ground.T_rough_frame, side)
             for viewer, index in zip(viewers, ground.points, strict=True)
         ]
         if sum(len(part.means) for part in parts) <= MOST_CELLS:
@@ -325,7 +325,7 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
     )
 
 
-class _OwnCells(NamedTuple):
+class _LidarCells(NamedTuple):
     """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), the mean square of their heights
     about the mean (n,), m², and (n, B) shares of the bands."""
 
@@ -335,7 +335,7 @@ class _OwnCells(NamedTuple):
     share: Array
 
 
-def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
+def _lidar_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _LidarCells:
     xyz = viewer.cloud.xyz[index]
     # By where the beams meet the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
@@ -359,10 +359,10 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     np.add.at(share, (cell, band.ravel()), 1.0)
     off = (xyz - means[cell]) @ T[2, :3]
     scatter = np.bincount(cell, off**2, minlength=n) / count
-    return _OwnCells(means, count, scatter, share / count[:, None])
+    return _LidarCells(means, count, scatter, share / count[:, None])
 
 
-def _by_errors(viewer: Viewer, part: _OwnCells, up: Array) -> tuple[Array, Array]:
+def _by_errors(viewer: Viewer, part: _LidarCells, up: Array) -> tuple[Array, Array]:
     """Derivative (n, E) of measured heights by the errors of one LiDAR, and 1 σ (E,) of these."""
     axis, toward = viewer.cloud.axis, part.means - viewer.cloud.origin
     ranges = np.maximum(se3.lengths(toward), 1e-9)

@@ -45,7 +45,7 @@ CLOSED = 1
 """Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole.
 Two kerbs 3 m apart stay two."""
 
-APART, DIFFERENT = 4, 0.06
+SEPARATION, DIFFERENT = 4, 0.06
 """Pieces that are within this many squares of each other are different levels where their heights
 there differ by more, metres, in the middle."""
 
@@ -55,11 +55,11 @@ SAME_LEVEL = 0.06
 RIDGE = 10.0
 """Weight with which a level is held parallel to the rough axes, cells times m²."""
 
-PARTED, PARTING_ROUNDS = 0.2, 20
+SPLIT, PARTING_ROUNDS = 0.2, 20
 """Two levels are distinguished in one piece where both together are this thin, root mean square,
 as a part of the step between them; and rounds of parting it."""
 
-LEAST_PARTED = 80
+LEAST_SPLIT = 80
 """Pieces of more squares may be of two levels: 10 m² of each."""
 
 LEAST_SHARE = 0.05
@@ -149,7 +149,7 @@ def _pieces(at: Array) -> IntArray:
 
 def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
     """(P, P) which pieces of cells (N, 3), of heights (N,), are next to each other with a step."""
-    a, b = _pairs(at, APART).T
+    a, b = _pairs(at, SEPARATION).T
     differ = pieces[a] != pieces[b]
     one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
     count = int(pieces.max(initial=-1)) + 1
@@ -195,9 +195,9 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
         ``two_grounds``.
     """
     none, pieces = np.zeros(len(at), dtype=bool), _pieces(at)
-    for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_PARTED):
+    for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_SPLIT):
         own = pieces == number
-        if parted := _parted(at, own, [at[:, 2] > np.median(at[own, 2])]):
+        if parted := _split(at, own, [at[:, 2] > np.median(at[own, 2])]):
             pieces[own & ~parted[0]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
@@ -225,7 +225,7 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
         other = _level(at[:, 2] - best.heights, beside)
         touching = conflicts[np.ix_(np.unique(pieces[best.on]), np.unique(pieces[beside]))].any()
         if touching and not left.any() and KERB[0] < abs(other.height) < KERB[1]:
-            two = _beside_a_kerb(at, best, level, over, other)
+            two = _along_kerb(at, best, level, over, other)
             if two is not None:
                 on, left = two
                 other = _level(at[:, 2] - plane_of_cells(at, on), left)
@@ -238,7 +238,7 @@ def _level(over: Array, on: BoolArray) -> Level:
     return Level(float(np.median(over[on])), float(np.count_nonzero(on)) * CELL**2)
 
 
-def _beside_a_kerb(
+def _along_kerb(
     at: Array, best: _Grown, level: _Grown, over: Array, other: Level
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N,) are ground, and which of the level a step from it; None if no kerb is.
@@ -248,7 +248,7 @@ def _beside_a_kerb(
     both, beside = best.on | level.on, level.on & ~best.on
     upper = beside if other.height > 0 else ~beside
     halfway = (np.median(over[best.on]) + np.median(over[beside])) / 2
-    parted = _parted(at, both, [upper, over > halfway])
+    parted = _split(at, both, [upper, over > halfway])
     is_parallel = np.std((at[:, 2] - best.heights)[beside]) < PARALLEL
     two = parted or (both & ~upper, both & upper)
     is_step = _is_step(at, *two)
@@ -333,7 +333,7 @@ def plane_of_cells(at: Array, on: BoolArray) -> Array:
     return np.asarray(table @ np.linalg.solve(rows.T @ rows + ridge, rows.T @ at[on, 2]))
 
 
-def _parted(
+def _split(
     at: Array, both: BoolArray, guesses: Sequence[BoolArray]
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N, 3) are of the lower and the upper of two parallel levels; None of one.
@@ -356,7 +356,7 @@ def _parted(
         found.append((np.sqrt(np.mean(off**2)), fit[3], off, upper))
     thick, step, off, upper = min(found, key=lambda each: each[0])
     share = min(upper.mean(), 1 - upper.mean())
-    if abs(step) < SAME_LEVEL or thick > PARTED * abs(step) or share < LEAST_SHARE:
+    if abs(step) < SAME_LEVEL or thick > SPLIT * abs(step) or share < LEAST_SHARE:
         return None
     clear, levels = np.abs(off) < abs(step) / 3, np.zeros((2, len(at)), dtype=bool)
     levels[0, both], levels[1, both] = clear & (upper == (step < 0)), clear & (upper == (step > 0))

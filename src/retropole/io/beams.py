@@ -165,12 +165,12 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
-    told = _told_by_rings(cloud)
+    told = _axis_from_rings(cloud)
     return cloud if told is None else replace(cloud, origin=told.apex, axis=told.axis)
 
 
 @kept
-def _told_by_rings(cloud: PointCloud) -> Cones | None:
+def _axis_from_rings(cloud: PointCloud) -> Cones | None:
     """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
     origin and axis already, and if there are none.
     """

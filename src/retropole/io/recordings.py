@@ -44,7 +44,7 @@ def is_of_livox(kind: str) -> bool:
     return kind.startswith("livox_") and kind.endswith("/msg/CustomMsg")
 
 
-def holds_clouds(kind: str) -> bool:
+def has_clouds(kind: str) -> bool:
     """Whether messages of a type are point clouds that are read."""
     return kind == CLOUDS or is_of_livox(kind)
 
@@ -123,7 +123,7 @@ class Topic:
     @property
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
-        return holds_clouds(self.kind)
+        return has_clouds(self.kind)
 
     @property
     def of_packets(self) -> bool:
@@ -194,7 +194,7 @@ class ReadRecording:
     ----------
     recording
         What was read.
-    asked, numbers
+    requested, numbers
         Which frames were requested, and which of them were read.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
@@ -204,7 +204,7 @@ class ReadRecording:
     """
 
     recording: Recording
-    asked: range
+    requested: range
     numbers: range
     headers: tuple[FrameHeader, ...]
     cloud: PointCloud
@@ -212,7 +212,7 @@ class ReadRecording:
     @property
     def left_out(self) -> int:
         """How many frames were requested, and not read since all have too many points."""
-        return len(self.asked) - len(self.numbers)
+        return len(self.requested) - len(self.numbers)
 
     @property
     def is_whole(self) -> bool:
@@ -436,15 +436,17 @@ def read_within(
                 kept = [replace(frame, cloud=downsample(frame.cloud, share)) for frame in kept]
         if len(kept) == len(numbers):
             return numbers, kept
-        _tell(progress, recording, len(kept), len(numbers))
+        _report_progress(progress, recording, len(kept), len(numbers))
         for frame in recording.read(numbers[len(kept) :]):
             kept.append(frame)
-            _tell(progress, recording, len(kept), len(numbers))
+            _report_progress(progress, recording, len(kept), len(numbers))
             if _points(kept) > most:
                 break
 
 
-def _tell(progress: Callable[[str], None], recording: Recording, done: int, count: int) -> None:
+def _report_progress(
+    progress: Callable[[str], None], recording: Recording, done: int, count: int
+) -> None:
     if done < count > 1:
         progress(step_of(f"read {recording.path.name}: frame", done + 1, count))
 

@@ -54,7 +54,7 @@ class Deviation:
 
 
 @dataclass(frozen=True, eq=False)
-class Stood:
+class StationView:
     """What one LiDAR sees of a placement.
 
     Attributes
@@ -78,7 +78,7 @@ def against_plan(
     poles: Sequence[PoleDoc],
     lidar: str | None = None,
     placement: int | None = None,
-) -> Stood:
+) -> StationView:
     """Hold the poles that a LiDAR sees against the plan.
 
     Parameters
@@ -100,17 +100,17 @@ def against_plan(
             ]
             if placement in (None, p):
                 deviations, others = _match(wanted, poles, station.T_place_lidar)
-                tried.append(Stood(station.name, p, tuple(deviations), others))
+                tried.append(StationView(station.name, p, tuple(deviations), others))
     return min(tried, key=_badness)
 
 
-def _badness(stood: Stood) -> float:
+def _badness(view: StationView) -> float:
     """Sum of how far poles are off; one that is missing counts as `FARTHEST`."""
     away = [
         FARTHEST if each.offset is None else float(np.linalg.norm(each.offset))
-        for each in stood.deviations
+        for each in view.deviations
     ]
-    return sum(away) + FARTHEST * stood.others
+    return sum(away) + FARTHEST * view.others
 
 
 def _match(

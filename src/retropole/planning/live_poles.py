@@ -58,7 +58,7 @@ LEAST_SECONDS = 3.0
 MOST_SWEEPS = 150
 """More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
 
-ELSEWHERE = 0.3
+NEW_PLACEMENT = 0.3
 """A pole that stands so far from where it was, metres, or one more, is another placement."""
 
 
@@ -297,7 +297,7 @@ class View:
         return bool(inside[0] and not self.sensor.has_in_view(pole.point[None], margin)[0])
 
 
-def word_on(track: Tracked, now: float) -> str:
+def fault_of(track: Tracked, now: float) -> str:
     """What is wrong with a pole, in two or three words; empty if nothing is."""
     if now - track.seen > LATELY:
         return "lost"
@@ -337,7 +337,7 @@ class Watched:
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
     recent: deque[PointCloud] = field(default_factory=deque)
 
-    def together(self, cloud: PointCloud) -> PointCloud:
+    def accumulated(self, cloud: PointCloud) -> PointCloud:
         """Give a sweep with as many before it as show a pole well."""
         sweeps = 1 if self.view.sensor is None else self.view.sensor.sweeps
         if sweeps == 1 or cloud.intensity is None:
@@ -356,16 +356,16 @@ class Watched:
         return self.origin.frame_id if self.origin else None
 
 
-class Taken(NamedTuple):
+class Received(NamedTuple):
     """What came from a LiDAR: a sweep that is of use, or None; what to report of it; whether it
     is of another frame than those before."""
 
     frame: Frame | None = None
-    said: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
     is_of_another_frame: bool = False
 
 
-def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
+def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Received:
     """Take the newest sweep of a LiDAR, and search it for standing poles.
 
     Parameters
@@ -385,24 +385,24 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     # While the answer is worked out, both share the time.
     if busy and view.looked is not None and now - view.looked.at < 0.8:
         return taken._replace(frame=None)
-    cloud = lidar.together(taken.frame.cloud)
+    cloud = lidar.accumulated(taken.frame.cloud)
     looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
     tracks = follow(view.tracks, looked)
     lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
     return taken
 
 
-def receive(lidar: Watched, clock: Callable[[], float]) -> Taken:
+def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
     """Take the newest sweep of a LiDAR, with returns and from where those before came."""
     view = lidar.view
     try:
         frame = lidar.source.newest(0.05)
     except ReadError as error:
         lidar.view = replace(view, fault=str(error))
-        return Taken(said=() if view.fault == str(error) else (str(error),))
+        return Received(messages=() if view.fault == str(error) else (str(error),))
     if frame is None:
         lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
-        return Taken()
+        return Received()
     now = clock()
     said, is_other = list[str](), False
     origin = Origin(frame.frame_id, frame.sender)
@@ -415,12 +415,12 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Taken:
     if lidar.kept not in (None, origin):
         fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
         lidar.view = replace(view, fault=fault)
-        return Taken(None, tuple(said), is_other)
+        return Received(None, tuple(said), is_other)
     lidar.came.append((now, frame.number))
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
-        return Taken(None, tuple(said), is_other)
-    return Taken(frame, tuple(said), is_other)
+        return Received(None, tuple(said), is_other)
+    return Received(frame, tuple(said), is_other)
 
 
 def seen_now(lidar: Watched, now: float) -> LidarNow:
@@ -448,7 +448,7 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
             word=word,
         )
         for track in present(view.tracks, now)
-        for word in [word_on(track, now)]
+        for word in [fault_of(track, now)]
     ]
     return LidarNow(
         name=view.name,
@@ -517,12 +517,12 @@ def begun(tracks: Sequence[Sequence[Tracked]], now: float) -> Capture:
     return Capture(tuple(() for _ in tracks), now, tuple(present(own, now) for own in tracks))
 
 
-def is_elsewhere(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
+def is_new_placement(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
     """Whether the poles stand otherwise than when a placement was kept."""
     for was, own in zip(capture.poles, tracks, strict=True):
         for each in present(own, now):
             gaps = [max(away_from(each.pole, old.pole), _along(each, old)) for old in was]
-            if min(gaps, default=np.inf) > ELSEWHERE:
+            if min(gaps, default=np.inf) > NEW_PLACEMENT:
                 return True
     return False
 

@@ -27,7 +27,7 @@ from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import in_sensor_frame, range_noise, with_poles
 from .choice import UNCONSTRAINED, Design, choose, errors_of, rules_of, unknown_precision
-from .place import FAR, Area, Candidates, Place, Station, candidate_poles, survey
+from .place import FAR, Area, Candidates, Station, Surroundings, candidate_poles, survey
 from .prediction import (
     Prediction,
     Surfaces,
@@ -36,9 +36,9 @@ from .prediction import (
     network_of,
     predict,
     prior_of,
+    refined,
     roots_of,
     scene_information,
-    settled,
     surfaces_of,
 )
 
@@ -166,7 +166,7 @@ class Planned:
     """
 
     stations: tuple[Station, ...]
-    place: Place
+    place: Surroundings
     candidates: Candidates
     seen: BoolArray
     design: Design
@@ -223,7 +223,7 @@ def plan(
     """
     progress("surfaces")
     surfaces = surfaces_of(stations)
-    stations = settled(stations, surfaces)
+    stations = refined(stations, surfaces)
     progress("ground")
     place = survey(stations, allowed, forbidden)
     progress("poles that can stand")
@@ -290,7 +290,12 @@ def plan(
 
 
 def _too_few(
-    stations: Sequence[Station], place: Place, found: int, poles: int, length: float, radius: float
+    stations: Sequence[Station],
+    place: Surroundings,
+    found: int,
+    poles: int,
+    length: float,
+    radius: float,
 ) -> Refusal:
     """Say that too few poles would be seen, and what would help: thicker poles where all are far.
 

@@ -32,7 +32,7 @@ from ..extraction.sensor_pattern import error_sizes
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import DIVERGENCE, in_sensor_frame, range_noise
 from ..surfaces.patches import surface_patches
-from .place import Candidates, Station, beams_met
+from .place import Candidates, Station, beams_hit
 
 LATERAL_NOISE = 0.3
 """Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
@@ -60,7 +60,7 @@ def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, 
     """
     (own,) = in_sensor_frame([pole], station.T)
     beams = station.beams
-    met = beams_met(own, beams, divergence)
+    met = beams_hit(own, beams, divergence)
     # The same pole is recorded with the same noise: returns without any would be taken for exact.
     noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
     xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
@@ -170,7 +170,7 @@ def prior_of(unknowns: Unknowns, known: Array) -> Array:
     return np.asarray(known[unknowns.groups().label] ** -2.0)
 
 
-KNOWN = np.radians(2.0), 0.3
+ROUGH_SIGMA = np.radians(2.0), 0.3
 """1 σ of a pose that the surroundings gave, before the surfaces refine it, rad and m."""
 
 
@@ -206,18 +206,18 @@ def model_of(stations: Sequence[Station], radius: float = DEFAULT_RADIUS) -> Err
 
 
 def known_poses(stations: Sequence[Station], bands: Sequence[IntArray]) -> PoleFactor:
-    """State the poses as they are known, instead of poles: `KNOWN`, and nothing of the errors."""
+    """State the poses as they are known, instead of poles: `ROUGH_SIGMA`; nothing of the errors."""
     unknowns = Unknowns(tuple(bands), 0, 0)
     information = np.zeros((unknowns.kept, unknowns.kept))
     own = np.arange(POSE, unknowns.poses)
-    information[own, own] = np.tile(np.repeat(KNOWN, 3) ** -2.0, len(stations) - 1)
+    information[own, own] = np.tile(np.repeat(ROUGH_SIGMA, 3) ** -2.0, len(stations) - 1)
     free = np.repeat(np.arange(len(stations)) > 0, POSE)
     T = np.stack([each.T for each in stations])
     nothing = np.zeros(unknowns.kept)
     return PoleFactor(T, unknowns, free, information, nothing, np.inf, nothing[:, None])
 
 
-def settled(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
+def refined(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
     """Settle the poses on the surfaces that the LiDARs share; the first one's stays."""
     factor = known_poses(stations, surfaces.bands)
     end = minimise(problem_of(factor, stations, surfaces))

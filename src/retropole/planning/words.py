@@ -35,7 +35,7 @@ from ..result.pole_plan import (
     TapeDoc,
     below,
 )
-from .place import Station, beams_met
+from .place import Station, beams_hit
 from .planner import Planned, Rehearsal
 from .prediction import divergences_of
 from .stations import UPWARD
@@ -175,7 +175,7 @@ def sights_of(planned: Planned, numbers: Sequence[int]) -> list[list[SightDoc]]:
     for k in numbers:
         pole, seen = planned.candidates.pole(k), []
         for i in np.flatnonzero(planned.seen[k]):
-            met = beams_met(pole, views[i], widths[i])
+            met = beams_hit(pole, views[i], widths[i])
             rings = np.unique(views[i].rings[met.beam])
             seen.append(
                 SightDoc(
@@ -349,7 +349,7 @@ def sentences(
             "lean, so keep to the leans of the plan."
         )
     for station in planned.stations:
-        if not station.is_settled:
+        if not station.is_refined:
             yield (
                 f"The pose of {station.name} is as you gave it: the recordings share too little to "
                 "settle it."

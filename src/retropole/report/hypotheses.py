@@ -19,7 +19,7 @@ from . import listings
 from .listings import number, numbers
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
 
-OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
+LEFT_TO_USER = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""
 
 SAME_AXIS = math.radians(10.0)
@@ -31,9 +31,9 @@ LEAST_TURN = math.radians(1.0)
 """Hypotheses that differ by less are not called turned, rad."""
 
 
-def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
+def undecided(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
     """List the hypotheses between which a person may decide, by name; none where it is decided."""
-    if not any(reason.code in OPEN for reason in result.reasons):
+    if not any(reason.code in LEFT_TO_USER for reason in result.reasons):
         return []
     named = [
         (hypothesis_name(k), each)
@@ -111,9 +111,9 @@ def pose_numbers(hypothesis: HypothesisDoc) -> list[str]:
     return [*numbers(angles, 1), *numbers(T[:3, 3], 2)]
 
 
-def describe_standing(result: ResultDoc) -> list[str]:
+def describe_undecided(result: ResultDoc) -> list[str]:
     """Write the hypotheses that stand for a terminal, a few lines; none where it is decided."""
-    named = standing(result)
+    named = undecided(result)
     if not named:
         return []
     lines = ["hypotheses that stand, roll pitch yaw in deg, x y z in m"]
@@ -134,7 +134,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
         return EMPTY
     compared = fill(
         "hypotheses-compared",
-        standing=_standing(result),
+        undecided=_undecided(result),
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
         table=listed(listings.hypotheses(result)),
     )
@@ -179,9 +179,9 @@ def tried_words(reasons: Sequence[ReasonDoc]) -> str:
     return f"To bound the time, {', '.join(said)}" if said else ""
 
 
-def _standing(result: ResultDoc) -> Html:
+def _undecided(result: ResultDoc) -> Html:
     """List the hypotheses between which a person may decide, and the options that would."""
-    named = standing(result)
+    named = undecided(result)
     if not named:
         return EMPTY
     rows = [

@@ -25,7 +25,7 @@ from ..result import REPORT_FILE, SITE_REPORT_FILE, InputDoc, ReasonDoc, ResultD
 from ..result.contents import CloudDoc, DetectionDoc, InfoDoc, IntensityDoc
 from ..result.site import SiteDoc
 from . import listings
-from .hypotheses import describe_standing, margin_words, tried_words
+from .hypotheses import describe_undecided, margin_words, tried_words
 from .listings import (
     POLE_COLUMNS,
     Listing,
@@ -161,8 +161,8 @@ def describe_result(
     asked = [each.fitness.answer for each in site.lidars if each.fitness is not None]
     if asked and set(asked) == {"yes"}:
         head += wrapped(f"  {fitness_words(subject)}", "    ")
-    standing = [] if pair is None else describe_standing(pair)
-    head_end = [part for line in standing for part in wrapped(line, "      ")]
+    undecided = [] if pair is None else describe_undecided(pair)
+    head_end = [part for line in undecided for part in wrapped(line, "      ")]
     said = [
         part for x in statements(subject, verbose=verbose) for part in wrapped(f"  {x}", "    ")
     ]

@@ -61,7 +61,7 @@ def radius_in_metres(given: float) -> str:
     return f"{given:g} m is no pole; {given:g} {unit}? give {likely[unit]:g}"
 
 
-def told(text: str) -> Meta:
+def describe(text: str) -> Meta:
     """Say what an option is, in the words of the command line's help."""
     return Meta(description=text)
 
@@ -71,7 +71,7 @@ def rare(text: str) -> Meta:
     return Meta(description=text, extra={"rare": True})
 
 
-SAME = told("The same for SOURCE.")
+SAME = describe("The same for SOURCE.")
 
 
 def frames_named(text: str) -> slice | None:
@@ -132,13 +132,13 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     radius_m: Annotated[
-        Radius, told("Radius of the poles, m: half their thickness, tape included.")
+        Radius, describe("Radius of the poles, m: half their thickness, tape included.")
     ] = DEFAULT_RADIUS
     radius_sigma_m: Annotated[
         RadiusSigma, rare("1 sigma of the radius, m. At least 2 % of the radius is used.")
     ] = 0.0
     up: Annotated[
-        bool, told("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
+        bool, describe("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
     ] = False
     prior_rpy_deg: Annotated[
         tuple[Angle, Angle, Angle] | None,
@@ -163,7 +163,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     carried: Annotated[
         bool,
-        told(
+        describe(
             "A person carried one pole through the view of both, who recorded the walk. Gives the "
             "offset of the clocks as well."
         ),
@@ -186,7 +186,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     need_m: Annotated[
         NeededError | None,
-        told(
+        describe(
             "Accuracy that is needed, cm. The verdict says whether every point up to "
             f"{DEFAULT_AT:g} m away (--at-m) is within it, with 95 % probability."
         ),
@@ -204,18 +204,20 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     threshold_target: Annotated[
         Intensity | None,
-        told("Intensity from which a return is retro-reflective.  [default: auto]"),
+        describe("Intensity from which a return is retro-reflective.  [default: auto]"),
     ] = None
     threshold_source: Annotated[Intensity | None, SAME] = None
-    sensor_target: Annotated[Text, told("Sensor, such as VLP-16, or a .toml file of one.")] = "auto"
+    sensor_target: Annotated[Text, describe("Sensor, such as VLP-16, or a .toml file of one.")] = (
+        "auto"
+    )
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
-        Text | None, told("Topic of the bag; needed if it has several topics of point clouds.")
+        Text | None, describe("Topic of the bag; needed if it has several topics of point clouds.")
     ] = None
     source_topic: Annotated[Text | None, SAME] = None
     frames: Annotated[
         Frames | None,
-        told(
+        describe(
             "Frames of a recording to read, as Python slices: 0:20, -50:, ::10, 7.  "
             "[default: evenly spread, about a million points]"
         ),
@@ -227,7 +229,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
             "brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
-    unit: Annotated[Unit, told("Unit of coordinates; see 'retropole info'.")] = "m"
+    unit: Annotated[Unit, describe("Unit of coordinates; see 'retropole info'.")] = "m"
     unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,

@@ -172,7 +172,7 @@ def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
     return replace(beams, origin=origin, directions=beams.directions @ T[:3, :3].T)
 
 
-def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
+def hits_on(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
     """Cast the beams at the poles; the index is of those that hit one before their return."""
     hits = cast(beams.origin, beams.directions, poles, width)
     return hits, np.flatnonzero(hits.ranges < beams.ranges)
@@ -300,7 +300,7 @@ def with_poles(
 
     The biases are those of ranges to tape, metres: of each ring, and last where none is known.
     """
-    hits, met = met_by(beams, poles, width)
+    hits, met = hits_on(beams, poles, width)
     ranges = hits.ranges[met] + biases[beams.rings[met]]
     ranges += range_noise(sensor) * rng.normal(size=len(met))
     points = beams.origin + ranges[:, None] * beams.directions[met]

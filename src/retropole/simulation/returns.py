@@ -279,13 +279,13 @@ def bloom(
     bright, dark = np.flatnonzero(on_tape), np.flatnonzero(~on_tape)
     if len(bright) == 0:
         return bright, bright
-    dark = dark[_in_cells_beside(rays[dark], rays[bright], max(half_width, 1 / 64))]
+    dark = dark[_in_neighbour_cells(rays[dark], rays[bright], max(half_width, 1 / 64))]
     apart, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
     glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - apart / half_width)
     return dark[glows], bright[nearest[glows]]
 
 
-def _in_cells_beside(rays: Array, others: Array, size: float) -> IntArray:
+def _in_neighbour_cells(rays: Array, others: Array, size: float) -> IntArray:
     """Index of rays (N, 3) in the same cubic cell as one of others (M, 3), or in one next to it.
 
     It leaves out most beams before distances are computed.

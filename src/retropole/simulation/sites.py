@@ -17,7 +17,7 @@ from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .pairs import Recorders, SimulationError, is_seen, record_in_turn
 from .raycast import Cylinder, Surface, cast
 from .scanning import LabelledScan
-from .site_places import PLACES, Arrangement, Seen, SitePlace, are_linked, arrange
+from .site_places import PLACES, Arrangement, Seen, SiteScene, are_linked, arrange
 
 SITES = tuple(PLACES)
 """Kinds of sites. ``ring`` is for ambiguity: see `simulate_site`."""
@@ -33,7 +33,7 @@ DEFAULT_SENSORS = {
 MAX_LIDARS, MAX_PLACEMENTS = 12, 8
 """Of a simulated site."""
 
-Standing = Sequence[Sequence[Sequence[Cylinder]]]
+PlacedPoles = Sequence[Sequence[Sequence[Cylinder]]]
 """``standing[lidar][placement]``: the poles as they stand when a LiDAR records them."""
 
 
@@ -233,7 +233,7 @@ def record_site(
     *,
     survey: Survey | None = None,
     frames: int = 1,
-    standing: Standing | None = None,
+    standing: PlacedPoles | None = None,
 ) -> SimulatedSite:
     """Record and survey a site that was drawn, once: the second half of `simulate_site`.
 
@@ -289,7 +289,7 @@ def _numbers(kind: str, lidars: int, placements: int | None, poles: int | None) 
 
 
 def _record(
-    drawn: DrawnSite, frames: int, standing: Standing
+    drawn: DrawnSite, frames: int, standing: PlacedPoles
 ) -> tuple[list[list[LabelledScan | None]], Seen]:
     """Record all placements, each until its recordings link what they are to link.
 
@@ -360,7 +360,7 @@ class Survey:
 
 def draw_survey(
     survey: Survey | None,
-    place: SitePlace,
+    place: SiteScene,
     poles: Sequence[Sequence[Cylinder]],
     sensors: Sequence[Sensor],
     rng: np.random.Generator,
@@ -393,7 +393,7 @@ def draw_survey(
 
 
 def _points(
-    survey: Survey, place: SitePlace, sensors: Sequence[Sensor], rng: np.random.Generator
+    survey: Survey, place: SiteScene, sensors: Sequence[Sensor], rng: np.random.Generator
 ) -> tuple[ControlPoint, ...]:
     """Draw control points in all directions around the middle of the LiDARs."""
     middle = np.mean([pose[:2, 3] for pose in place.poses], axis=0)
@@ -420,7 +420,7 @@ def _points(
     return tuple(points)
 
 
-def _is_in_view(at: Array, pose: Array, sensor: Sensor, place: SitePlace) -> bool:
+def _is_in_view(at: Array, pose: Array, sensor: Sensor, place: SiteScene) -> bool:
     """Whether a LiDAR sees a point (3,): within its field of view, with nothing before it."""
     own = se3.apply(se3.inverse(pose), at[None])[0]
     distance = float(np.linalg.norm(own))

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from retropole.fleet.dataset import Row, partition_of, read_rows
-from retropole.fleet.history.check import check_site, lost_check
+from retropole.fleet.history.check import check_site, unanswered_check
 from retropole.fleet.history.store import CheckRow
 from retropole.fleet.process import Reader
 from retropole.fleet.sites import FleetSite, find_sites
@@ -95,7 +95,7 @@ def test_the_other_way_round_is_no_movement(beside: FleetSite) -> None:
 
 
 def test_of_a_worker_that_died_what_is_known_is_kept(beside: FleetSite) -> None:
-    one = lost_check(beside, CHECK, failed(beside, "error", "killed", "its process crashed"))
+    one = unanswered_check(beside, CHECK, failed(beside, "error", "killed", "its process crashed"))
     assert (one.id, one.time, one.codes) == (beside.id, TRIED, ("killed",))
     assert one.message == "its process crashed"
     assert (one.stored_sha256, one.target_sha256) == ("", "")

@@ -222,7 +222,7 @@ def test_a_change_is_that_of_least_squares_of_all_checks_at_once(
     )
     surprises = 0.0
     for n, one in enumerate(seen):
-        now, chi2 = watching._taken(now, one, n)
+        now, chi2 = watching._include(now, one, n)
         now = replace(now, total=np.full(len(SHARES), now.weight))
         now = replace(now, likelihood=1.0 * (np.arange(len(SHARES)) == law))
         surprises += chi2

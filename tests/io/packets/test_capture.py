@@ -12,7 +12,7 @@ import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError
 from retropole.io import open_recording, read_cloud, read_frames, topics_of
-from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, alike, walk
+from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, similar_packets, walk
 from retropole.io.recordings import time_of_recording
 from tests.cli.commands import retropole_here
 from tests.damage import cut as cut_at_random
@@ -383,7 +383,7 @@ def test_a_capture_of_two_velodynes_gives_each(tmp_path: Path) -> None:
     path, both = tmp_path / "one.pcap", tmp_path / "both.pcap"
     path.write_bytes(velodyne())
     alone = read_cloud(path)
-    payloads = [each.first.payload for each in alike(path, walk(path), lambda _: None)]
+    payloads = [each.first.payload for each in similar_packets(path, walk(path), lambda _: None)]
     sent = [datagram(payload, f"10.0.0.{k}") for payload in payloads for k in (1, 2)]
     both.write_bytes(pcap(sent))
     cloud = read_cloud(both, topic="10.0.0.2:10000")

@@ -12,7 +12,7 @@ from retropole.io import open_recording, read_cloud
 from retropole.io.packets import blocks
 from retropole.io.packets.models import Blocks
 from retropole.io.packets.sweeps import (
-    MOST_HELD,
+    MOST_KEPT,
     PILED,
     Sweep,
     index_of,
@@ -103,7 +103,7 @@ def test_a_lidar_that_stands_still_does_not_fill_the_memory(
     (packet,) = turning(1)
     assert all(take(packet) is None for _ in range(5000))
     cells = dict(zip(take.__code__.co_freevars, take.__closure__ or (), strict=True))
-    assert len(cells["held"].cell_contents) <= 500 + PILED < MOST_HELD
+    assert len(cells["held"].cell_contents) <= 500 + PILED < MOST_KEPT
 
 
 def test_times_of_a_clock_that_was_not_set_are_not_those_of_the_recording(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
 from . import store
-from .check import WatchedPair, lost_check, watched_pairs
+from .check import WatchedPair, unanswered_check, watched_pairs
 from .store import CheckRow
 from .watch import Event, Watched, watch
 
@@ -55,13 +55,13 @@ class SiteChange:
         return self.watched.alarms
 
     @property
-    def is_told(self) -> bool:
+    def is_decided(self) -> bool:
         """Whether the newest check gave a step at all."""
         return self.newest.is_usable
 
     def is_new(self, event: Event) -> bool:
         """Whether the newest check found it."""
-        return self.is_told and event.found == len(self.times) - 1
+        return self.is_decided and event.found == len(self.times) - 1
 
     def words(self, event: Event) -> str:
         """Say what changed, since when and by how much."""
@@ -198,7 +198,7 @@ def check_fleet(
             if one.check is not None:
                 new.append(one.check)
             elif one.row is not None:
-                new.append(lost_check(by_id[one.id], blank, one.row))
+                new.append(unanswered_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
         return store.append(history, new, set().union(*(keys_of(row.id) for row in new)))
 

@@ -48,7 +48,7 @@ LARGEST_FILE = 2**31
 READERS = 8
 """Files that are read at once: of an object store most of the time is waiting. Not tuned."""
 
-TOGETHER = 20
+SITES_PER_BATCH = 20
 """Sites that are read, and replayed, together: 7 MB in a year of daily checks."""
 
 Step = Annotated[list[float], Meta(min_length=6, max_length=6)]
@@ -59,7 +59,7 @@ def _raise(error: ReadError) -> None:
     raise error
 
 
-Tell = Callable[[ReadError], None]
+Report = Callable[[ReadError], None]
 """Is told what is damaged, which is then left out; or raises it."""
 
 Sites = dict[str, tuple[str, ...]]
@@ -272,7 +272,7 @@ def schema() -> Any:
 
 
 def contents(
-    folder: str, tell: Tell = _raise, known: Collection[str] = ()
+    folder: str, report: Report = _raise, known: Collection[str] = ()
 ) -> tuple[Sites, dict[str, bytearray]]:
     """Look what a history has, but in files that are `known`: the files, and the keys of each site.
 
@@ -286,7 +286,7 @@ def contents(
         below(folder, month, name) for month in months for name in names_in(below(folder, month))
     )
     places = [place for place in files if place.endswith(".parquet") and place not in known]
-    for place, table in _tables(places, tell, ["id", "key"]):
+    for place, table in _tables(places, report, ["id", "key"]):
         names = table["id"].to_pylist()
         # Files that were appended one after the other have the same sites.
         own = (*sorted(set(names)),)
@@ -297,7 +297,7 @@ def contents(
 
 
 def tables(
-    folder: str, ids: Collection[str] | None, tell: Tell, known: Sites | None = None
+    folder: str, ids: Collection[str] | None, report: Report, known: Sites | None = None
 ) -> Iterator[Any]:
     """Read a history as tables of a few sites each, with all rows of these and the `PLACE` of each.
 
@@ -307,7 +307,7 @@ def tables(
         Path or URL of the history; where there is none, it is empty.
     ids
         Sites to read; None reads all.
-    tell
+    report
         Is told of each file that is damaged or not of this schema.
     known
         What `contents` gave; what was appended since is found.
@@ -317,7 +317,7 @@ def tables(
 
     known = known or {}
     files: dict[str, list[str]] = {}
-    for place, names in (known | contents(folder, tell, known)[0]).items():
+    for place, names in (known | contents(folder, report, known)[0]).items():
         for name in names:
             files.setdefault(name, []).append(place)
     wanted = files.keys() if ids is None else files.keys() & {*ids}
@@ -328,23 +328,23 @@ def tables(
 
     # Sites that were appended together are in the same files, of which the last is one.
     for _, alike in groupby(order, lambda name: files[name][-1]):
-        for some in _parts([*alike], 5 * TOGETHER):
+        for some in _parts([*alike], 5 * SITES_PER_BATCH):
             places = sorted({place for name in some for place in files[name]})
             found = [
                 own.append_column(PLACE, pa.array([place] * len(own), pa.string()))
-                for place, table in _tables(places, tell)
+                for place, table in _tables(places, report)
                 if len(own := of(table, some))
             ]
             if found:
                 table = pa.concat_tables(found)
-                yield from (of(table, few) for few in _parts(some, TOGETHER))
+                yield from (of(table, few) for few in _parts(some, SITES_PER_BATCH))
 
 
 def _parts(names: list[str], most: int) -> Iterator[list[str]]:
     return (names[k : k + most] for k in range(0, len(names), most))
 
 
-def rows_of(table: Any, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
+def rows_of(table: Any, report: Report = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
     """Give the checks of each site of a table in the order of time; what is no row is told."""
     micros = table.set_column(
         table.schema.get_field_index("time"), "time", table["time"].cast("int64")
@@ -358,13 +358,13 @@ def rows_of(table: Any, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRo
                 # The same check may be there twice.
                 sound[columns["key"]] = row_of(columns)
             except ReadError as error:
-                tell(ReadError(f"{place}: {error}"))
+                report(ReadError(f"{place}: {error}"))
         if sound:
             yield name, [*sound.values()]
 
 
 def read(
-    folder: str, ids: Collection[str] | None = None, tell: Tell = _raise
+    folder: str, ids: Collection[str] | None = None, report: Report = _raise
 ) -> Iterator[tuple[str, list[CheckRow]]]:
     """Read a history: the checks of each site in the order of time, a site at a time.
 
@@ -373,14 +373,14 @@ def read(
     MissingExtraError
         Without the extra ``fleet``.
     ReadError
-        Of what is damaged, without `tell`.
+        Of what is damaged, without `report`.
     """
-    for table in tables(folder, ids, tell):
-        yield from rows_of(table, tell)
+    for table in tables(folder, ids, report):
+        yield from rows_of(table, report)
 
 
 def _tables(
-    places: Iterable[str], tell: Tell, columns: list[str] | None = None
+    places: Iterable[str], report: Report, columns: list[str] | None = None
 ) -> Iterator[tuple[str, Any]]:
     """Read files, but those that are damaged; a few at once."""
     with ThreadPoolExecutor(READERS) as readers:
@@ -389,7 +389,7 @@ def _tables(
                 # Its checks are not lost, and what would be written has its name.
                 raise found
             if isinstance(found, ReadError):
-                tell(found)
+                report(found)
             else:
                 yield place, found
 

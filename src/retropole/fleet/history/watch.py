@@ -276,7 +276,7 @@ def _begin(first: Observed) -> _Filter:
     return blank
 
 
-def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
+def _include(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
     """Take the check n in, and give its χ²; what is too old is left out, and changes begin."""
     days, scale = check.days - now.days, np.sqrt(now.total / now.weight)[:, None]
     F = np.zeros((len(TIMES), 1, 6, 6)) + np.eye(6)
@@ -355,7 +355,7 @@ def _statistics(now: _Filter) -> Array:
     return np.asarray(np.maximum((b**2 / A).sum(axis=0), as_six))
 
 
-def _adopted(now: _Filter, m: int) -> _Filter:
+def _accepted(now: _Filter, m: int) -> _Filter:
     """Make a change part of what is expected."""
     D, A = now.deviation[..., m], now.information[..., m, None]
     mean = now.mean + D * now.vector[..., m, None] / A
@@ -411,7 +411,7 @@ def watch(checks: Sequence[Observed]) -> Watched:
         return Watched()
     now, events, waiting = _begin(checks[0]), list[Event](), list[int]()
     for n, check in enumerate(checks):
-        now, chi2 = _taken(now, check, n)
+        now, chi2 = _include(now, check, n)
         waiting += [n] * (chi2 > GATE)
         found = _found(now, n)
         if found is not None or chi2 <= GATE:
@@ -423,7 +423,7 @@ def watch(checks: Sequence[Observed]) -> Watched:
             # The first check alone may stand against the stored pose and all others.
             first = event.onset == 1 and _from_stored(check) < _from_stored(checks[0])
             events.append(Event("outlier", 0, n) if first else event)
-            now = _adopted(now, m)
+            now = _accepted(now, m)
         elif len(waiting) > MOST_WAITING:
             events.append(Event("unsettled", waiting[0], n))
             waiting = []

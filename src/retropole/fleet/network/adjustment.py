@@ -45,7 +45,7 @@ KERNEL = 15.0
 FAINT = 1e-6
 """Weight of residuals that are left out: GTSAM then still has the covariance of their ends."""
 
-HELD = 1e-6
+DATUM_SIGMA = 1e-6
 """1 σ of what holds the datum, rad and m."""
 
 MOST_ROUNDS = 30
@@ -223,7 +223,7 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
         held = np.eye(6) * (len(each.points) == 0)
         held[:3, :3] = each.held.T @ each.held
         if len(each.held):
-            holding = model.Gaussian.SqrtInformation(held / HELD)
+            holding = model.Gaussian.SqrtInformation(held / DATUM_SIGMA)
             factors.add(gtsam.PriorFactorPose3(int(each.nodes[0]), gtsam.Pose3(), holding))
     return factors
 
@@ -277,7 +277,7 @@ def find_start(graph: Graph) -> Any:
     for k in range(graph.nodes):
         places.insert(k, np.zeros(3))
 
-    def alike(variance: Array) -> Any:
+    def within_rounding(variance: Array) -> Any:
         # Two outvote one, however precise that claims to be.
         sigma = float(np.sqrt(np.median(variance))) if len(variance) else 1.0
         fair = model.mEstimator.Fair.Create(1.0)
@@ -285,7 +285,7 @@ def find_start(graph: Graph) -> Any:
 
     own = np.diagonal(edges.covariance, axis1=1, axis2=2)
     turned, moved = own[:, :3].mean(axis=1), own[:, 3:].mean(axis=1)
-    noise = alike(turned)
+    noise = within_rounding(turned)
     for (i, j), T in zip(ends, edges.T_i_j, strict=True):
         turns.add(gtsam.BetweenFactorRot3(i, j, gtsam.Rot3(T[:3, :3]), noise))
     rotations = gtsam.InitializePose3.initializeOrientations(poses)
@@ -293,7 +293,7 @@ def find_start(graph: Graph) -> Any:
     R = np.array([rotations.atRot3(k).matrix() for k in range(graph.nodes)])
     arm = np.einsum("kab,kb->ka", R[edges.i], edges.T_i_j[:, :3, 3])
     # A direction that is off by its σ moves the far end by that much more.
-    noise = alike(moved + turned * np.sum(arm**2, axis=1))
+    noise = within_rounding(moved + turned * np.sum(arm**2, axis=1))
     for (i, j), way in zip(ends, arm, strict=True):
         moves.add(gtsam.BetweenFactorPoint3(i, j, way, noise))
     options = gtsam.GaussNewtonParams()

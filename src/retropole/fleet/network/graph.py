@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
 
-LEAST_APART = 1e-5
+LEAST_INDEPENDENT = 1e-5
 """Part of its own variance that is added to that of each number: GTSAM gives up where one is known
 2¹² times better given another."""
 
@@ -127,7 +127,7 @@ class Graph:
         turn = twice(np.swapaxes(self.edges.T_i_j[:, :3, :3], 1, 2))
         C[self.numbers == 6] = turn @ self.edges.covariance @ np.swapaxes(turn, 1, 2)
         C[self.numbers == 3, :3, :3] = self.points.covariance
-        C[:, range(6), range(6)] *= 1 + LEAST_APART
+        C[:, range(6), range(6)] *= 1 + LEAST_INDEPENDENT
         try:
             # GTSAM takes a matrix without upper entries for a diagonal one.
             return np.swapaxes(np.linalg.cholesky(np.linalg.inv(C)), 1, 2)

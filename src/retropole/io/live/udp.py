@@ -22,7 +22,7 @@ import numpy as np
 from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
 from ..fields import frame_from_columns
-from ..packets.angles import angles_told, read_angles
+from ..packets.angles import read_angles, reported_angles
 from ..packets.interpolated import DIFOP_START
 from ..packets.models import MODELS, Angles, Model, recognized
 from ..packets.ouster import ouster_sweeps
@@ -316,7 +316,7 @@ class VelodyneSource(PacketSource):
         super().__init__(port, host, kind, senders)
 
 
-class Told:
+class Reported:
     """What LiDARs report of themselves on a port: the newest such packet of each, by its address.
 
     Several listen to it where their LiDARs send to one port; the last to leave closes it.
@@ -327,7 +327,7 @@ class Told:
         As `VelodyneSource`.
     """
 
-    _open: ClassVar[dict[tuple[str, int], Told]] = {}
+    _open: ClassVar[dict[tuple[str, int], Reported]] = {}
     _lock: ClassVar[Lock] = Lock()
 
     def __init__(self, port: int, host: str) -> None:
@@ -338,7 +338,7 @@ class Told:
         self._thread.start()
 
     @classmethod
-    def on(cls, port: int, host: str) -> Told:
+    def on(cls, port: int, host: str) -> Reported:
         """Listen to a port, with those that do already."""
         with cls._lock:
             own = cls._open.get((host, port))
@@ -404,12 +404,12 @@ class TableSource(PacketSource):
         self._tells = any(getattr(model.layout, "difop", None) for model in models)
         if told is not None and not self._tells:
             raise UsageError(f"port {told}: a {title} sends its angles to no port")
-        self._told: Told | None = None
+        self._told: Reported | None = None
         self._own_told: dict[str, bytes] = {}
         unheard = ""
         try:
             if (told or usual) not in (0, port):
-                self._told = Told.on(told or usual, host)
+                self._told = Reported.on(told or usual, host)
         except UsageError as error:
             if told is not None:
                 raise
@@ -429,7 +429,7 @@ class TableSource(PacketSource):
                 model, heard = recognized(packet), b"" if angles else self._heard()
                 if model is not None and (model is not known or heard is not last):
                     last = heard
-                    own = read_angles(angles, model) if angles else angles_told(model, heard)
+                    own = read_angles(angles, model) if angles else reported_angles(model, heard)
                     if model is not known or (own is not None and not own.looks_as(used)):
                         known, take, used = model, live(model, own), own
                 whole = take(packet)

@@ -24,11 +24,20 @@ from ..bags import opened
 from ..fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from ..recordings import PACKETS_OF, Frame, Recording, Topic, is_unix
 from . import drivers
-from .angles import angles_told, read_angles
-from .capture import PCAPNG_START, Alike, Capture, Datagram, alike, sizes_in_words, stacks_of, walk
+from .angles import read_angles, reported_angles
+from .capture import (
+    PCAPNG_START,
+    Capture,
+    Datagram,
+    SimilarPackets,
+    similar_packets,
+    sizes_in_words,
+    stacks_of,
+    walk,
+)
 from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
-from .ouster import OUSTER, metadata_beside, model_named, sweeps_of_capture
+from .ouster import OUSTER, find_metadata, model_named, sweeps_of_capture
 from .sweeps import AT_ONCE, Sweep, index_of, positions_of, stacked, sweeps_of
 from .velodyne import is_velodyne, model_of, velodyne_sweeps
 
@@ -102,8 +111,8 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     # Of a damaged packet nothing shows who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
-    alike = int(np.count_nonzero(capture.records[:, 1] == length))
-    unreadable = max(alike - known, 0) if len(senders) == 1 else 0
+    similar_packets = int(np.count_nonzero(capture.records[:, 1] == length))
+    unreadable = max(similar_packets - known, 0) if len(senders) == 1 else 0
     is_plain = len(senders) == 1 and not unreadable and not len(capture.gaps)
     with path.open("rb") as file:
         is_plain &= file.read(4) != PCAPNG_START
@@ -121,8 +130,8 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray
     """Survey a capture; besides, where the payload of each packet begins in the file."""
     starts = np.zeros(len(capture.records), np.int64)
 
-    def coming() -> Iterator[Alike]:
-        for each in alike(path, capture, _marks):
+    def coming() -> Iterator[SimilarPackets]:
+        for each in similar_packets(path, capture, _marks):
             starts[list(each.rows)] = each.starts
             yield each
 
@@ -157,7 +166,7 @@ def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
             left -= len(part)
             yield stacked(part)
 
-    alone = (Alike(each, (row,), (each.time,)) for row, each in enumerate(every()))
+    alone = (SimilarPackets(each, (row,), (each.time,)) for row, each in enumerate(every()))
     senders, sizes = survey(alone)
     if not senders:
         raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
@@ -177,7 +186,7 @@ def topics_of_capture(path: Path) -> tuple[Topic, ...]:
     return topics if len(topics) > 1 else ()
 
 
-def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
+def survey(coming: Iterator[SimilarPackets]) -> tuple[dict[str, Sender], Counter[int]]:
     """Find which LiDARs sent packets, and count the sizes of all other packets."""
     senders: dict[str, Sender] = {}
     sizes: Counter[int] = Counter()
@@ -199,7 +208,7 @@ def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
             own.times.frombytes(np.asarray(times, np.float64).tobytes())
     for name, own in senders.items():
         found = (
-            angles_told(own.model, payload)
+            reported_angles(own.model, payload)
             for key, payload in told.items()
             if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
         )
@@ -329,7 +338,7 @@ def _first(columns: Columns) -> float | None:
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
     """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
     words = sizes_in_words(capture)
-    metadata = metadata_beside(path, words)
+    metadata = find_metadata(path, words)
     note = capture.note(0)
     read = partial(sweeps_of_capture, path, metadata)
     with naming(metadata), reported("file of an Ouster's metadata"):

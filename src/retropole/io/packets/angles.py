@@ -55,8 +55,8 @@ def read_angles(path: Path, model: Model) -> Angles:
         return Angles(table[:, 0], table[:, 1], path.name)
 
 
-def angles_told(model: Model, payload: bytes) -> Angles | None:
+def reported_angles(model: Model, payload: bytes) -> Angles | None:
     """Take a unit's own angles from a packet in which it has them; None of any other."""
     if isinstance(model.layout, Interpolated):
-        return interpolated.angles_told(model, payload)
+        return interpolated.reported_angles(model, payload)
     return None

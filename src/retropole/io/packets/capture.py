@@ -169,7 +169,9 @@ def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
     return np.concatenate([*parts, np.array(ones, RECORDS)])
 
 
-def _alike_records(block: bytes, here: int, length: int, at: int, order: Order) -> NDArray[np.void]:
+def _similar_records(
+    block: bytes, here: int, length: int, at: int, order: Order
+) -> NDArray[np.void]:
     """Find the records of one size that follow each other, but the last, from a place on."""
     step = PACKET_HEADER + length
     count = (len(block) - here) // step
@@ -204,7 +206,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
             start = at + here + PACKET_HEADER
             same = same + 1 if length_after == length else 0
             if same > OF_ONE_SIZE:
-                many = _alike_records(block, here, length, at, order)
+                many = _similar_records(block, here, length, at, order)
                 following = here + len(many) * (PACKET_HEADER + length)
                 if len(many):
                     yield many, at + following, at + here
@@ -393,7 +395,7 @@ def _follow(file: BinaryIO, at: int, size: int, order: str) -> bool:
     return True
 
 
-class Alike(NamedTuple):
+class SimilarPackets(NamedTuple):
     """Packets of one sender that differ in what they measured alone.
 
     Attributes
@@ -412,9 +414,9 @@ class Alike(NamedTuple):
     starts: Sequence[int] | IntArray = ()
 
 
-def alike(
+def similar_packets(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
-) -> Iterator[Alike]:
+) -> Iterator[SimilarPackets]:
     """Read what UDP carries in the packets of a capture; similar ones together.
 
     A packet that carries none, or is damaged, gives an empty payload.
@@ -447,7 +449,7 @@ def alike(
                 here = int(starts[row]) + payload
                 own = marks(first.payload) if first.payload and block else None
                 if own is None:
-                    yield Alike(first, (row,), (time,), (here,))
+                    yield SimilarPackets(first, (row,), (time,), (here,))
                     left = left[1:]
                     continue
                 parts = [
@@ -459,7 +461,7 @@ def alike(
                 found = np.frombuffer(block, np.uint8)[places]
                 is_like[is_like] = (found == found[0]).all(axis=1)
                 rows, left = left[is_like], left[~is_like]
-                yield Alike(first, rows, capture.times[rows], starts[rows] + payload)
+                yield SimilarPackets(first, rows, capture.times[rows], starts[rows] + payload)
 
 
 def _udp(packet: bytes, link: int, time: float) -> tuple[Datagram, int, IntArray]:

@@ -141,7 +141,7 @@ def decode(
         )
 
 
-def angles_told(model: Model, payload: bytes) -> Angles | None:
+def reported_angles(model: Model, payload: bytes) -> Angles | None:
     """Take the unit's own angles from its DIFOP packet; None of any other, or if it has none.
 
     A LiDAR of half as many channels leaves the second half empty, or repeats the first.

@@ -17,7 +17,7 @@ from ..fields import Columns
 from .sweeps import Sweep
 
 
-def metadata_beside(path: Path, sizes: str) -> Path:
+def find_metadata(path: Path, sizes: str) -> Path:
     """Find the metadata of an Ouster next to its packets: with the same name, or the only ones."""
     same = path.with_suffix(".json")
     if same.is_file():

@@ -57,7 +57,7 @@ AT_ONCE = 1024
 PILED = 64
 """Packets that come now are looked at so many at a time: every 5 to 30 ms."""
 
-MOST_HELD = 2**14
+MOST_KEPT = 2**14
 """Packets that come now are kept at most, where no sweep becomes whole: 1.2 s of an OT128."""
 
 
@@ -130,7 +130,7 @@ def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
     return Index(
         positions,
         turns[turns_by_row],
-        [_together(rows[order[starts[k] : ends[k]]]) for k in turns_by_row],
+        [_coherent(rows[order[starts[k] : ends[k]]]) for k in turns_by_row],
     )
 
 
@@ -141,7 +141,7 @@ def _margin(model: Model, angles: Angles | None) -> float:
     return float(np.abs(azimuth).max(initial=0.0) / (2 * np.pi)) + 1e-6
 
 
-def _together(rows: IntArray) -> IntArray:
+def _coherent(rows: IntArray) -> IntArray:
     """Leave out packets far from the others of a sweep, as a damaged one that names its turn."""
     near = rows[np.abs(rows - np.median(rows)) <= len(rows)]
     return near if len(near) else rows[:1]
@@ -277,7 +277,7 @@ def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]
         if done is not None:
             kept = _rows_of(positions, following, margin)
             start = int(kept[0]) if len(kept) else len(held) - 1
-        start = max(start, len(held) - MOST_HELD)
+        start = max(start, len(held) - MOST_KEPT)
         held, positions = held[start:], positions[start:]
         return done
 
