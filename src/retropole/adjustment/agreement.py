@@ -135,17 +135,17 @@ def check_contradiction(refined: Refinement | None) -> None:
     """
     if refined is None or refined.mahalanobis_sq <= MAX_MAHALANOBIS_SQ:
         return
-    apart = refined.from_poles
+    off_poles = refined.from_poles
     raise Refusal(
         "poles_scene_contradict",
-        f"the scene has the LiDARs {error(apart.translation, 'm')} and "
-        f"{error(apart.rotation, 'rad')} from where the poles have them, "
+        f"the scene has the LiDARs {error(off_poles.translation, 'm')} and "
+        f"{error(off_poles.rotation, 'rad')} from where the poles have them, "
         f"{np.sqrt(refined.mahalanobis_sq / 6):.0f} times what their uncertainty allows: did a "
         "pole move between the two recordings, or is one another object?",
         {
             "mahalanobis_sq": refined.mahalanobis_sq,
-            "moved_m": apart.translation,
-            "turned_rad": apart.rotation,
+            "moved_m": off_poles.translation,
+            "turned_rad": off_poles.rotation,
         },
     )
 
@@ -232,18 +232,18 @@ def check_agreement(refined: Refinement | None) -> list[Reason]:
     """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
     if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
         return []
-    apart = refined.from_poles
+    off_poles = refined.from_poles
     return [
         Reason(
             "poles_and_scene_disagree",
-            f"the scene moves the pose {1000 * apart.translation:.0f} mm and "
-            f"{np.degrees(apart.rotation):.2f}° away from the poles, "
+            f"the scene moves the pose {1000 * off_poles.translation:.0f} mm and "
+            f"{np.degrees(off_poles.rotation):.2f}° away from the poles, "
             f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
             "something move between the two recordings, or is --radius wrong?",
             {
                 "pull": refined.mahalanobis_sq,
-                "moved_m": apart.translation,
-                "turned_rad": apart.rotation,
+                "moved_m": off_poles.translation,
+                "turned_rad": off_poles.rotation,
             },
         )
     ]

@@ -157,8 +157,8 @@ def maximise_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State,
         state.directions,
         np.zeros((0, 3)),
     )
-    sights, held = [Sight(0, beams, own)], np.zeros(POSE, dtype=bool)
-    priors = JointPriors(joint.T, np.zeros(1), state.radius, 0.0, held)
+    sights, constrained = [Sight(0, beams, own)], np.zeros(POSE, dtype=bool)
+    priors = JointPriors(joint.T, np.zeros(1), state.radius, 0.0, constrained)
 
     def at(state: JointState, log_noise: Array) -> Posterior[JointState]:
         return evaluate_joint(state, log_noise, sights, NOTHING_SURVEYED, priors)

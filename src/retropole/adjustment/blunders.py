@@ -85,8 +85,8 @@ def _coinciding(
         if patches is None:
             continue
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
-        apart = patches.residuals + patches.by_errors(errors)
-        weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
+        offsets = patches.residuals + patches.by_errors(errors)
+        weights = patches.agreement / (1.0 + (offsets / CLOSE) ** 2)
         differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_DIFFERENTLY
         count += float(np.sum(weights[differ]))
     return count
@@ -149,11 +149,11 @@ def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator
     for each in datum.dependent:
         across = each.across(datum.poles)
         others = tuple(one for one in datum.dependent if one is not each)
-        parted = replace(datum, dependent=others, poles=each.split_across(datum.poles))
-        some = _without(recorded, adjusted, parted, [each.lidars], few=True)
+        without = replace(datum, dependent=others, poles=each.split_across(datum.poles))
+        some = _without(recorded, adjusted, without, [each.lidars], few=True)
         if some is not None and some[1] < MORE_PATCHES / FEW and _is_constrained(each, some[0]):
             continue
-        every = _without(recorded, adjusted, parted, [each.lidars], few=False)
+        every = _without(recorded, adjusted, without, [each.lidars], few=False)
         names = ", ".join(datum.poles[k].name(site) for k in across)
         if every is not None and every[1] >= MORE_PATCHES:
             raise Refusal(
@@ -342,7 +342,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     for other, rival in fitting:
         if (
             rival.reason.code == suspect.reason.code == "pole_moved"
-            and (apart := _apart(rest, other)) > WARN_MAHALANOBIS_SQ
+            and (chi2 := _apart(rest, other)) > WARN_MAHALANOBIS_SQ
             and more_coincide(other.end, rest.end) < 1.0
         ):
             names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
@@ -350,7 +350,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
                 "site_inconsistent",
                 f"{names} moved, and neither poles nor surroundings tell which: add a pole, or "
                 "record the placement again",
-                {"poles": names, "chi2": apart, "allowed": WARN_MAHALANOBIS_SQ},
+                {"poles": names, "chi2": chi2, "allowed": WARN_MAHALANOBIS_SQ},
             )
     return rest, suspect
 

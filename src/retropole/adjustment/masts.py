@@ -126,9 +126,9 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     odds = sum(each.odds for each in found if each is not None)
     if odds <= 0:
         return rows
-    apart = float(expit(-odds))
+    separate = float(expit(-odds))
     return [
-        row if each is None else list(map(_moved, own, each.from_rest, [apart] * len(own)))
+        row if each is None else list(map(_moved, own, each.from_rest, [separate] * len(own)))
         for row, own, each in zip(rows, moving, found, strict=True)
     ]
 
@@ -156,20 +156,22 @@ def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion
     cuts = np.cumsum([len(each) for each in times])[:-1]
     A = [_adjoint(scans[0], scan, poses[0], T) for scan, T in zip(scans, poses, strict=True)]
     tried = list(hypotheses(np.concatenate(times)))
-    apart, common = 0.0, []
+    separate, common = 0.0, []
     for k, (one, motion) in enumerate(zip(observed, motions, strict=True)):
         own = [(f, share, np.split(features, cuts)[k]) for f, share, features in tried]
-        asked = list(ask(one, own))
-        alone, noise = judged(one, asked, SIZES, motion)
-        apart += alone.total
-        common.append([_by_common(each, A[k], noise) for each in asked])
-    told = [[sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)]
-    both = [Asked(*each, *every) for each, every in zip(tried, told, strict=True)]
+        likelihoods = list(ask(one, own))
+        alone, noise = judged(one, likelihoods, SIZES, motion)
+        separate += alone.total
+        common.append([_by_common(each, A[k], noise) for each in likelihoods])
+    summed = [
+        [sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)
+    ]
+    both = [Asked(*each, *every) for each, every in zip(tried, summed, strict=True)]
     ways = ways_of(motions[0])
     found = infer(both, axes_along(both, ways), SIZES, ways)
     shared = [own @ A[k].T for k, own in enumerate(np.split(found.motion, cuts))]
     return CommonMotion(
-        COUNTED * (found.total - apart),
+        COUNTED * (found.total - separate),
         tuple((own - one).mean(axis=0) for own, one in zip(motions, shared, strict=True)),
     )
 

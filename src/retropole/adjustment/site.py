@@ -189,8 +189,8 @@ def tested(
     groups = factor_of(aligned.network).unknowns.groups()
     at = solve_all(aligned.network, end, groups, parts)
     beside_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
-    beside = {(i, k): chi2 for i, k, chi2 in beside_pole}
-    tests = () if few else tuple(all_tests(at, site, datum.poles, beside))
+    near_poles = {(i, k): chi2 for i, k, chi2 in beside_pole}
+    tests = () if few else tuple(all_tests(at, site, datum.poles, near_poles))
     converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
     return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)

@@ -129,10 +129,10 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
     of_part = np.zeros((len(parts), len(moved.slope) // 4))
     for row, part in zip(of_part, parts, strict=True):
         row[list(part)] = 1.0
-    together = np.kron(of_part, np.eye(4)).reshape(len(parts), 4, -1)
+    joint = np.kron(of_part, np.eye(4)).reshape(len(parts), 4, -1)
 
     def of_parts(square: Array) -> Array:
-        return np.asarray(together @ square @ together.transpose(0, 2, 1))
+        return np.asarray(joint @ square @ joint.transpose(0, 2, 1))
 
     taken_up = at.inverse @ moved.cross
     scene, wide = moved.cross.T @ at.scene, moved.wide - taken_up.T @ at.by_wide
@@ -141,7 +141,7 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
     scatter = excess(of_parts(scene @ scene.T), of_parts(by_scene))
     size, way = np.linalg.eigh(of_parts(left + wide @ wide.T) + scatter)
     least = ROUNDING * np.einsum("pii->pi", of_parts(moved.own)).max(axis=1)
-    slope = together @ (moved.slope - taken_up.T @ at.remainder)
+    slope = joint @ (moved.slope - taken_up.T @ at.remainder)
     along = np.einsum("pij,pi->pj", way, slope)
     chi2 = np.sum(along**2 / np.where(size > least[:, None], size, np.inf), axis=1)
     return parts[int(np.argmax(chi2))]
@@ -296,12 +296,12 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     # Of what no observation checks only rounding is left: none of it is a test.
     least_checked = ROUNDING * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
-    told = size > least_checked
+    is_reported = size > least_checked
     # All else follows: what the iterations left of its slope counts where little is tested.
     along = way.T @ (error.slope - taken_up.T @ at.remainder)
-    chi2 = float(np.sum(along[told] ** 2 / size[told]))
+    chi2 = float(np.sum(along[is_reported] ** 2 / size[is_reported]))
     # An error ∇ moves the slope by S ∇.
-    seen = (way[:, told].T @ left) / np.sqrt(size[told])[:, None]
+    seen = (way[:, is_reported].T @ left) / np.sqrt(size[is_reported])[:, None]
     size, way = np.linalg.eigh(error.own)
     whole = size > ROUNDING * size[-1]
     inverse = (way[:, whole] / size[whole]) @ way[:, whole].T
@@ -341,9 +341,9 @@ def all_tests(
     astray
         By LiDAR and pole the χ² of returns that lie next to it (`snooping.find_outlying`).
     """
-    asked = list(_tested(at, site, poles, astray))
-    found = outcomes(at, [(each.error, each.unit) for each in asked])
-    for each, one in zip(asked, found, strict=True):
+    tests = list(_tested(at, site, poles, astray))
+    found = outcomes(at, [(each.error, each.unit) for each in tests])
+    for each, one in zip(tests, found, strict=True):
         chi2, freedom = max(one.chi2, each.beside or 0.0), each.error.freedom
         yield Test(
             each.kind,
@@ -401,9 +401,9 @@ def _tested(
         moved = placement_moved(at, one)
         yield _Tested("placement", one.lidar, one.placement, None, name, moved)
     for lidar, name in enumerate(names):
-        apart = lidar_displaced(at, lidar)
-        if apart is not None:
-            yield _Tested("lidar", lidar, None, None, name, apart)
+        displaced = lidar_displaced(at, lidar)
+        if displaced is not None:
+            yield _Tested("lidar", lidar, None, None, name, displaced)
 
 
 def _of_pole(
@@ -421,15 +421,15 @@ def _of_pole(
         yield _Tested("pole", None, placement, pole, name, moved)
     for one in views:
         assert one.lidar is not None
-        beside = astray.get((one.lidar, pole))
+        shift = astray.get((one.lidar, pole))
         # That one LiDAR alone sees, its survey checks.
-        if len(views) != 2 or beside is not None:
+        if len(views) != 2 or shift is not None:
             of_one = f"{name} as {names[one.lidar]} sees it"
-            elsewhere = pole_displaced_for(at, [one], pole)
-            yield _Tested("pole", one.lidar, placement, pole, of_one, elsewhere, beside=beside)
+            displaced = pole_displaced_for(at, [one], pole)
+            yield _Tested("pole", one.lidar, placement, pole, of_one, displaced, beside=shift)
     parts = list(splits(len(views)))
     if moved is not None and parts:
         some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        parted, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
-        yield _Tested("pole", None, placement, pole, words, parted, among=len(parts))
+        separated, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Tested("pole", None, placement, pole, words, separated, among=len(parts))

@@ -185,25 +185,25 @@ def _fit(
 ) -> Fit | None:
     """Tell what of the survey is met under a pose; None where it fixes no frame or is not met."""
     gaps: list[float] = []
-    met: set[int] = set()
+    matched: set[int] = set()
     sightings: set[tuple[int, int]] = set()
     there = [transformed(pole, T) for pole in poles]
     for k, each in enumerate(site.poles):
         found = pole_at(each, there)
         if found is not None:
             gaps += [axis_distance(end, found) for end in ends_of(each)]
-            met.add(k)
+            matched.add(k)
     for q, point in enumerate(site.points):
         for k, seen in sightings_of(site, q, origins, poses):
             gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
             if gap < OVERLAP_DISTANCE:
                 gaps.append(gap)
                 sightings.add((q, k))
-    lines = sum(_is_line(site.poles[k]) for k in met)
+    lines = sum(_is_line(site.poles[k]) for k in matched)
     if lines < 2 and len(sightings) < 3 and not (lines and sightings):
         return None
     rms = float(np.sqrt(np.mean(np.square(gaps))))
-    return Fit(T, frozenset(met), frozenset(sightings), len(gaps), rms)
+    return Fit(T, frozenset(matched), frozenset(sightings), len(gaps), rms)
 
 
 def ends_of(each: SurveyedPole) -> list[Array]:
@@ -296,8 +296,8 @@ def align_to_survey(
     best, *others = fits
     for other in others:
         _check_frames(site, best, other, poles)
-    alike = 2.0 * max(best.rms, MOST_RMS)
-    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < alike]
+    limit = 2.0 * max(best.rms, MOST_RMS)
+    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < limit]
     if rivals:
         raise Refusal(
             "survey_ambiguous",
@@ -316,18 +316,18 @@ def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]
         # Two lines fit others by chance, but hardly so well.
         return
     at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
-    apart = se3.difference_at(best.T, other.T, at)
+    difference = se3.difference_at(best.T, other.T, at)
     one, two = _names(site, best.poles, best.points), _names(site, *left)
     raise Refusal(
         "survey_contradicts",
-        f"{one} fix one frame, {two} another, {quantities.error(apart.translation)} and "
-        f"{np.degrees(apart.rotation):.1f}° from it: one of both was surveyed in another frame or "
-        "is written wrongly; correct it, or leave it out of the site file",
+        f"{one} fix one frame, {two} another, {quantities.error(difference.translation)} and "
+        f"{np.degrees(difference.rotation):.1f}° from it: one of both was surveyed in another "
+        "frame or is written wrongly; correct it, or leave it out of the site file",
         {
             "one": one,
             "other": two,
-            "apart_m": apart.translation,
-            "turned_deg": float(np.degrees(apart.rotation)),
+            "apart_m": difference.translation,
+            "turned_deg": float(np.degrees(difference.rotation)),
         },
     )
 

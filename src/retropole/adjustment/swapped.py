@@ -39,17 +39,19 @@ def check_places(site: Site, views: Views) -> None:
         place, ``lidar_moved`` elsewhere.
     """
     names = [lidar.name for lidar in site.lidars]
-    apart = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
-    for i, j in combinations(apart, 2):
+    displaced = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
+    for i, j in combinations(displaced, 2):
         both = [
-            p for p in sorted(apart[i].keys() & apart[j].keys()) if _show_each_other(views, i, j, p)
+            p
+            for p in sorted(displaced[i].keys() & displaced[j].keys())
+            if _show_each_other(views, i, j, p)
         ]
         if both:
             # Of two LiDARs with two placements it may have been in either.
             where = " or ".join(site.placements[p] for p in both)
             first, second = (f"{names[k]} in placement {where}" for k in (i, j))
             raise _swap_refusal(first, second, "show each other's place")
-    for i, away in apart.items():
+    for i, away in displaced.items():
         raise _moved_refusal(names[i], [site.placements[p] for p in sorted(away)], away)
 
 
@@ -124,7 +126,7 @@ def support_of(
         for p, scan in enumerate(row)
         if scan is not None
     ]
-    met, possible = dict.fromkeys(recordings, 0), dict.fromkeys(recordings, 0)
+    matched, possible = dict.fromkeys(recordings, 0), dict.fromkeys(recordings, 0)
     for pair in pairs:
         i, j = pair.lidars
         placed = i in choice.poses and j in choice.poses
@@ -138,8 +140,8 @@ def support_of(
             agrees = found is not None and p in found.poles
             for each in ((i, p), (j, p)):
                 possible[each] += 1
-                met[each] += agrees
-    return Supported(met, possible)
+                matched[each] += agrees
+    return Supported(matched, possible)
 
 
 def check_swapped(
@@ -157,9 +159,9 @@ def check_swapped(
     Refusal
         ``recordings_exchanged``.
     """
-    lost = support_of(choice, scans, pairs, poles).unsupported()
+    unsupported = support_of(choice, scans, pairs, poles).unsupported()
     mended: list[tuple[Recording, Recording]] = []
-    for one, other in combinations(lost, 2):
+    for one, other in combinations(unsupported, 2):
         if one[0] != other[0] and one[1] != other[1]:
             continue
         tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))

@@ -307,10 +307,10 @@ def align_beams(
     state = JointState(
         poses_of_pair(T_start), np.zeros(2), radius, points, directions, np.zeros((0, 3))
     )
-    stood = np.zeros(len(own), dtype=np.int64) if placement is None else placement
+    placement_of = np.zeros(len(own), dtype=np.int64) if placement is None else placement
     known = (PriorPose("the place", 1, T_start, SURROUNDINGS_SIGMA),) if by_place else ()
     model = ErrorModel(sizes, given_sigma)
-    found = align_all(state, sights, model, stood, OF_SOURCE, surveyed=Surveyed(poses=known))
+    found = align_all(state, sights, model, placement_of, OF_SOURCE, surveyed=Surveyed(poses=known))
     return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma, left))
 
 

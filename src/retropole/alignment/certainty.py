@@ -63,8 +63,10 @@ MAX_SCALE = 3.0
 
 def prior_precision(groups: Groups, sigma: Array) -> Array:
     """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is held fast."""
-    held = considered(groups, sigma) > 0
-    return np.asarray(1.0 / (np.where(held, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2)
+    constrained = considered(groups, sigma) > 0
+    return np.asarray(
+        1.0 / (np.where(constrained, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2
+    )
 
 
 def considered(groups: Groups, sigma: Array) -> Array:
@@ -349,12 +351,12 @@ def budget_of(
     found = []
     for (name, whose), members in rows.items():
         first = members[0]
-        told = name if whose is None or names is None else f"{name} of {names[whose]}"
+        label = name if whose is None or names is None else f"{name} of {names[whose]}"
         sensor = None if whose is None or names is not None else SIDES[whose]
         size = first.sigma if first.sigma is not None else float(np.sqrt(squares[name, whose]))
         estimated = first.estimated if len(members) == 1 else None
         share = squares[name, whose] / whole
-        found.append(BudgetEntry(told, sensor, size, first.unit, estimated, share))  # type: ignore[arg-type]
+        found.append(BudgetEntry(label, sensor, size, first.unit, estimated, share))  # type: ignore[arg-type]
     return tuple(sorted(found, key=lambda entry: -entry.share_at_30m))
 
 

@@ -205,14 +205,14 @@ def find_view(
         Of which no more are taken.
     """
     poles = len(state.points)
-    seen, beside = lidar_geometry(state, lidar, beams)
+    seen, passed_by = lidar_geometry(state, lidar, beams)
     J = _by_axis(seen.jacobian, beams.pole)
-    J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
+    J_passed = _by_axis(passed_by.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
     for _ in range(rounds):
         on = average_returns(seen, beams, state.radius, view)
-        passed = average_passed(beside, beams, state.radius, view)
+        passed = average_passed(passed_by, beams, state.radius, view)
         bent = on.information[:, :2, :2]
         now, slope = np.zeros((poles, 4, 4)), np.zeros((poles, 4))
         for jacobian, information, score, own in (
@@ -267,10 +267,10 @@ WIDTH_STEP = 0.01
 
 def average_lidar(state: State, lidar: int, one: Beams, view: View) -> tuple[Average, Average]:
     """Average the likelihood of one LiDAR's returns, and of its beams that passed, with widths."""
-    seen, beside = lidar_geometry(state, lidar, one)
+    seen, passed_by = lidar_geometry(state, lidar, one)
     return (
         with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view)),
-        with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view)),
+        with_width(lambda by: average_passed(passed_by, one.wider(by), state.radius, view)),
     )
 
 

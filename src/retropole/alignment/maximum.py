@@ -244,11 +244,11 @@ def evaluate_joint(
         score -= weighted @ term.residual
         information += weighted @ J
         damped += weighted @ J
-    held = np.flatnonzero(~np.r_[priors.free, np.ones(size - POSE * count, dtype=bool)])
-    score[held] = 0.0
+    constrained = np.flatnonzero(~np.r_[priors.free, np.ones(size - POSE * count, dtype=bool)])
+    score[constrained] = 0.0
     for matrix in (information, damped):
-        matrix[held], matrix[:, held] = 0.0, 0.0
-        matrix[held, held] = 1.0
+        matrix[constrained], matrix[:, constrained] = 0.0, 0.0
+        matrix[constrained, constrained] = 1.0
     return Posterior(
         state,
         log_noise,

@@ -75,13 +75,13 @@ class Beams:
         """Give the beams at some of the poles (K,), which are then numbered in that order."""
         number = np.full(1 + max(self.pole.max(initial=-1), poles.max(initial=-1)), -1)
         number[poles] = np.arange(len(poles))
-        met, passed = number[self.pole], number[self.passed_pole]
-        on, by = met >= 0, passed >= 0
+        hit_pole, passed = number[self.pole], number[self.passed_pole]
+        on, by = hit_pole >= 0, passed >= 0
         return replace(
             self,
             directions=self.directions[on],
             ranges=self.ranges[on],
-            pole=met[on],
+            pole=hit_pole[on],
             half_width=self.half_width[on],
             beside=self.beside[on],
             passed_directions=self.passed_directions[by],
@@ -195,11 +195,11 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
 
     near = behind & (np.abs(by.lateral_offset) < room + NEXT_TO_POLE)
     near &= (along > own.min() - NEXT_TO_POLE) & (along < own.max() + NEXT_TO_POLE)
-    beside = np.zeros(len(own))
+    weight_nearby = np.zeros(len(own))
     for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
         seen = np.bincount(stretch(along[side]), minlength=stretches) > 0
-        beside += 0.5 * seen[stretch(own)]
+        weight_nearby += 0.5 * seen[stretch(own)]
     of_returns, of_passed = _shares(len(own), cloud)
     kept = _evenly(own, of_returns)
     passed = passed[_evenly(along[passed], of_passed)]
-    return _Near(pole.xyz[kept], beside[kept], directions[passed])
+    return _Near(pole.xyz[kept], weight_nearby[kept], directions[passed])

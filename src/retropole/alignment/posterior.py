@@ -214,8 +214,8 @@ def lidar_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry
         np.concatenate([beams.ranges, any_range]),
         np.concatenate([beams.pole, beams.passed_pole]),
     )
-    on_pole, beside = slice(0, len(beams.pole)), slice(len(beams.pole), None)
-    return both.part(on_pole), both.part(beside)
+    on_pole, passed_by = slice(0, len(beams.pole)), slice(len(beams.pole), None)
+    return both.part(on_pole), both.part(passed_by)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,16 +286,16 @@ def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tupl
     Terms, OnPoles
         Of all its beams; and what its returns on the poles show of the noise.
     """
-    seen, beside = lidar_geometry(state, lidar, beams)
+    seen, passed_by = lidar_geometry(state, lidar, beams)
     on_poles = _on_poles(state, seen, beams, noise)
-    on, by = on_poles.terms, _passed(state, beside, beams, noise)
-    together = Terms(
+    on, by = on_poles.terms, _passed(state, passed_by, beams, noise)
+    joint = Terms(
         on.log + by.log,
         on.score + by.score,
         on.information + by.information,
         on.damped + by.damped,
     )
-    return together, on_poles
+    return joint, on_poles
 
 
 def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> OnPoles:

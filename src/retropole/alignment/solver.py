@@ -205,11 +205,11 @@ def levenberg_marquardt_each(
         moved = move(points[left], scaled / scale)
         new = model_at(moved, left)
         better = now.costs - new.costs >= -ROUNDING * now.costs
-        taken = left[better]
-        points[taken] = moved[better]
+        done = left[better]
+        points[done] = moved[better]
         for kept, found in zip(models, new, strict=True):
-            kept[taken] = found[better]
-        dampings[taken] = np.maximum(dampings[taken] / 10.0, ROUNDING)
+            kept[done] = found[better]
+        dampings[done] = np.maximum(dampings[done] / 10.0, ROUNDING)
         rests = np.linalg.norm(scaled / scale, axis=1) < tolerance
         rests = np.where(better, rests, np.abs(scaled).max(axis=1) < tolerance)
         converged[left[rests]] = True

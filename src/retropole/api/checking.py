@@ -251,13 +251,13 @@ def check_in_map(
     """
     found = calibrate_with(target, source, config, listener)
     own = {*hashes_of(found.document)} & {*stored.hashes}
-    said = (*((_RECORDINGS_OF_RESULT,) if own else ()), *stored.warnings)
+    reasons = (*((_RECORDINGS_OF_RESULT,) if own else ()), *stored.warnings)
     if found.T_target_source is None or found.covariance is None:
         refusal = refusal_of(found.document.reasons).reason
-        return CheckResult("cannot_tell", (refusal, *said))
+        return CheckResult("cannot_tell", (refusal, *reasons))
     new = PoseEstimate(found.T_target_source, found.covariance, 0.0)
     parts = stored.uncertainty, found.uncertainty
-    return compare_poses(stored.pose, new, "scene", tolerance, said, parts)
+    return compare_poses(stored.pose, new, "scene", tolerance, reasons, parts)
 
 
 def check_pair(
@@ -403,7 +403,7 @@ def check_site(
     tables = {lidar.name: lidar for lidar in file.lidar}
     # Each is read once, of whatever pairs its LiDAR is.
     read = cache(partial(read_of, file, site, listener, known=wanted_of(document)))
-    asked = RequestedTolerance(rotation, translation)
+    requested = RequestedTolerance(rotation, translation)
     checked = []
     for k, (target, source) in enumerate(pairs, 1):
         listener.progress(step_of(f"check {target} and {source}", k, len(pairs)))
@@ -414,7 +414,7 @@ def check_site(
         for n in shared_placements(*both):
             pair = InputPair(*(read(file.lidar.index(table), n) for table in both))
             try:
-                answer = check_pair(stored, pair, config, asked)
+                answer = check_pair(stored, pair, config, requested)
             except Refusal as refusal:
                 answer = CheckResult("cannot_tell", (refusal.reason,))
             if answer.status != "cannot_tell":
@@ -440,13 +440,13 @@ def verdict_of(pairs: Sequence[CheckedPair], lidars: Sequence[str]) -> SiteCheck
             groups |= dict.fromkeys(joined, joined)
     sizes = sorted({id(group): len(group) for group in groups.values()}.values(), reverse=True)
     largest = max(groups.values(), key=len)
-    is_told = len(sizes) == 1 or sizes[0] > sizes[1]
+    is_decided = len(sizes) == 1 or sizes[0] > sizes[1]
     of_moved = {(a, b) for a, b, answer in pairs if answer.status == "moved"}
     off = {b if a in largest else a for a, b in of_moved if (a in largest) != (b in largest)}
     # Whoever stands with one that moved, moved with it.
-    moved = {name for name in lidars if groups[name] & off} if is_told else set()
-    told = largest | moved if is_told else {name for pair in of_moved for name in pair}
-    untold = tuple(name for name in lidars if name not in told and len(lidars) > 1)
+    moved = {name for name in lidars if groups[name] & off} if is_decided else set()
+    decided = largest | moved if is_decided else {name for pair in of_moved for name in pair}
+    untold = tuple(name for name in lidars if name not in decided and len(lidars) > 1)
     status: Status = "moved" if of_moved else "cannot_tell" if untold else "same"
     listed = tuple(name for name in lidars if name in moved)
     return SiteCheck(status, (), tuple(pairs), listed, untold)

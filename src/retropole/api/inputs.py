@@ -194,9 +194,9 @@ def read_input(
         cloud = downsample(in_metres(cloud, unit), how.max_points)
     if how.wanted.place is not None:
         cloud = as_map(cloud, how.wanted.place)
-    taken = Input(given, cloud, sensor, how.threshold, read, how)
-    listener.on_read(taken)
-    return taken
+    reader_input = Input(given, cloud, sensor, how.threshold, read, how)
+    listener.on_read(reader_input)
+    return reader_input
 
 
 def read_pair(

@@ -193,8 +193,8 @@ class _Reader(Thread):
             return came
         self._apart.append(stamp - came)
         if self.lidar.clock is None:
-            apart = median(self._apart)
-            self.clock = 0.0 if abs(apart) < SAME_CLOCK else apart
+            offset = median(self._apart)
+            self.clock = 0.0 if abs(offset) < SAME_CLOCK else offset
         # None came before it was made.
         return min(stamp - (self.clock or 0.0), came)
 
@@ -511,9 +511,9 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
         except Refusal as refusal:
             moved, status, reasons = (), "cannot_tell", (refusal.reason,)
     why = f": {reasons[0].message}" if reasons and status != "same" else ""
-    said = {
+    stated = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
         "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
     }
-    return Checked(moved, said[status])
+    return Checked(moved, stated[status])

@@ -182,10 +182,10 @@ def placed(
         T_frame_site = se3.inverse(poses[names.index(frame)])
         return Placed(frame, None, [T_frame_site @ pose for pose in poses])
     if frame == GROUND:
-        beside = file.with_name(LEVEL_FILE)
-        if not beside.exists():
-            raise UsageError(f"{beside} is not there: 'retropole level' finds the ground")
-        T_ground_site = loaded(beside, lambda data: level_of(data, site.lidars)).T_ground_frame
+        level_file = file.with_name(LEVEL_FILE)
+        if not level_file.exists():
+            raise UsageError(f"{level_file} is not there: 'retropole level' finds the ground")
+        T_ground_site = loaded(level_file, lambda data: level_of(data, site.lidars)).T_ground_frame
         own = [T_ground_site @ pose for pose in poses]
         return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
@@ -297,13 +297,13 @@ def merge(
         is_level = at.name == GROUND or (site.frame.surveyed and at.name in (SITE, MAP))
         up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
         origins = stream.origins()
-        apart = tuple(fusing.surface_distances(moments, origins, up))
+        distances = tuple(fusing.surface_distances(moments, origins, up))
         found = fusing.surfels_of(moments, origins)
         written = len(found.centres)
         if out is not None:
-            distance = fusing.distance_at(found, apart, surfels)
+            distance = fusing.distance_at(found, distances, surfels)
             write_atomically(out, surfel_file(found, distance, comments_of(about)))
-        made = replace(made, surfels=found, apart=apart, distances=fusing.distances(apart))
+        made = replace(made, surfels=found, apart=distances, distances=fusing.distances(distances))
     elif out is not None:
         with cloud_writer(out, about) as write:
             parts: Iterable[tuple[Points, float]] = stream

@@ -243,9 +243,9 @@ def plan_site(
         inputs.append(read_input(given, lidar.reading(file.max_points), listener))
         names.append(lidar.name)
     known = {} if rough is None else _poses_in(rough)
-    lost = [name for name in names if known and name not in known]
-    if lost:
-        raise UsageError(f"no pose of {', '.join(lost)} is given; there are {', '.join(known)}")
+    unknown = [name for name in names if known and name not in known]
+    if unknown:
+        raise UsageError(f"no pose of {', '.join(unknown)} is given; there are {', '.join(known)}")
     first_pose = se3.inverse(known[names[0]]) if known else None
     poses = [None if first_pose is None else first_pose @ known[name] for name in names]
     return _planned(names, inputs, poses, wish, listener)
@@ -278,13 +278,13 @@ def plan_drawn(
         What is requested.
     """
     listener.progress("draw")
-    standing = [
+    drawn = [
         box(np.array([x, y, high / 2]), np.array([long, wide, high]) / 2, 0.0, CONCRETE)
         for x, y, long, wide, high in boxes
     ]
     names = [name for name, _, _ in lidars]
     sensors = [find_sensor(sensor) for _, sensor, _ in lidars]
-    stations = place_drawn_lidars(names, sensors, [T for _, _, T in lidars], standing)
+    stations = place_drawn_lidars(names, sensors, [T for _, _, T in lidars], drawn)
     planned = _ask(stations, wish, listener)
     nothing = [("", "")] * len(lidars)
     return PolePlan(plan_document(planned, nothing, wish.need), planned)

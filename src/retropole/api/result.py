@@ -262,13 +262,13 @@ class CalibrationResult(Result[ResultDoc]):
                 f"± {error(each.sigma_m)} at {each.range_m:g} m" for each in self.predicted_error
             )
             rows.append(("predicted error", f"{at} (1 σ)"))
-        said = (
+        cells = (
             ("fit for purpose", None if self.fitness is None else self.fitness.words),
             ("main error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )
-        rows += [(name, words) for name, words in said if words is not None]
+        rows += [(name, words) for name, words in cells if words is not None]
         return rows + super()._rows()
 
     def report(
@@ -331,13 +331,13 @@ class CalibrationResult(Result[ResultDoc]):
         target, source = (scan.poles for scan in first)
         pairs = chosen.pairs if chosen and target and source else []
         rng = np.random.default_rng(0)
-        standing = [standing_in(scan.cloud, rng) for scan in first]
+        objects = [standing_in(scan.cloud, rng) for scan in first]
         return result_figure(
             first[0].cloud,
             first[1].cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
-            contradicting=contradicting_points(standing[0], standing[1], T),
+            contradicting=contradicting_points(objects[0], objects[1], T),
         )
 
     @property

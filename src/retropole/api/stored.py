@@ -114,12 +114,12 @@ def scans_of(
     site, is_site = as_site(document), isinstance(document, SiteDoc)
     rows: list[list[Scan | None]] = [[None] * len(site.placements) for _ in site.lidars]
     recordings = find_recordings(document, beside, given)
-    stood = isinstance(document, SiteDoc) or not document.config.carried
+    is_stationary = isinstance(document, SiteDoc) or not document.config.carried
     for k, (item, path, _) in enumerate(recordings, 1):
         progress(step_of("read", k, len(recordings)))
         if path is not None:
             how = item.reading(site.config.max_points)
-            scan = read_input(path, how).search(site.radius_m, for_poles=stood)
+            scan = read_input(path, how).search(site.radius_m, for_poles=is_stationary)
             listed = site.found[item.lidar][item.placement]
             rows[item.lidar][item.placement] = agreeing(scan, listed.poles) if listed else scan
     faults = dict.fromkeys(each.fault for each in recordings if each.fault)

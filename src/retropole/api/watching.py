@@ -272,13 +272,13 @@ class Watch:
     def _take(self, k: int) -> None:
         """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
         radius, busy = self._wish.config.radius_m, self._work is not None
-        taken = take(self._lidars[k], radius, self._clock, busy=busy)
-        for words in taken.messages:
+        received = take(self._lidars[k], radius, self._clock, busy=busy)
+        for words in received.messages:
             self._note(f"{self._wish.names[k]}: {words}")
-        if taken.is_of_another_frame:
+        if received.is_of_another_frame:
             self._capture = None
-        elif taken.frame is not None and self._capture is not None:
-            self._capture = self._capture.with_frame(k, taken.frame)
+        elif received.frame is not None and self._capture is not None:
+            self._capture = self._capture.with_frame(k, received.frame)
 
     def _next(self, now: float) -> Advice:
         """Say what is to be done; keep sweeps while all is good, and work out the answer."""
@@ -332,8 +332,8 @@ class Watch:
             return advice
         for view in views:
             poles = pole_documents([each.pole for each in present(view.tracks, now)])
-            stood = against_plan(self._wish.plan, poles, view.name).deviations
-            wrong = next((each.words for each in stood if not each.is_as_planned), None)
+            compared = against_plan(self._wish.plan, poles, view.name).deviations
+            wrong = next((each.words for each in compared if not each.is_as_planned), None)
             if wrong is not None:
                 return Advice("off_plan", f"{wrong[0].upper()}{wrong[1:]}.")
         return advice
@@ -432,8 +432,8 @@ class Watch:
         self.result = found
         self._outcome = self._expected = outcome_of(found.document, need)
         self.written += [each for each in written if each not in self.written]
-        said = "; ".join(reason.message for reason in found.reasons)
-        self._note(f"calibrated: {found.status}{': ' + said if said else ''}")
+        message = "; ".join(reason.message for reason in found.reasons)
+        self._note(f"calibrated: {found.status}{': ' + message if message else ''}")
         self.is_over = self._outcome.is_enough
         more = self._outcome.seconds_more
         if more and self._kept is not None:
@@ -527,8 +527,8 @@ def _is_still(path: Path, own: str) -> bool:
 def checked_words(checked: CheckResult) -> str:
     """Say what a check found."""
     words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
-    said = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Cannot tell: {said}")
+    message = " ".join(reason.message for reason in checked.reasons[:1])
+    return words.get(checked.status, f"Cannot tell: {message}")
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:

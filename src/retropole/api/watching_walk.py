@@ -163,11 +163,11 @@ def solve(
     except Refusal as none:
         return Solution(none, None, [], _each_alone(seen, names), 0.0, np.inf, np.inf)
     best = min(solved.solutions, key=lambda each: each.cost)
-    apart = best.offset + solved.ahead
+    offset = best.offset + solved.ahead
     target, source = (track.times for track in seen.tracks)
     period = float(np.median(np.diff(target)))
-    after = np.clip(np.searchsorted(source - apart, target), 1, len(source) - 1)
-    near = np.abs(np.stack([source[after - 1], source[after]]) - apart - target).min(axis=0)
+    after = np.clip(np.searchsorted(source - offset, target), 1, len(source) - 1)
+    near = np.abs(np.stack([source[after - 1], source[after]]) - offset - target).min(axis=0)
     seconds = period * float(np.count_nonzero(near < period))
     alone = best.covariance[:6, :6] + floor()
     is_placed = predicted_error(alone, (AT,))[0].sigma_m <= MAX_ERROR

@@ -137,9 +137,9 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     when = time_of_recording(target), time_of_recording(source)
     if when[0] is None or when[1] is None:
         return None
-    apart = sum(when[1]) / 2 - sum(when[0]) / 2
+    seconds = sum(when[1]) / 2 - sum(when[0]) / 2
     lengths = [last - first for first, last in (when[0], when[1])]
-    if apart == 0.0 or abs(apart) > max(SWEEP, *lengths):
+    if seconds == 0.0 or abs(seconds) > max(SWEEP, *lengths):
         return None
     prior = np.diag(np.repeat([CREEP / LEVER, CREEP], 3) ** 2)
     seen, pull = np.zeros((6, 6)), np.zeros(6)
@@ -154,7 +154,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     if speed > FASTEST or rate * max(lengths) > MAX_TURN:
         return None
     is_seen = bool(velocity @ seen @ velocity > chdtri(6, FALSE_ALARM))
-    return CarrierMotion(apart, velocity, covariance * apart**2, is_seen)
+    return CarrierMotion(seconds, velocity, covariance * seconds**2, is_seen)
 
 
 def _of_origins(T: Array, target: PointCloud, source: PointCloud) -> Iterator[Array]:

@@ -116,10 +116,10 @@ def by_poles(
     wrong = [misfit] if misfit is not None else []
     wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
     if wrong:
-        said = [Reason("poles_not_trusted", r.message, r.values) for r in wrong]
-        return NewPose(None, reasons=tuple(said))
-    said = [r for r in answer.reasons if r.code == "not_converged"]
-    return NewPose(pose, answer.uncertainty, tuple(said))
+        warnings = [Reason("poles_not_trusted", r.message, r.values) for r in wrong]
+        return NewPose(None, reasons=tuple(warnings))
+    warnings = [r for r in answer.reasons if r.code == "not_converged"]
+    return NewPose(pose, answer.uncertainty, tuple(warnings))
 
 
 def is_ambiguous(answer: Calibration) -> bool:
@@ -509,7 +509,7 @@ def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
     if found.pose is None or found.is_uncertain:
         return False
     assert found.pose.covariance is not None
-    held = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())
-    values, vectors = np.linalg.eigh(held)
-    apart = vectors.T @ se3.local(found.pose.T_target_source, pose.T_target_source)
-    return bool(np.maximum(values, 0.0) @ apart**2 > chdtri(6, FALSE_ALARM))
+    gained = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())
+    values, vectors = np.linalg.eigh(gained)
+    difference = vectors.T @ se3.local(found.pose.T_target_source, pose.T_target_source)
+    return bool(np.maximum(values, 0.0) @ difference**2 > chdtri(6, FALSE_ALARM))

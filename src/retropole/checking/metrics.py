@@ -275,12 +275,12 @@ def evaluate(
         residual = float(np.median(np.abs(across)))
     # In the clouds as they are, the dense ground near each LiDAR would be most of the sum, and a
     # pose that puts one LiDAR on the other the sharpest.
-    together = np.concatenate([surface.xyz, aligned])
-    if len(together) > RQE_POINTS:
-        together = together[rng.choice(len(together), RQE_POINTS, replace=False)]
+    joint = np.concatenate([surface.xyz, aligned])
+    if len(joint) > RQE_POINTS:
+        joint = joint[rng.choice(len(joint), RQE_POINTS, replace=False)]
     shared = overlap([distances, back], OVERLAP_DISTANCE)
     confirmation = _confirmation(target, source, T, poles)
-    return Alignment(shared, residual, rqe(together, sigma), confirmation)
+    return Alignment(shared, residual, rqe(joint, sigma), confirmation)
 
 
 def _confirmation(
@@ -291,8 +291,8 @@ def _confirmation(
 ) -> Confirmation:
     """Compare a pose with the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
-    standing = [
+    objects = [
         standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)
         for cloud, of_cloud in zip((target, source), poles, strict=True)
     ]
-    return consistency(standing[0], standing[1], T)
+    return consistency(objects[0], objects[1], T)

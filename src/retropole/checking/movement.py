@@ -369,7 +369,7 @@ def compare_poses(
     chi2 = float(step @ np.linalg.solve(covariance, step))
     p_value = float(chdtrc(6, chi2))
     power = detection_power(covariance, requested.least)
-    said = list(reasons)
+    listed = list(reasons)
     status: Status = "moved" if p_value < FALSE_ALARM else "same"
     reported: Tolerance | None = None
     least, widest = requested.least, requested.widest
@@ -381,19 +381,19 @@ def compare_poses(
         reported = requested.least.or_wider(limit)
         if not limit.is_within(widest):
             status = "cannot_tell"
-            said.append(Weakness(*parts, limit, requested.least).too_weak(widest))
+            listed.append(Weakness(*parts, limit, requested.least).too_weak(widest))
         elif reported != requested.least:
-            said.append(Weakness(*parts, reported, requested.least).wider_tolerance())
+            listed.append(Weakness(*parts, reported, requested.least).wider_tolerance())
     elif upper_limit(step, covariance, BOUND_SIGMAS).is_within(least):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
         status, reported = "same", requested.least
         message = "it moved, but certainly by less than the tolerance"
-        said.append(Reason("within_tolerance", message, {}))
+        listed.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
         words = directions_in_words(covariance)
         message = f"that it moved is certain, but not by how much: {words}"
-        said.append(Reason("size_unsure", message, {}))
+        listed.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(
-        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, reported
+        status, tuple(listed), used, T, step, covariance, random, chi2, p_value, power, reported
     )

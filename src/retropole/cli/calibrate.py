@@ -94,8 +94,8 @@ def calibrate(
     targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
     # Of a walk every sweep is searched, whatever the page shows.
-    asked = config.frames or (config.carried or None)
-    with listening(quiet, asked, units=False) as listener:
+    requested = config.frames or (config.carried or None)
+    with listening(quiet, requested, units=False) as listener:
         result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
     following = {
@@ -160,8 +160,8 @@ def site_calibrate(
     """
     from ..api.calibration import calibrate_site
 
-    asked = "as the site file says"
-    with listening(quiet, asked, BY_SITE_FILE) as listener:
+    requested = "as the site file says"
+    with listening(quiet, requested, BY_SITE_FILE) as listener:
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")
         written = result.save(out)

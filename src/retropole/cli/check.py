@@ -308,14 +308,14 @@ def site_in_words(answer: SiteCheck) -> str:
     from ..report.text import table, wrapped
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
-    said = []
+    text = []
     if answer.moved:
-        said.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
+        text.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
     elif answer.status == "moved":
-        said.append("these pairs do not show which LiDAR of a moved pair it was")
+        text.append("these pairs do not show which LiDAR of a moved pair it was")
     if answer.untold:
-        said.append(f"undecided whether moved: {', '.join(answer.untold)}")
-    lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
+        text.append(f"undecided whether moved: {', '.join(answer.untold)}")
+    lines += [part for words in text for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")
         lines.append(table(header, [_pair_row(each) for each in answer.pairs]))

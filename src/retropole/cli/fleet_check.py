@@ -204,14 +204,14 @@ def in_words(found: FleetCheck, sites: int) -> str:
     """Write what was found at the sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
-        said = [site.words(event) for event in site.changes]
+        text = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
-            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
+            text.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
         if not site.is_decided:
-            said.append(_undecided(site.newest))
-        if said:
-            lines.append(printable(f"{site.id}: {'; '.join(said)}"))
+            text.append(_undecided(site.newest))
+        if text:
+            lines.append(printable(f"{site.id}: {'; '.join(text)}"))
     lines += [printable(f"left out of the history: {fault}") for fault in found.damaged]
     changed = sum(bool(site.changes) for site in found.sites)
     undecided = sum(not site.is_decided for site in found.sites)

@@ -72,8 +72,8 @@ def report(
     from ..result import result_file
 
     file = result_file(result)
-    beside = nullcontext() if out else locked_folder(file)
-    with beside, progress_on_terminal(quiet) as progress:
+    lock = nullcontext() if out else locked_folder(file)
+    with lock, progress_on_terminal(quiet) as progress:
         older = {"target": serial_target, "source": serial_source}
         named = {lidar: number for lidar, number in older.items() if number} | dict(serials)
         page, name, notes = page_of(file, clouds, progress, site or "", named)

@@ -216,14 +216,14 @@ def watch(
             stack.callback(server.stop)
         view = stack.enter_context(_view(quiet))
         shown = None
-        said: WatchDoc | None = None
+        state: WatchDoc | None = None
         with stopped.breaking():
             while not (made.is_over or stopped.is_set()):
                 begun = time.monotonic()
                 # Topics, frames and faults are what others wrote.
-                said = legible(made.step())
-                latest[0] = encode(said)
-                view(said)
+                state = legible(made.step())
+                latest[0] = encode(state)
+                view(state)
                 if to_publish and stored is None and made.result is None:
                     made.frames()
                 if made.result is not shown:
@@ -241,7 +241,7 @@ def watch(
         if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
-    return _exit_code(made, said, stopped)
+    return _exit_code(made, state, stopped)
 
 
 def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:

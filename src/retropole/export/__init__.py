@@ -278,13 +278,13 @@ def read_tree(path: Path) -> Tree | None:
         document = result_in(data)
         if not isinstance(document, SiteDoc):
             return None
-    level, beside = None, file.with_name(LEVEL_FILE)
-    if document.status != "refused" and beside.exists():
+    level, level_file = None, file.with_name(LEVEL_FILE)
+    if document.status != "refused" and level_file.exists():
         # It loads the steps that made it, which nothing else here needs.
         from ..result.level import level_of
 
-        with naming(beside):
-            level = level_of(read_document(beside), document.lidars)
+        with naming(level_file):
+            level = level_of(read_document(level_file), document.lidars)
     with naming(file):
         return tree_of(document, level)
 
@@ -318,10 +318,10 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
     if before is None:
         return robot, f"{words} new"
     try:
-        apart = se3.difference(before.pose(), after.pose())
+        difference = se3.difference(before.pose(), after.pose())
     except ReadError as fault:
         return robot, f"{words} replaced: before, {fault}"
-    change = f"{error(apart.translation)} and {error(apart.rotation, 'rad')}"
+    change = f"{error(difference.translation)} and {error(difference.rotation, 'rad')}"
     return robot, f"{words} changed by {change}"
 
 

@@ -196,9 +196,9 @@ def _pose(document: dict[str, Any], key: str) -> Array:
         if "quaternion" in document and "translation_m" in document:
             t = np.array([document["translation_m"][name] for name in "xyz"], dtype=float)
             q = np.array([document["quaternion"][name] for name in "xyzw"], dtype=float)
-            apart = float(np.abs(from_quaternion(t, q) - T).max())
-            if apart > 1e-6:
-                raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
+            difference = float(np.abs(from_quaternion(t, q) - T).max())
+            if difference > 1e-6:
+                raise ReadError(f"{key} and quaternion or translation_m differ by {difference:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise ReadError(f"{key} and what is next to it are no transform: {said(error)}") from None
     return T

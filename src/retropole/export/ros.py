@@ -83,8 +83,8 @@ def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
             program=PROGRAM,
             arguments="".join(f"\n{' ' * 20}{flag!r}, {value!r}," for flag, value in pairs),
         )
-    said = comments((*notes, *notes_on(transforms)))
-    return _LAUNCH.format(comments=said, nodes=nodes)
+    notes_text = comments((*notes, *notes_on(transforms)))
+    return _LAUNCH.format(comments=notes_text, nodes=nodes)
 
 
 def read_ros1(data: bytes) -> list[Found]:

@@ -155,13 +155,13 @@ def _echoed(text: str) -> Array:
     if len(angles) != 3:
         return T
     sharper = _from_degrees(t, np.array([to_float(word) for word in angles]))
-    apart = se3.difference(T, sharper).rotation
-    if apart <= 4 * rounding:
+    difference = se3.difference(T, sharper).rotation
+    if difference <= 4 * rounding:
         return sharper
     # With the nose straight up or down tf2 loses an angle, not the quaternion.
     if abs(abs(to_float(angles[1])) - 90) < 0.1:
         return T
-    raise ReadError(f"quaternion and roll-pitch-yaw of tf2_echo differ by {apart:.3g} rad")
+    raise ReadError(f"quaternion and roll-pitch-yaw of tf2_echo differ by {difference:.3g} rad")
 
 
 def pose_of(values: dict[str, str], *, unit_is_known: bool = True) -> Array:

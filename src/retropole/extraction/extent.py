@@ -61,8 +61,8 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     if not _is_near(found, within) and cloud.ring is not None:
         # Seen from far away all points of a ring have one elevation, from wherever they were seen.
         middle = replace(cloud, origin=np.median(cloud.xyz, axis=0))
-        told = with_beam_origin(middle)
-        found = found if told is middle else told
+        reported = with_beam_origin(middle)
+        found = found if reported is middle else reported
     if not _is_near(found, within):
         near = _count_near(found, within)
         away = float(np.median(_ranges(cloud)))

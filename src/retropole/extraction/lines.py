@@ -296,13 +296,13 @@ def propose_lines(
     centroid = xyz.mean(axis=0)
     points = xyz[:: 1 + (len(xyz) - 1) // MANY] - centroid
     i, j = np.triu_indices(len(points), 1)
-    apart = lengths(points[i] - points[j])
-    usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
+    lengths_between = lengths(points[i] - points[j])
+    usable = np.flatnonzero((lengths_between >= shortest) & (lengths_between <= longest))
     if len(usable) == 0:
         return []
     usable = usable[:: 1 + (len(usable) - 1) // MAX_PROPOSING_PAIRS]
     start = points[i[usable]]
-    direction = (points[j[usable]] - start) / apart[usable, None]
+    direction = (points[j[usable]] - start) / lengths_between[usable, None]
     # Squared distance of every point from every line: |v|² − (v·n)², expanded to matrix products.
     # In place: these are the largest arrays of the search.
     along = direction @ points.T
@@ -313,9 +313,9 @@ def propose_lines(
     across += np.einsum("pi,pi->p", start, start)[:, None]
     across -= along
     inside = across <= tube**2
-    beside = (across > shell[0] ** 2) & (across < shell[1] ** 2)
+    in_shell = (across > shell[0] ** 2) & (across < shell[1] ** 2)
     size = np.count_nonzero(inside, axis=1)
-    score = (size - np.count_nonzero(beside, axis=1)).astype(float)
+    score = (size - np.count_nonzero(in_shell, axis=1)).astype(float)
     inside = inside.astype(np.float32)
     lines = []
     for _ in range(most):

@@ -104,7 +104,7 @@ def extract_poles(
     free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    sure: list[Judged] = []
+    accepted: list[Judged] = []
     doubtful: list[tuple[Judged, Failure]] = []
     failures: list[tuple[IntArray, Failure]] = []
     search = confirmed(radius, beams_by(sensor))
@@ -114,14 +114,14 @@ def extract_poles(
         for each in found:
             doubt = doubt_of(cloud, each.line, radius, knows_origin)
             if doubt is None:
-                sure.append(each)
+                accepted.append(each)
             else:
                 doubtful.append((each, doubt))
         failures.append((cluster, failure))
     rejected = _rejected(cloud, free, failures)
     rejected += [_rejected_cluster(cloud, np.sort(each.line.index), why) for each, why in doubtful]
     return Detection(
-        _poles_on(cloud, sure),
+        _poles_on(cloud, accepted),
         tuple(sorted(rejected, key=lambda cluster: -len(cluster.index))),
         chosen.value,
         chosen.found,

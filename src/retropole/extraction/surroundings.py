@@ -380,8 +380,8 @@ def untaped_between(around: Surroundings) -> Failure | None:
     """
     between = (around.along > around.line.low) & (around.along < around.line.high)
     dim = around.untaped & around.on_line & between
-    apart = to_nearest(around.line.along, around.along[dim])
-    alone = apart > max(LITTLE * around.line.step, FIT_ROOM)
+    distance = to_nearest(around.line.along, around.along[dim])
+    alone = distance > max(LITTLE * around.line.step, FIT_ROOM)
     own = len(around.line.index)
     if np.count_nonzero(alone) <= HALF * own:
         return None

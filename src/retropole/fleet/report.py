@@ -222,11 +222,11 @@ def _from(folder: str, to: str) -> str | None:
 
 
 def _when(overview: Overview) -> str:
-    said = quantities.counted(len(overview.sites), "site")
+    text = quantities.counted(len(overview.sites), "site")
     if overview.first is None or overview.last is None:
-        return said
+        return text
     return (
-        f"{said} · calibrated {overview.first:%Y-%m-%d %H:%M} to {overview.last:%Y-%m-%d %H:%M} UTC"
+        f"{text} · calibrated {overview.first:%Y-%m-%d %H:%M} to {overview.last:%Y-%m-%d %H:%M} UTC"
     )
 
 
@@ -254,8 +254,8 @@ def _counts(overview: Overview) -> Html:
         acting = {site.id for site in overview.sites if site.status in FIRST}
         first, count = waiting[0], len(acting | {each.site.id for each in overview.changed})
         needs = "needs" if count == 1 else "need"
-        said = f"{quantities.counted(count, 'site')} {needs} action"
-        to_do = fill("fleet-to-do", said=said, name=first[0], title=first[1])
+        text = f"{quantities.counted(count, 'site')} {needs} action"
+        to_do = fill("fleet-to-do", said=text, name=first[0], title=first[1])
     sites = quantities.counted(every, "site")
     return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
@@ -307,9 +307,9 @@ def _reasons(overview: Overview) -> Html:
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
         more = ", …" if len(sites) > EXAMPLES else ""
-        said, to_do = _explained(code)
+        text, to_do = _explained(code)
         found = ", ".join(named) + more
-        rows.append((printable(code), said, to_do, found, f"{len(sites):,}"))
+        rows.append((printable(code), text, to_do, found, f"{len(sites):,}"))
         commonest = Counter(site.status for site in sites).most_common(1)[0][0]
         bars.append((commonest, len(sites) / len(overview.sites)))
     header = ("code", "what it says", "what to do", "for example", "sites")
@@ -469,9 +469,9 @@ class _View:
         """Draw a round length."""
         metres = quantities.round_below(0.25 * WIDTH / self._scale)
         size, unit = (metres, "m") if metres < 1000 else (metres / 1000, "km")
-        said = f"{quantities.large(size)} {unit}"
+        text = f"{quantities.large(size)} {unit}"
         y, above, length = self.height - 19, self.height - 24, metres * self._scale
-        return fill("fleet-scale", y=y, above=above, length=length, size=said)
+        return fill("fleet-scale", y=y, above=above, length=length, size=text)
 
 
 def _marks(
@@ -501,11 +501,11 @@ def _marks(
 
 def _map_text(placed: int, sites: int, view: _View) -> str:
     """Say what the map shows, also for those who do not see it."""
-    said = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    text = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
     if max(view.metres) > FLAT_BELOW:
-        said.append("The scale holds in the middle.")
+        text.append("The scale holds in the middle.")
     if sites > placed:
-        said.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
+        text.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
     if placed > MOST_NAMED:
-        said.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
-    return " ".join(said)
+        text.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
+    return " ".join(text)

@@ -362,10 +362,10 @@ def fetch(place: str, into: Path) -> Path:
     local = into / posixpath.basename(place.rstrip("/"))
     into.mkdir(parents=True, exist_ok=True)
     with _file_system(place, "cannot be read") as (system, path):
-        beside = f"{path.removesuffix('.pcap')}.json"
+        metadata = f"{path.removesuffix('.pcap')}.json"
         system.get(path, str(local), recursive=system.isdir(path))
-        if path.endswith(".pcap") and system.exists(beside):
-            system.get(beside, str(into / posixpath.basename(beside)))
+        if path.endswith(".pcap") and system.exists(metadata):
+            system.get(metadata, str(into / posixpath.basename(metadata)))
     return local
 
 

@@ -383,8 +383,8 @@ class LocalFiles:
         ReadError
             If one that is named cannot be read.
         """
-        beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
-        found = [path for path in beside if path.is_file()]
+        metadata = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
+        found = [path for path in metadata if path.is_file()]
         if self.site is not None:
             from ..api.site_file import read_site_file
 

@@ -344,8 +344,8 @@ def _lidar_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> 
         (xyz - viewer.cloud.origin) @ T[:3, :3].T,
     )
     fall = np.minimum(beams[:, 2], -LEAST_FALL * se3.lengths(beams))
-    met = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
-    at = np.floor(met / side).astype(np.int64)
+    reached_at = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
+    at = np.floor(reached_at / side).astype(np.int64)
     _, cell = np.unique(at, axis=0, return_inverse=True)
     cell, n = cell.ravel(), int(cell.max(initial=-1)) + 1
     count = np.bincount(cell, minlength=n).astype(float)
@@ -486,8 +486,8 @@ def _shape(a: Array, b: Array, each: Array, road: float, radius: float) -> Array
     )
     if profile:
         axis = np.array([np.cos(road), np.sin(road)])
-        apart = np.abs((a @ axis)[:, None] - b @ axis)
-        found += profile**2 * _matern(apart / (across * radius))
+        widths = np.abs((a @ axis)[:, None] - b @ axis)
+        found += profile**2 * _matern(widths / (across * radius))
     return np.asarray(found)
 
 

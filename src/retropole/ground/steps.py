@@ -197,8 +197,8 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
     none, pieces = np.zeros(len(at), dtype=bool), _pieces(at)
     for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_SPLIT):
         own = pieces == number
-        if parted := _split(at, own, [at[:, 2] > np.median(at[own, 2])]):
-            pieces[own & ~parted[0]] = pieces.max() + 1
+        if split := _split(at, own, [at[:, 2] > np.median(at[own, 2])]):
+            pieces[own & ~split[0]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
     heavy = np.asarray(np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE), np.float64)
@@ -219,11 +219,13 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
     best, *rest = sorted(found, key=lambda level: (level.around, -level.weight))
     on, left, others = best.on, none, list[Level]()
     for level in rest:
-        beside = level.on & ~best.on
-        if not beside.any():
+        other_level = level.on & ~best.on
+        if not other_level.any():
             continue
-        other = _level(at[:, 2] - best.heights, beside)
-        touching = conflicts[np.ix_(np.unique(pieces[best.on]), np.unique(pieces[beside]))].any()
+        other = _level(at[:, 2] - best.heights, other_level)
+        touching = conflicts[
+            np.ix_(np.unique(pieces[best.on]), np.unique(pieces[other_level]))
+        ].any()
         if touching and not left.any() and KERB[0] < abs(other.height) < KERB[1]:
             two = _along_kerb(at, best, level, over, other)
             if two is not None:
@@ -245,14 +247,14 @@ def _along_kerb(
 
     `best` and `level` are a first guess; heights (N,) are over a plane without lean.
     """
-    both, beside = best.on | level.on, level.on & ~best.on
-    upper = beside if other.height > 0 else ~beside
-    halfway = (np.median(over[best.on]) + np.median(over[beside])) / 2
-    parted = _split(at, both, [upper, over > halfway])
-    is_parallel = np.std((at[:, 2] - best.heights)[beside]) < PARALLEL
-    two = parted or (both & ~upper, both & upper)
+    both, other_level = best.on | level.on, level.on & ~best.on
+    upper = other_level if other.height > 0 else ~other_level
+    halfway = (np.median(over[best.on]) + np.median(over[other_level])) / 2
+    split = _split(at, both, [upper, over > halfway])
+    is_parallel = np.std((at[:, 2] - best.heights)[other_level]) < PARALLEL
+    two = split or (both & ~upper, both & upper)
     is_step = _is_step(at, *two)
-    if not (parted and is_step) and not is_parallel:
+    if not (split and is_step) and not is_parallel:
         return None
     is_upper = _below(at[:, :2], *two) if is_step else None
     if is_upper is None:

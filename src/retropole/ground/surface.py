@@ -145,13 +145,13 @@ def find_ground(
     middle[at_steps(middle)] = np.nan
     rows = np.stack(np.nonzero(np.isfinite(middle)), axis=1)
     at = np.c_[corner + (rows + 0.5) * CELL, middle[np.isfinite(middle)]]
-    on, beside, others = levels(at, radius)
+    on, other_level, others = levels(at, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
-    off = at[beside, 2] - plane_of_cells(at, on)[beside]
-    thick = min(FLAT, abs(float(np.median(off))) / 2) if beside.any() else FLAT
+    off = at[other_level, 2] - plane_of_cells(at, on)[other_level]
+    thick = min(FLAT, abs(float(np.median(off))) / 2) if other_level.any() else FLAT
     middle[tuple(rows[~on].T)] = np.nan
-    level = _wide(middle, tuple(rows[beside].T))
+    level = _wide(middle, tuple(rows[other_level].T))
     kept = tuple(k[_is_near(p[k], level, corner, thick)] for p, k in zip(points, near, strict=True))
     centre = np.zeros(2) if is_around(at[on, :2]) else at[on, :2].mean(axis=0)
     ground = at[on & (se3.lengths(at - np.r_[centre, 0.0]) < radius)]
@@ -159,7 +159,9 @@ def find_ground(
     if len(ground) > 1:
         spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
     area = len(ground) * CELL**2
-    return Ground(rough, kept, centre, radius, area, float(spread), at[beside, :2], others, ceiling)
+    return Ground(
+        rough, kept, centre, radius, area, float(spread), at[other_level, :2], others, ceiling
+    )
 
 
 def little(area: float, spread: float, radius: float) -> Refusal:

@@ -235,12 +235,12 @@ def read_recording(
     recording = open_recording(path, topic=topic, wanted=wanted)
     if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
-    asked = chosen_frames(recording, frames)
+    requested = chosen_frames(recording, frames)
     most = sys.maxsize if max_points is None else max_points
-    numbers, read = read_within(recording, asked, most, progress)
+    numbers, read = read_within(recording, requested, most, progress)
     headers = tuple(frame.header for frame in read)
     cloud = in_metres(joined(recording, read), unit)
-    return ReadRecording(recording, asked, numbers, headers, cloud)
+    return ReadRecording(recording, requested, numbers, headers, cloud)
 
 
 def _files(path: Path) -> list[Path]:

@@ -220,8 +220,8 @@ def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = 
         raise LineError(head.line, f"{columns:,} columns, expected {MAX_COLUMNS:,} at most")
     table = read_table(body, columns, line=head.line, separator=separator)
     if head.promised is not None and len(table) != head.promised:
-        said = f"promises {head.promised} points, {len(table)} lines of numbers follow"
-        raise LineError(head.counted_at, said)
+        stated = f"promises {head.promised} points, {len(table)} lines of numbers follow"
+        raise LineError(head.counted_at, stated)
     names = head.names or next((list(own) for own in wide if len(own) == columns), [])
     if not names:
         return noted(_from_table(table, wanted), *notes)

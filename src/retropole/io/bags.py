@@ -366,11 +366,11 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
         or any(index.channels[n].topic == name for n in chunk.message_index_offsets)
     ]
     heapq.heapify(waiting)
-    held = 0
+    buffered = 0
     while waiting:
         _, start, _, message = heapq.heappop(waiting)
         if message is not None:
-            held -= len(message.data) + RECORD_COST
+            buffered -= len(message.data) + RECORD_COST
             yield _entry(index, message)
             continue
         file.seek(start + 9)
@@ -380,8 +380,8 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
                 continue
             if name is not None and index.channels[record.channel_id].topic != name:
                 continue
-            held += len(record.data) + RECORD_COST
-            if held > MAX_WAITING:
+            buffered += len(record.data) + RECORD_COST
+            if buffered > MAX_WAITING:
                 raise ReadError(
                     f"more than {MAX_WAITING:,} bytes of messages lie in chunks that overlap in "
                     "time; 'mcap sort' puts them in order"

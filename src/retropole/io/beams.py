@@ -165,8 +165,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
-    told = _axis_from_rings(cloud)
-    return cloud if told is None else replace(cloud, origin=told.apex, axis=told.axis)
+    located = _axis_from_rings(cloud)
+    return cloud if located is None else replace(cloud, origin=located.apex, axis=located.axis)
 
 
 @kept

@@ -124,8 +124,8 @@ def _check_header(file: BinaryIO, size: int) -> None:
         )
     length, points, records = struct.unpack_from("<HII", head, 94)
     if points > size:
-        said = f"the header says that points start at byte {points}"
-        raise ReadError(f"{said}, the file ends at {size}")
+        stated = f"the header says that points start at byte {points}"
+        raise ReadError(f"{stated}, the file ends at {size}")
     # A record has 54 bytes without content.
     if length + 54 * records > points:
         raise ReadError(
@@ -152,8 +152,8 @@ def _chunk_table(file: BinaryIO, start: int, size: int) -> int:
         file.seek(size - FIRST_CHUNK)
         table = struct.unpack("<q", file.read(FIRST_CHUNK))[0]
     if not start < table <= size - FIRST_CHUNK:
-        said = f"its table of chunks is said to be at byte {table}"
-        raise ReadError(f"{said}, expected between {start} and {size - FIRST_CHUNK}")
+        stated = f"its table of chunks is said to be at byte {table}"
+        raise ReadError(f"{stated}, expected between {start} and {size - FIRST_CHUNK}")
     return table
 
 

@@ -129,8 +129,8 @@ def _parse_header(data: bytes) -> Header:
     line, types = _entry(entries, "TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
         numbers = f"{len(names)}, {len(sizes)}, {len(types)} and {len(counts)} fields"
-        said = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
-        raise LineError(line, said)
+        stated = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
+        raise LineError(line, stated)
     for name, letter, size in zip(names, types, sizes, strict=True):
         if size not in PCD_SIZES.get(letter, ()):
             kind = f"field {name} has type {letter} of {size} bytes"
@@ -149,8 +149,8 @@ def _parse_header(data: bytes) -> Header:
         raise ReadError(f"a point has {sum(counts)} values, expected {MAX_VALUES} at most")
     line, words = entries["DATA"]
     if words not in (["ascii"], ["binary"], ["binary_compressed"]):
-        said = f"DATA {' '.join(words)}"
-        raise LineError(line, f"{said}, expected ascii, binary or binary_compressed")
+        stated = f"DATA {' '.join(words)}"
+        raise LineError(line, f"{stated}, expected ascii, binary or binary_compressed")
     origin = _viewpoint(*entries.get("VIEWPOINT", (0, ["0"] * 7)))
     # Some writers put a field of no values where there is no padding to be said.
     empty = [name for name, count in zip(names, counts, strict=True) if not count and name != "_"]
@@ -197,8 +197,8 @@ def _viewpoint(line: int, words: list[str]) -> Array:
     except ValueError:
         values = np.zeros(0)
     if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
-        said = f"VIEWPOINT {' '.join(words)}"
-        raise LineError(line, f"{said}, expected seven numbers tx ty tz qw qx qy qz")
+        stated = f"VIEWPOINT {' '.join(words)}"
+        raise LineError(line, f"{stated}, expected seven numbers tx ty tz qw qx qy qz")
     return values[:3]
 
 

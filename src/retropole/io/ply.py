@@ -179,8 +179,8 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int, int]:
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError):
-            said = f"{line.strip()[:60]!r}, expected format, element or property as PLY has them"
-            raise LineError(number, said) from None
+            stated = f"{line.strip()[:60]!r}, expected format, element or property as PLY has them"
+            raise LineError(number, stated) from None
     if not encoding:
         raise ReadError(f"the header has no format line, expected {', '.join(ORDERS)}")
     return encoding, elements, end.end(), len(lines) + 1

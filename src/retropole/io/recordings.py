@@ -314,12 +314,12 @@ def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
     By up to some tenths of a second it is not that of the clocks: frames are recorded when they
     have come.
     """
-    apart = [
+    offsets = [
         each.clock - each.stamp
         for each in headers
         if each.clock is not None and each.stamp is not None and is_unix(each.stamp)
     ]
-    return float(np.median(apart)) if apart else None
+    return float(np.median(offsets)) if offsets else None
 
 
 def is_unix(seconds: float) -> bool:

@@ -185,10 +185,10 @@ def _places(names: Sequence[str]) -> dict[str, int]:
             if key in best and best[key][0] == rank:
                 raise ReadError(f"has two columns {quoting(name)}, expected one")
             best[key] = min(best.get(key, (rank, k)), (rank, k))
-    lost = [key for key in ("id", *AXES) if key not in best]
-    if lost:
+    missing = [key for key in ("id", *AXES) if key not in best]
+    if missing:
         listed = quoting(", ".join(names))
-        raise ReadError(f"has no column {' and '.join(lost)}; its columns are {listed}")
+        raise ReadError(f"has no column {' and '.join(missing)}; its columns are {listed}")
     return {key: k for key, (_, k) in best.items()}
 
 

@@ -89,8 +89,8 @@ class Rules:
             return False
         # Two LiDARs are linked by two poles that both see.
         shared = np.count_nonzero(self.seen[k] & self.seen[list(others)], axis=1) >= 2
-        together = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
-        return together and (len(others) < 2 or self._is_distinguishable([*others, k]))
+        joint = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
+        return joint and (len(others) < 2 or self._is_distinguishable([*others, k]))
 
     def _is_distinguishable(self, poles: Sequence[int]) -> bool:
         """Whether three poles or more fit each other in one way: no exchange looks the same."""
@@ -179,10 +179,8 @@ class Design:
         """(C,) the error of `error_of` with each pole more than those that are chosen."""
         key = tuple(sorted(chosen))
         if key not in self.found:
-            together, alone = (
-                self.with_each(self.inverse(key, alone=each)) for each in (False, True)
-            )
-            self.found[key] = np.sqrt(together * alone)
+            joint, alone = (self.with_each(self.inverse(key, alone=each)) for each in (False, True))
+            self.found[key] = np.sqrt(joint * alone)
         return self.found[key]
 
 
@@ -280,10 +278,10 @@ def constrained_twice(design: Design, chosen: list[list[int]]) -> list[list[int]
 def errors_of(design: Design, chosen: Sequence[Sequence[int]]) -> tuple[Array, Array]:
     """(L - 1,) errors of all LiDARs at the reach, metres, with the surfaces and without."""
     every = [k for own in chosen for k in own]
-    together, alone = (
+    joint, alone = (
         np.sqrt(design.squares(design.inverse(every, alone=each))) for each in (False, True)
     )
-    return together, alone
+    return joint, alone
 
 
 def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
@@ -293,8 +291,8 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
     step where several LiDARs are constrained by none yet. What the surfaces alone hold says the
     same of all poles. Then the poles decide: they are what the surfaces are checked by.
     """
-    together, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
-    return float(np.sqrt(together * alone))
+    joint, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
+    return float(np.sqrt(joint * alone))
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
@@ -304,10 +302,10 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
 
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
     """Yield the poles that may join a placement, and the error with each, best first."""
-    taken = [k for each in chosen for k in each]
-    error = design.beside(taken) * walk_factor(design, chosen, p)
+    used = [k for each in chosen for k in each]
+    error = design.beside(used) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():
-        if k not in taken and design.rules.allow(k, chosen[p]):
+        if k not in used and design.rules.allow(k, chosen[p]):
             yield k, float(error[k])
 
 
@@ -322,9 +320,9 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -
         (3,) where these are.
     """
     feet = candidates.foot[:, :2]
-    apart = np.linalg.norm(feet[:, None] - feet, axis=2)
+    distance = np.linalg.norm(feet[:, None] - feet, axis=2)
     angle = np.arccos(np.clip(np.abs(candidates.axis @ candidates.axis.T), 0.0, 1.0))
-    pairs = (apart >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
+    pairs = (distance >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
     for i, at in enumerate(lidars):
         pairs &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
     lean = leans_of(candidates.axis)
@@ -337,8 +335,8 @@ def _gaps(candidates: Candidates) -> Array:
     axis, centre = candidates.axis, candidates.centre
     across = np.cross(axis[:, None], axis)
     length = np.linalg.norm(across, axis=2)
-    apart = np.abs(np.einsum("ijk,ijk->ij", across, centre - centre[:, None]))
-    return np.asarray(apart / np.maximum(length, 1e-9))
+    distance = np.abs(np.einsum("ijk,ijk->ij", across, centre - centre[:, None]))
+    return np.asarray(distance / np.maximum(length, 1e-9))
 
 
 def _between(candidates: Candidates, at: Array) -> Array:

@@ -154,9 +154,9 @@ def _missing(plan: PlannedPoleDoc) -> str:
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
     """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
     far = float(np.linalg.norm(offset))
-    stands = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
+    where = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
     if far <= NEAR and turned <= ALIKE:
-        return f"{stands}: good"
+        return f"{where}: good"
     # The place's origin is below the first LiDAR.
     out = plan.foot_m[:2] / max(float(np.linalg.norm(plan.foot_m[:2])), 1e-9)
     left = np.array([-out[1], out[0]])
@@ -172,4 +172,4 @@ def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
     if turned > ALIKE:
         lean = "upright" if not plan.towards else f"{np.degrees(plan.lean_rad):.0f}° {plan.towards}"
         moves.append(f"lean it {lean}" if plan.towards else f"stand it {lean}")
-    return f"{stands}: {'; '.join(moves)}"
+    return f"{where}: {'; '.join(moves)}"

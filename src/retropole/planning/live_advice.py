@@ -287,8 +287,8 @@ class Outcome:
     @property
     def is_enough(self) -> bool:
         """Whether to stop: the verdict is ok, and the need is met."""
-        sure = self.probability is not None and self.probability >= ENOUGH
-        return self.document.status == "ok" and sure
+        is_certain = self.probability is not None and self.probability >= ENOUGH
+        return self.document.status == "ok" and is_certain
 
     @property
     def is_spoilt(self) -> bool:
@@ -307,12 +307,12 @@ class Outcome:
 
 def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
     """Judge an answer by what it is needed for, or by what any answer is good for."""
-    asked = need or USABLE
+    requested = need or USABLE
     if document.covariance is None:
-        return Outcome(document, asked, None, None)
+        return Outcome(document, requested, None, None)
     # That of the document counts that the answer may be another pose altogether.
-    fit = document.fitness or fitness(document.covariance, asked)
-    return Outcome(document, asked, fit.probability, fit.bound_m)
+    fit = document.fitness or fitness(document.covariance, requested)
+    return Outcome(document, requested, fit.probability, fit.bound_m)
 
 
 def advice_after(outcome: Outcome, again: str) -> Advice:

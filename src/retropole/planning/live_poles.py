@@ -145,14 +145,14 @@ def look(
         dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
     except Refusal as refusal:
         return Looked(at, cloud, refusal=refusal)
-    sure = _apart(doubtful.candidates, found)
+    new = _apart(doubtful.candidates, found)
     return Looked(
         at,
         cloud,
         found.poles,
-        doubtful=sure,
-        why=tuple(_why(each, doubtful) for each in sure),
-        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, sure)),
+        doubtful=new,
+        why=tuple(_why(each, doubtful) for each in new),
+        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, new)),
         threshold=found.threshold,
     )
 
@@ -176,8 +176,8 @@ def away_from(pole: Pole, other: Pole) -> float:
     """Largest distance of the middle and the ends of a pole's returns from the line of another."""
     along = pole.direction * pole.length / 2
     points = np.stack([pole.point, pole.point - along, pole.point + along]) - other.point
-    beside = points - np.outer(points @ other.direction, other.direction)
-    return float(lengths(beside).max())
+    across = points - np.outer(points @ other.direction, other.direction)
+    return float(lengths(across).max())
 
 
 def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
@@ -199,10 +199,10 @@ def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
         else:
             followed.append(replace(known, pole=pole, seen=looked.at))
     followed += [each for each in left if looked.at - each.seen <= REMEMBERED]
-    taken = {each.number for each in followed}
+    received = {each.number for each in followed}
     for pole in fresh:
-        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
-        taken.add(number)
+        number = next(n for n in range(1, len(received) + 2) if n not in received)
+        received.add(number)
         followed.append(Tracked(number, pole, pole, looked.at, looked.at))
     return tuple(sorted(followed, key=lambda each: each.number))
 
@@ -379,17 +379,17 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     busy
         Search but rarely.
     """
-    taken, now, view = receive(lidar, clock), clock(), lidar.view
-    if taken.frame is None:
-        return taken
+    received, now, view = receive(lidar, clock), clock(), lidar.view
+    if received.frame is None:
+        return received
     # While the answer is worked out, both share the time.
     if busy and view.looked is not None and now - view.looked.at < 0.8:
-        return taken._replace(frame=None)
-    cloud = lidar.accumulated(taken.frame.cloud)
+        return received._replace(frame=None)
+    cloud = lidar.accumulated(received.frame.cloud)
     looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
     tracks = follow(view.tracks, looked)
     lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
-    return taken
+    return received
 
 
 def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
@@ -404,23 +404,23 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
         lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
         return Received()
     now = clock()
-    said, is_other = list[str](), False
+    messages, is_other = list[str](), False
     origin = Origin(frame.frame_id, frame.sender)
     if lidar.origin != origin:
-        said += frame.cloud.notes
+        messages += frame.cloud.notes
         is_other = lidar.origin is not None
         if is_other:
-            said.append(f"its sweeps come from {origin.words} now")
+            messages.append(f"its sweeps come from {origin.words} now")
         lidar.origin = origin
     if lidar.kept not in (None, origin):
         fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
         lidar.view = replace(view, fault=fault)
-        return Received(None, tuple(said), is_other)
+        return Received(None, tuple(messages), is_other)
     lidar.came.append((now, frame.number))
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
-        return Received(None, tuple(said), is_other)
-    return Received(frame, tuple(said), is_other)
+        return Received(None, tuple(messages), is_other)
+    return Received(frame, tuple(messages), is_other)
 
 
 def seen_now(lidar: Watched, now: float) -> LidarNow:

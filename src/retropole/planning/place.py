@@ -289,8 +289,8 @@ def beams_hit(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Hits:
     cone = np.sqrt(1 - (pole.bounding_radius / away) ** 2)
     index = np.flatnonzero(beams.directions @ (toward / away) >= cone)
     ranges = pole.intersect(beams.origin, beams.directions[index], divergence).ranges
-    aimed, met = np.isfinite(ranges), ranges < beams.ranges[index]
-    return Hits(index[met], ranges[met], int(np.count_nonzero(aimed)))
+    aimed, is_hit = np.isfinite(ranges), ranges < beams.ranges[index]
+    return Hits(index[is_hit], ranges[is_hit], int(np.count_nonzero(aimed)))
 
 
 def is_seen(met: Hits, beams: RecordedBeams) -> bool:
@@ -324,8 +324,8 @@ def who_sees(
                 continue
             if field is not None and not is_in_view(pole, station, field):
                 continue
-            met = beams_hit(pole, beams, divergence)
-            seen[k, i] = is_seen(met, beams) and sees_core(pole, met.beam, beams)
+            is_hit = beams_hit(pole, beams, divergence)
+            seen[k, i] = is_seen(is_hit, beams) and sees_core(pole, is_hit.beam, beams)
     return seen
 
 

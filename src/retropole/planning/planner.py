@@ -250,8 +250,8 @@ def plan(
 
     def ask(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
         at = np.array([k for each in numbers for k in each])
-        stood = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
-        return predict(stations, surfaces, candidates.select(at), seen[at], stood)
+        placement_of = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
+        return predict(stations, surfaces, candidates.select(at), seen[at], placement_of)
 
     predicted, alone = ask(chosen)
     now = worst_at(predicted, reach)
@@ -262,8 +262,8 @@ def plan(
     progress("rehearse")
 
     def run(numbers: Sequence[Sequence[int]]) -> Rehearsal:
-        standing = [[candidates.pole(k) for k in each] for each in numbers]
-        return rehearse(stations, standing, radius, need)
+        poles_of = [[candidates.pole(k) for k in each] for each in numbers]
+        return rehearse(stations, poles_of, radius, need)
 
     rehearsal = run(chosen)
     _check_poses(rehearsal)
@@ -345,13 +345,15 @@ def _check_linked(
     stations: Sequence[Station], design: Design, chosen: Sequence[Sequence[int]]
 ) -> None:
     errors = errors_of(design, chosen)[1]
-    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > UNCONSTRAINED]
-    if lost:
+    unlinked = [
+        s.name for s, error in zip(stations[1:], errors, strict=True) if error > UNCONSTRAINED
+    ]
+    if unlinked:
         raise Refusal(
             "not_linked",
-            f"these poles would not link {', '.join(lost)} to {stations[0].name}: ask for another "
-            "placement, or allow ground that these LiDARs see together with others",
-            {"names": ", ".join(lost)},
+            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: ask for "
+            "another placement, or allow ground that these LiDARs see together with others",
+            {"names": ", ".join(unlinked)},
         )
 
 
@@ -373,12 +375,12 @@ def _more(
 ) -> Iterator[tuple[Literal["pole", "placement"], list[list[int]]]]:
     """Choose with one pole more in each placement, and with one placement more."""
     poles, placements = len(begun[0]), len(begun)
-    asked: list[tuple[Literal["pole", "placement"], int, int]] = []
+    requested: list[tuple[Literal["pole", "placement"], int, int]] = []
     if poles < MOST_POLES:
-        asked.append(("pole", poles + 1, placements))
+        requested.append(("pole", poles + 1, placements))
     if placements < MOST_PLACEMENTS:
-        asked.append(("placement", poles, placements + 1))
-    for what, count, times in asked:
+        requested.append(("placement", poles, placements + 1))
+    for what, count, times in requested:
         chosen = choose(design, count, times, begun)
         if chosen is not None:
             yield what, chosen

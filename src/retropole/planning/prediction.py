@@ -60,18 +60,18 @@ def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, 
     """
     (own,) = in_sensor_frame([pole], station.T)
     beams = station.beams
-    met = beams_hit(own, beams, divergence)
+    hits = beams_hit(own, beams, divergence)
     # The same pole is recorded with the same noise: returns without any would be taken for exact.
-    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
-    xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
+    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(hits.beam))
+    xyz = (hits.ranges + noise)[:, None] * beams.directions[hits.beam]
     away = float(np.linalg.norm(own.centre))
     reach = min(own.bounding_radius + 3 * NEXT_TO_POLE, 0.99 * away)
     cone = np.sqrt(1 - (reach / away) ** 2)
     near = np.flatnonzero(beams.directions @ (own.centre / away) > cone)
-    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], met.beam)
+    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], hits.beam)
     around = beams.ranges[near, None] * beams.directions[near]
     cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
-    rings = len(np.unique(beams.rings[met.beam]))
+    rings = len(np.unique(beams.rings[hits.beam]))
     index = np.arange(len(xyz))
     length = float(np.ptp(xyz @ own.axis)) if len(xyz) else 0.0
     found = Pole(xyz.mean(axis=0), own.axis, xyz, length, pole.radius / 2, rings, index)
@@ -101,14 +101,14 @@ def network_of(
     quickly
         As many poles are compared; see `TOGETHER`.
     """
-    together, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
+    sweeps, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
     widths = divergences_of(stations)
     sights = []
     for i, station in enumerate(stations):
         own = np.flatnonzero(seen[:, i])
         found = [seen_by(station, candidates.pole(k), widths[i]) for k in own.tolist()]
         returns = np.cumsum([len(pole.xyz) for pole, _ in found])
-        for some in np.split(own, np.flatnonzero(np.diff(returns // together)) + 1):
+        for some in np.split(own, np.flatnonzero(np.diff(returns // sweeps)) + 1):
             first = int(np.searchsorted(own, some[0]))
             beams = beams_of(found[first : first + len(some)], station.sensor)
             sights.append(Sight(i, beams, some))

@@ -212,8 +212,8 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
     if near:
         return _counted(grounds, near[0])
     T = _ground_on_ground(grounds[0][0], grounds[1][0], rough)
-    said = count([under(grounds, T)], T)
-    if said.contradicting > max(said.agreeing, MOVERS):
+    counts = count([under(grounds, T)], T)
+    if counts.contradicting > max(counts.agreeing, MOVERS):
         other = ""
         if found:
             gap = se3.difference(found[0], rough)
@@ -223,10 +223,10 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
             )
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose of {second} {said.contradicting} parts of the scene stand where "
-            f"the other LiDAR looked through, {said.agreeing} agree with {first}{other}: correct "
-            "the pose, it must be good to 10° and 1 m",
-            {"agreeing": said.agreeing, "contradicting": said.contradicting},
+            f"under the rough pose of {second} {counts.contradicting} parts of the scene stand "
+            f"where the other LiDAR looked through, {counts.agreeing} agree with {first}{other}: "
+            "correct the pose, it must be good to 10° and 1 m",
+            {"agreeing": counts.agreeing, "contradicting": counts.contradicting},
         )
     surface = prepare(target.cloud.xyz, SCORING_VOXEL)
     points = voxel_downsample(source.cloud.xyz, SCORING_VOXEL)
@@ -240,8 +240,8 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
 
 
 def _counted(grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array) -> Refined:
-    said = count([under(grounds, T)], T)
-    return Refined(T, said.agreeing, said.contradicting)
+    counts = count([under(grounds, T)], T)
+    return Refined(T, counts.agreeing, counts.contradicting)
 
 
 def _upwards(one: Standing) -> tuple[Array, float]:

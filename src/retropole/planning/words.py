@@ -89,9 +89,9 @@ def plan_document(
     ]
     predicted = list(_predicted(planned))
     made = made_now()
-    met = None
+    hits = None
     if need is not None:
-        met = min(fitness(each.covariance, need).probability for each in predicted)
+        hits = min(fitness(each.covariance, need).probability for each in predicted)
     return PolePlanDoc(
         lidars=lidars,
         placements=list(_placements(planned)),
@@ -99,7 +99,7 @@ def plan_document(
         radius_m=planned.candidates.radius,
         range_m=planned.reach,
         need=need,
-        probability=met,
+        probability=hits,
         predicted=predicted,
         more=[
             MoreDoc(
@@ -113,7 +113,7 @@ def plan_document(
             for each in planned.more
         ],
         rehearsal=_rehearsed(planned.rehearsal),
-        words=list(sentences(planned, predicted, need, met)),
+        words=list(sentences(planned, predicted, need, hits)),
         version=made.version,
         created=made.created,
     )
@@ -175,12 +175,12 @@ def sights_of(planned: Planned, numbers: Sequence[int]) -> list[list[SightDoc]]:
     for k in numbers:
         pole, seen = planned.candidates.pole(k), []
         for i in np.flatnonzero(planned.seen[k]):
-            met = beams_hit(pole, views[i], widths[i])
-            rings = np.unique(views[i].rings[met.beam])
+            hits = beams_hit(pole, views[i], widths[i])
+            rings = np.unique(views[i].rings[hits.beam])
             seen.append(
                 SightDoc(
                     lidar=stations[i].name,
-                    returns=len(met.beam),
+                    returns=len(hits.beam),
                     rings=None if rings.min(initial=0) < 0 else len(rings),
                     distance_m=round(float(np.linalg.norm(pole.centre - stations[i].at)), 3),
                 )

@@ -51,10 +51,10 @@ def describe_field_test(document: FieldTestDoc) -> str:
         if len(pair.distances) > LISTED:
             rest = counted(len(pair.distances) - LISTED, "more distance")
             lines.append(f"  {rest}, farther from their limits; --json has all")
-    said = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
+    text = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
     if document.status != "refused" and (pair.target, pair.source) == LIDARS:
-        said.append(_unnamed(document))
-    return "\n".join([*lines, *(part for words in said for part in wrapped(words, "    "))])
+        text.append(_unnamed(document))
+    return "\n".join([*lines, *(part for words in text for part in wrapped(words, "    "))])
 
 
 def _unnamed(document: FieldTestDoc) -> str:
@@ -74,8 +74,8 @@ def _tested(document: FieldTestDoc) -> str:
     information."""
     tested = sum(pair.status != "refused" for pair in document.pairs)
     failed = sum(pair.status == "fail" for pair in document.pairs)
-    said = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
-    return f"{said}, {failed} failed" if tested else said
+    text = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
+    return f"{text}, {failed} failed" if tested else text
 
 
 def _untested(document: FieldTestDoc) -> str:
@@ -203,9 +203,9 @@ def field_test_section(document: FieldTestDoc) -> Html:
         if len(document.pairs) == 1 and pair.reasons:
             reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
         listed = table(*_distances(pair, pair.distances)) if pair.distances else EMPTY
-        said = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
+        text = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
         title = f"{pair.target}, {pair.source}: {pair.status}"
-        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=said))
+        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=text))
     return fill("distances", parts=join(parts))
 
 

@@ -48,8 +48,8 @@ def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
-    angle, apart = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
-    moved = f"moved by {apart:.1f} m"
+    angle, shift = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
+    moved = f"moved by {shift:.1f} m"
     if angle < LEAST_TURN:
         return f"source {moved}"
     axis = axis_words(turn / angle, result.vertical)
@@ -170,13 +170,13 @@ TRIED = {
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
     """Say what a refusal left out to bound the time; empty if it tried all."""
-    said = [
+    text = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons
         for (found, tried), words in TRIED.items()
         if found in reason.values and tried in reason.values
     ]
-    return f"To bound the time, {', '.join(said)}" if said else ""
+    return f"To bound the time, {', '.join(text)}" if text else ""
 
 
 def _undecided(result: ResultDoc) -> Html:

@@ -95,8 +95,8 @@ def _kind(document: PolePlanDoc) -> str:
 def _verdict(document: PolePlanDoc) -> Html:
     first, *others = document.words or [""]
     kind, need = _kind(document), document.need
-    asked = "" if need is None else f"; requested: {need.words}"
-    title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){asked}"
+    requested = "" if need is None else f"; requested: {need.words}"
+    title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){requested}"
     return verdict_box(
         kind,
         SYMBOLS[kind],
@@ -116,20 +116,20 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
         for p, placement in enumerate(document.placements)
         for pole in placement.poles
     ]
-    said = (
+    text = (
         f"Seen from above; up is ahead of {document.lidars[0].name}, along its x axis. Arrows: x "
         "axes of the LiDARs. Letters: feet of the poles, with the way each leans."
     )
     if len(document.placements) == 1:
-        said += " Lines: lengths to measure."
+        text += " Lines: lengths to measure."
     if sum(map(len, picture.points)):
-        said += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
+        text += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
     return fill(
         "plan-section",
         width=f"{WIDTH:g}",
         height=f"{view.height:.0f}",
         marks=drawn(document, picture, view),
-        said=said,
+        said=text,
         range=f"{document.range_m:g}",
         together=error(max(stated(document))),
         alone=error(max(stated_alone(document))),

@@ -113,9 +113,9 @@ def recorded(picture: PlanPicture, view: View) -> Html:
     # The feet stand on the ground: the plane through them follows a slope.
     level = np.c_[picture.feet[:, :2], np.ones(len(picture.feet))]
     plane = np.linalg.lstsq(level, picture.feet[:, 2], rcond=None)[0]
-    stands = points[:, 2] > points[:, :2] @ plane[:2] + plane[2] + ABOVE
+    is_raised = points[:, 2] > points[:, :2] @ plane[:2] + plane[2] + ABOVE
     layers = []
-    for name, chosen in (("ground", ~stands), ("standing", stands)):
+    for name, chosen in (("ground", ~is_raised), ("standing", is_raised)):
         dots = np.zeros(shape, dtype=bool)
         dots[at[chosen, 1], at[chosen, 0]] = True
         sizes = {"width": f"{WIDTH:g}", "height": f"{view.height:.1f}"}

@@ -155,8 +155,8 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     ]
     if not recorded:
         return None
-    together = MAX_SITE_POINTS if pair is None else MAX_PAIR_POINTS
-    budget = min(max_points, together // len(recorded))
+    most = MAX_SITE_POINTS if pair is None else MAX_PAIR_POINTS
+    budget = min(max_points, most // len(recorded))
     T_plan_site = se3.from_rt(plan.R_plan_site, np.zeros(3))
     poses = [] if pair is None else _poses(pair)
     marked = _contradicting(subject, poses)

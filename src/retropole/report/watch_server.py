@@ -212,12 +212,12 @@ def local_address() -> str:
     UsageError
         If it is in none.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             # A datagram socket sends nothing to connect: it only chooses the way, here to an
             # address for documentation (RFC 5737), which is that to any other machine.
-            asked.connect(("192.0.2.1", 9))
-            address = str(asked.getsockname()[0])
+            probe.connect(("192.0.2.1", 9))
+            address = str(probe.getsockname()[0])
         except OSError:
             address = "127.0.0.1"
     if ip_address(address).is_loopback or ip_address(address).is_unspecified:

@@ -327,12 +327,12 @@ class Option(NamedTuple):
 
 def _option(kind: inspect.Type) -> Option:
     assert isinstance(kind, inspect.Metadata)
-    said, inner = kind.extra_json_schema or {}, kind.type
+    schema, inner = kind.extra_json_schema or {}, kind.type
     if isinstance(inner, inspect.UnionType):
         inner = inner.types[0]
     if isinstance(inner, inspect.TupleType):
         inner = inner.item_types[0]
-    return Option(inner, said["description"], bool(kind.extra))
+    return Option(inner, schema["description"], bool(kind.extra))
 
 
 _RUN = inspect.type_info(RunConfig)

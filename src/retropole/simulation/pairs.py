@@ -148,18 +148,18 @@ def _draw(
     surfaces = place.surfaces
     if symmetric:
         surfaces = [*surfaces, *rotated_by_180(surfaces)]
-        standing: list[Cylinder] | None = symmetric_poles(rng, radius)
+        drawn: list[Cylinder] | None = symmetric_poles(rng, radius)
     else:
-        standing = draw_poles(rng, poles, place.clear, angles, radius)
-    if standing is None:
+        drawn = draw_poles(rng, poles, place.clear, angles, radius)
+    if drawn is None:
         return None
-    target, source = (draw_lidar(rng, standing, place.clear) for _ in range(2))
+    target, source = (draw_lidar(rng, drawn, place.clear) for _ in range(2))
     if target is None or source is None:
         return None
-    apart = np.linalg.norm(target[:3, 3] - source[:3, 3])
-    if not LIDAR_SPACING[0] <= apart <= LIDAR_SPACING[1]:
+    distance = np.linalg.norm(target[:3, 3] - source[:3, 3])
+    if not LIDAR_SPACING[0] <= distance <= LIDAR_SPACING[1]:
         return None
-    return Arrangement(surfaces, standing, (target, source), place.clear)
+    return Arrangement(surfaces, drawn, (target, source), place.clear)
 
 
 def facing_poles(
@@ -339,8 +339,8 @@ def poles_in_view(
         surface.append(np.where(near, hits.surface, -1))
         rings.append(sweep.rings[toward])
     own = np.concatenate(rings) if sensor.rings else None
-    met = np.concatenate(surface)
-    return tuple(is_seen(met == first + k, own, returns) for k in range(len(poles)))
+    seen_patches = np.concatenate(surface)
+    return tuple(is_seen(seen_patches == first + k, own, returns) for k in range(len(poles)))
 
 
 def record_in_turn(
@@ -455,14 +455,14 @@ def place_again(
     recorders = Recorders(pair.sensors, pair.devices, noise or pair.noise, frames)
     (for_recording,) = rng.spawn(1)
     for _ in range(MAX_DRAWS):
-        standing = (
+        drawn = (
             draw_poles(rng, count, pair.clear, angles, radius)
             if min(pair.clear) > 0
             else draw_paper_poles(rng, radius)
         )
-        if standing is None:
+        if drawn is None:
             continue
-        at = Arrangement(pair.surroundings, standing, poses, pair.clear)
+        at = Arrangement(pair.surroundings, drawn, poses, pair.clear)
         if are_in_view(at, recorders, rng):
             return record_every_pole(at, recorders, for_recording)
     raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")

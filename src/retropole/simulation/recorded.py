@@ -233,8 +233,8 @@ def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
     """Directions (K, 3) of beams that are missing in each ring, and a neighbour (K,) of each."""
-    across, beside = _level(axis)
-    azimuth = np.arctan2(directions @ beside, directions @ across)
+    across, sideways = _level(axis)
+    azimuth = np.arctan2(directions @ sideways, directions @ across)
     sines = directions @ axis
     frames = np.zeros(len(rings), dtype=np.int64) if frame is None else frame
     groups = [
@@ -261,7 +261,7 @@ def _between(
         level = np.sqrt(1 - sine**2)
         found.append(
             (level * np.cos(turned))[:, None] * across
-            + (level * np.sin(turned))[:, None] * beside
+            + (level * np.sin(turned))[:, None] * sideways
             + sine[:, None] * axis
         )
         like.append(group[left])
@@ -300,15 +300,15 @@ def with_poles(
 
     The biases are those of ranges to tape, metres: of each ring, and last where none is known.
     """
-    hits, met = hits_on(beams, poles, width)
-    ranges = hits.ranges[met] + biases[beams.rings[met]]
-    ranges += range_noise(sensor) * rng.normal(size=len(met))
-    points = beams.origin + ranges[:, None] * beams.directions[met]
+    hits, seen_patches = hits_on(beams, poles, width)
+    ranges = hits.ranges[seen_patches] + biases[beams.rings[seen_patches]]
+    ranges += range_noise(sensor) * rng.normal(size=len(seen_patches))
+    points = beams.origin + ranges[:, None] * beams.directions[seen_patches]
     # Returns stay in their places in the file; beams that had none come last.
     count = len(cloud)
-    rows = np.concatenate([np.arange(count), beams.like[met[met >= count]]])
-    place = np.where(met < count, met, 0)
-    place[met >= count] = np.arange(count, len(rows))
+    rows = np.concatenate([np.arange(count), beams.like[seen_patches[seen_patches >= count]]])
+    place = np.where(seen_patches < count, seen_patches, 0)
+    place[seen_patches >= count] = np.arange(count, len(rows))
     arrays: dict[str, Any] = {"xyz": cloud.xyz[rows]}
     for name in PER_POINT:
         value = getattr(cloud, name)
@@ -317,11 +317,11 @@ def with_poles(
         arrays["intensity"] = np.zeros(len(rows))
     labels = np.full(len(rows), -1, dtype=np.int64)
     arrays["xyz"][place] = points
-    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
-    labels[place] = hits.surface[met]
+    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[seen_patches], rng)
+    labels[place] = hits.surface[seen_patches]
     if cloud.ring is not None and np.array_equal(cloud.ring, beams.rings[:count]):
         # A beam that the sensor sends has no return next to it on a ring that hit nothing.
-        arrays["ring"][place] = beams.rings[met]
+        arrays["ring"][place] = beams.rings[seen_patches]
     return replace(cloud, **arrays), labels
 
 

@@ -69,8 +69,8 @@ def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
     if sensor.pattern == "spinning":
         grid = (-1, len(sensor.elevations))
         ranges, surface = hits.ranges.reshape(grid), hits.surface.reshape(grid)
-        beside = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
-        edge = beside | np.roll(beside, -1, 0)
+        edges = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
+        edge = edges | np.roll(edges, -1, 0)
         above = differ((ranges[:, 1:], surface[:, 1:]), (ranges[:, :-1], surface[:, :-1]))
         edge[:, 1:] |= above
         edge[:, :-1] |= above
@@ -121,10 +121,12 @@ def report(
     materials = Materials.of(surfaces)
     offsets = SUB_OFFSET * sensor.divergence * np.tile(SUB_RAYS, (len(edge), 1))
     parts = turned(np.repeat(rays[edge], len(SUB_RAYS), axis=0), *offsets.T)
-    met = cast(origin, parts, surfaces, 0.4 * sensor.divergence)
+    seen_patches = cast(origin, parts, surfaces, 0.4 * sensor.divergence)
     shape = (len(edge), len(SUB_RAYS))
-    order = np.argsort(met.ranges.reshape(shape), axis=1)
-    ranges, surface, cosine = (np.take_along_axis(each.reshape(shape), order, 1) for each in met)
+    order = np.argsort(seen_patches.ranges.reshape(shape), axis=1)
+    ranges, surface, cosine = (
+        np.take_along_axis(each.reshape(shape), order, 1) for each in seen_patches
+    )
     there = np.isfinite(ranges)
     depth = np.where(there, ranges, 0.0)
     # A white diffuse surface at normal incidence returns 1; sheeting in a beam's middle returns
@@ -280,8 +282,8 @@ def bloom(
     if len(bright) == 0:
         return bright, bright
     dark = dark[_in_neighbour_cells(rays[dark], rays[bright], max(half_width, 1 / 64))]
-    apart, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
-    glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - apart / half_width)
+    distance, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
+    glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - distance / half_width)
     return dark[glows], bright[nearest[glows]]
 
 
@@ -329,10 +331,10 @@ def with_glow(
     """
     tape = np.zeros(len(rays), dtype=bool)
     tape[echoes.beam[on_tape]] = True
-    false, beside = bloom(rays, tape, half_width, rng)
+    false, edges = bloom(rays, tape, half_width, rng)
     own = np.zeros(len(rays), dtype=np.int64)
     own[echoes.beam] = np.arange(len(echoes.beam))
-    ranges = echoes.ranges[own[beside]] + BLOOM_NOISE * rng.normal(size=len(false))
+    ranges = echoes.ranges[own[edges]] + BLOOM_NOISE * rng.normal(size=len(false))
     strength = 0.5 * rng.uniform(size=len(false))
     bright = sensor.threshold + (saturation(sensor) - sensor.threshold) * strength
     added = Echoes(ranges, np.round(bright), np.full(len(false), nothing), false)

@@ -316,8 +316,8 @@ def _view(
             found.append(none)
             continue
         # Half as many returns again as a line needs, as noise takes some.
-        met = poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], 9)
-        found.append(tuple(a and b for a, b in zip(met, near, strict=True)))
+        seen_patches = poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], 9)
+        found.append(tuple(a and b for a, b in zip(seen_patches, near, strict=True)))
     return tuple(found)
 
 
@@ -332,7 +332,7 @@ def _place_poles(
     """Put the poles of each placement where they link LiDARs that nothing links yet."""
     at = np.array([pose[:2, 3] for pose in place.poses])
     everyone = tuple(range(len(sensors)))
-    standing: list[tuple[Cylinder, ...]] = []
+    drawn: list[tuple[Cylinder, ...]] = []
     seen: list[tuple[tuple[bool, ...], ...]] = []
     for left in range(placements, 0, -1):
         groups = groups_of(seen, len(sensors))
@@ -352,12 +352,12 @@ def _place_poles(
                 continue
             view = _view(place, new, sensors, rng, everyone)
             if len(groups_of([*seen, view], len(sensors))) <= may_remain:
-                standing.append(new)
+                drawn.append(new)
                 seen.append(view)
                 break
         else:
             return None
-    return Arrangement(place, standing, tuple(seen), [everyone] * placements)
+    return Arrangement(place, drawn, tuple(seen), [everyone] * placements)
 
 
 def _draw_poles(
@@ -388,7 +388,7 @@ def _place_ring(
     count = len(sensors)
     recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
     at = np.array([pose[:2, 3] for pose in place.poses])
-    middles, standing, seen = [], [], []
+    middles, drawn, seen = [], [], []
     for pair in recorded:
         for _ in range(MAX_SPOTS):
             middle = np.r_[at[list(pair)].mean(axis=0) + rng.uniform(-1.5, 1.5, 2), 0.0]
@@ -401,11 +401,11 @@ def _place_ring(
         else:
             return None
         middles.append(middle[:2])
-        standing.append(new)
+        drawn.append(new)
         seen.append(view)
     if closes_otherwise(np.array(middles)):
         return None
-    return Arrangement(place, standing, tuple(seen), recorded)
+    return Arrangement(place, drawn, tuple(seen), recorded)
 
 
 def closes_otherwise(axes: Array) -> bool:

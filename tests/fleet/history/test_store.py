@@ -171,7 +171,7 @@ def test_sites_are_read_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.Monk
         append(str(tmp_path), [row(k, name) for name in ("a", "b", "c")])
     append(str(tmp_path), [row(3, "d"), row(4, "a")])
     whole = read(tmp_path)
-    monkeypatch.setattr(store, "TOGETHER", 1)
+    monkeypatch.setattr(store, "SITES_PER_BATCH", 1)
     names = [{*table["id"].to_pylist()} for table in tables(str(tmp_path), None, raised)]
     assert sorted(map(sorted, names)) == [["a"], ["b"], ["c"], ["d"]]
     assert read(tmp_path) == whole

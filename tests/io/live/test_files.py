@@ -38,7 +38,7 @@ LONG = 10.0
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look more often, and give up sooner."""
     monkeypatch.setattr(files, "POLL", 0.01)
-    monkeypatch.setattr(files, "SETTLED", 0.05)
+    monkeypatch.setattr(files, "UNCHANGED_FOR", 0.05)
     monkeypatch.setattr(files, "GIVE_UP", 0.4)
 
 
@@ -120,7 +120,7 @@ def test_a_half_written_file_waits_until_it_is_whole(
         # The older file, which is whole, does not wait for it.
         assert_cloud(source.newest(LONG), 5)
         # On a busy computer, this test may stand still for a while between two parts.
-        monkeypatch.setattr(files, "SETTLED", 0.5)
+        monkeypatch.setattr(files, "UNCHANGED_FOR", 0.5)
         monkeypatch.setattr(files, "GIVE_UP", 1.0)
         with path.open("wb") as file:
             for part in np.array_split(np.frombuffer(content, "u1"), 30):

@@ -137,22 +137,22 @@ class Confirmation(
         Each count is that of the field of its name: what should agree and does not is
         distinguished.
         """
-        said = counted(self.agreeing, "patch agrees", "patches agree")
-        said += f", {counted(self.contradicting, 'contradicts', 'contradict')}"
-        return f"{said}, {self.missing:,} should agree and do not" if self.missing else said
+        text = counted(self.agreeing, "patch agrees", "patches agree")
+        text += f", {counted(self.contradicting, 'contradicts', 'contradict')}"
+        return f"{text}, {self.missing:,} should agree and do not" if self.missing else text
 
     @property
     def words(self) -> str:
         """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
-        said = self.counts
+        text = self.counts
         if self.conflicting:
-            said += f" ({100 * self.contradicted:.1f} % against it)"
+            text += f" ({100 * self.contradicted:.1f} % against it)"
         if self.better_at is not None:
-            said += f"; it fits better {self.better_at:.1f} m away"
+            text += f"; it fits better {self.better_at:.1f} m away"
         if self.probability_wrong is None:
-            return said
+            return text
         at_once = "; both LiDARs recorded at the same time" if self.together else ""
-        return f"{said}{at_once}; chance of a wrong pose {self.chance_words}"
+        return f"{text}{at_once}; chance of a wrong pose {self.chance_words}"
 
     @property
     def chance_words(self) -> str:

@@ -83,12 +83,12 @@ def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no",
 
 
 def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
-    said = f"{need.words}: {answer}"
+    text = f"{need.words}: {answer}"
     if answer == "not shown":
-        sure = f"{said}, {whole_percent(probability)} sure"
-        return sure + (f" if it were not for {', '.join(doubts)}" if doubts else "")
+        text_with_chance = f"{text}, {whole_percent(probability)} sure"
+        return text_with_chance + (f" if it were not for {', '.join(doubts)}" if doubts else "")
     likely = probability if answer == "yes" else 1.0 - probability
-    return f"{said}, {whole_percent(likely)} sure"
+    return f"{text}, {whole_percent(likely)} sure"
 
 
 def whole_percent(share: float) -> str:

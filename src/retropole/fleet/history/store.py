@@ -279,7 +279,7 @@ def contents(
     Of millions of checks the keys are kept as lines of text: sets would need four times the memory.
     """
     sites: Sites = {}
-    alike: dict[tuple[str, ...], tuple[str, ...]] = {}
+    names_of: dict[tuple[str, ...], tuple[str, ...]] = {}
     keys: dict[str, bytearray] = {}
     months = filter(re.compile(r"month=\d{4}-\d{2}").fullmatch, names_in(folder))
     files = (
@@ -290,7 +290,7 @@ def contents(
         names = table["id"].to_pylist()
         # Files that were appended one after the other have the same sites.
         own = (*sorted(set(names)),)
-        sites[place] = alike.setdefault(own, own)
+        sites[place] = names_of.setdefault(own, own)
         for name, key in zip(names, table["key"].to_pylist(), strict=True):
             keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
     return sites, keys
@@ -327,8 +327,8 @@ def tables(
         return table.filter(compute.is_in(table["id"], value_set=pa.array(names)))
 
     # Sites that were appended together are in the same files, of which the last is one.
-    for _, alike in groupby(order, lambda name: files[name][-1]):
-        for some in _parts([*alike], 5 * SITES_PER_BATCH):
+    for _, group in groupby(order, lambda name: files[name][-1]):
+        for some in _parts([*group], 5 * SITES_PER_BATCH):
             places = sorted({place for name in some for place in files[name]})
             found = [
                 own.append_column(PLACE, pa.array([place] * len(own), pa.string()))

@@ -377,9 +377,9 @@ def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
         so_far = size * (now.days - now.began[m]) / YEAR if short[m] else size
         if np.linalg.norm(so_far[:3]) >= LEAST[0] or np.linalg.norm(so_far[3:]) >= LEAST[1]:
             others = statistics[now.is_trend != now.is_trend[m]].max(initial=0.0)
-            told = float(statistics[m]), float(statistics[m] - others)
+            evidence = float(statistics[m]), float(statistics[m] - others)
             kind: EventKind = "trend" if now.is_trend[m] else "step"
-            return m, Event(kind, int(now.onset[m]), n, size, covariance, *told)
+            return m, Event(kind, int(now.onset[m]), n, size, covariance, *evidence)
     return None
 
 
@@ -395,8 +395,8 @@ def _stays_moved(newest: Sequence[Observed]) -> bool:
     if len(newest) < 2 or not all(moved[-2:]):
         return False
     before, last = newest[-2:]
-    apart = last._replace(step=last.step - before.step)
-    return _from_stored(apart) <= _from_stored(last) or (len(moved) > 2 and all(moved))
+    since = last._replace(step=last.step - before.step)
+    return _from_stored(since) <= _from_stored(last) or (len(moved) > 2 and all(moved))
 
 
 def watch(checks: Sequence[Observed]) -> Watched:

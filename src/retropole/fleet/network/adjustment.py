@@ -220,10 +220,10 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
     for node, world, at, root in sights:
         factors.add(gtsam.GPSFactorArm(node, world, at, noise(root[:3, :3], huber)))
     for each in find_components(graph, active):
-        held = np.eye(6) * (len(each.points) == 0)
-        held[:3, :3] = each.held.T @ each.held
+        constrained = np.eye(6) * (len(each.points) == 0)
+        constrained[:3, :3] = each.held.T @ each.held
         if len(each.held):
-            holding = model.Gaussian.SqrtInformation(held / DATUM_SIGMA)
+            holding = model.Gaussian.SqrtInformation(constrained / DATUM_SIGMA)
             factors.add(gtsam.PriorFactorPose3(int(each.nodes[0]), gtsam.Pose3(), holding))
     return factors
 
@@ -412,12 +412,14 @@ def all_tests(graph: Graph, values: Any, active: BoolArray) -> Tests:
     measured = np.arange(6) < graph.numbers[:, None]
     shows *= measured[:, :, None] & measured[:, None, :]
     part, way = np.linalg.eigh((shows + np.swapaxes(shows, 1, 2)) / 2)
-    told = part > LEAST_CHECKED
-    part = np.where(told, part, 0.0)
-    along = np.einsum("kab,ka->kb", way, b) ** 2 * told
-    chi2 = np.where(active[:, None], along / np.where(told, part, 1.0), along * part).sum(axis=1)
+    is_reported = part > LEAST_CHECKED
+    part = np.where(is_reported, part, 0.0)
+    along = np.einsum("kab,ka->kb", way, b) ** 2 * is_reported
+    chi2 = np.where(active[:, None], along / np.where(is_reported, part, 1.0), along * part).sum(
+        axis=1
+    )
     shows = (way * part[:, None]) @ np.swapaxes(way, 1, 2)
-    return Tests(own, cross, b, shows, chi2, np.count_nonzero(told, axis=1))
+    return Tests(own, cross, b, shows, chi2, np.count_nonzero(is_reported, axis=1))
 
 
 def _rivals(graph: Graph, tests: Tests, active: BoolArray) -> dict[int, list[int]]:

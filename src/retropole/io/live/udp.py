@@ -102,8 +102,8 @@ class _Mailbox:
         """Take the newest sweep and its number, counted from 0; None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
-            held, self._held = self._held, None
-            return held
+            buffered, self._held = self._held, None
+            return buffered
 
     def close(self) -> None:
         """Wake whoever waits, and forget what is held."""

@@ -190,16 +190,16 @@ def survey(coming: Iterator[SimilarPackets]) -> tuple[dict[str, Sender], Counter
     """Find which LiDARs sent packets, and count the sizes of all other packets."""
     senders: dict[str, Sender] = {}
     sizes: Counter[int] = Counter()
-    told: dict[str, bytes] = {}
-    telling = Counter[str]()
+    reported: dict[str, bytes] = {}
+    identifying = Counter[str]()
     for (payload, name, _), rows, times, _ in coming:
         own = senders.get(name)
         model = recognized(payload)
         if model is None and not is_velodyne(payload):
             sizes[len(payload)] += 1
-            telling[name.partition(":")[0]] += payload.startswith(DIFOP_START)
-            if payload and len(told) < 100:
-                told.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
+            identifying[name.partition(":")[0]] += payload.startswith(DIFOP_START)
+            if payload and len(reported) < 100:
+                reported.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
             continue
         if own is None:
             own = senders[name] = _sender(model, payload)
@@ -209,10 +209,10 @@ def survey(coming: Iterator[SimilarPackets]) -> tuple[dict[str, Sender], Counter
     for name, own in senders.items():
         found = (
             reported_angles(own.model, payload)
-            for key, payload in told.items()
+            for key, payload in reported.items()
             if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
         )
-        own.told = telling[name.partition(":")[0]]
+        own.told = identifying[name.partition(":")[0]]
         own.angles = next((each for each in found if each is not None), None)
     # A damaged address or port looks like another LiDAR, which sends next to nothing.
     most = max((len(own.rows) for own in senders.values()), default=0)

@@ -429,8 +429,8 @@ def is_other(first: Array, second: Array) -> BoolArray:
 
     The second is kept in any case.
     """
-    apart = np.abs(first.astype(np.float32) - second.astype(np.float32))
-    return apart >= np.float32(NEAR_TWIN)
+    difference = np.abs(first.astype(np.float32) - second.astype(np.float32))
+    return difference >= np.float32(NEAR_TWIN)
 
 
 def rings_of(elevation: Array) -> IntArray:
