@@ -27,13 +27,13 @@ to 15 cm, the refined pose was off by more than 0.1 m or 1° only beyond it, or 
 found inconsistent."""
 
 MAX_AXES_CHI2 = chi2_limit(2, 1.0 - SIGNIFICANCE) / 2
-"""Most χ² of the poles' test for each degree of freedom, 6.9. Poles that stood still came up to 2.9
-in 166 recordings (benchmarks/coverage.py, tuning families, seeds 0 to 20), and to 5.2 in 189 of
+"""Most χ² of the poles' test for each degree of freedom, 6.9. Poles that did not move came up to
+2.9 in 166 recordings (benchmarks/coverage.py, tuning families, seeds 0 to 20), and to 5.2 in 189 of
 four pairs of sensors (its ordinary noise and its field, seeds 0 to 23 for each pair), there with a
 PandarQT, and to 3.1 in 45 with inserted poles (benchmarks/semireal.py, its first seeds)."""
 
 MOST_LEFT_OUT = 6
-"""So many poles are left out in turn at most, those first that explain most of what does not fit:
+"""At most this many poles are left out in turn, first those that explain most of the misfit:
 each takes an alignment of all others, seconds for a row of posts."""
 
 
@@ -45,7 +45,7 @@ def without_misplaced(
     radius_sigma: float,
     scene: bool = True,
 ) -> tuple[Sequence[PairedPlacement], BeamAlignment]:
-    """Leave out the pole, of three or more, that does not stand as the others do, if one does not.
+    """Leave out the pole, of three or more, that is not where the others imply, if there is one.
 
     Each is left out in turn, and the others are tested. Two that are left of three fit each other
     easily, so where that mends it for several, the scene says for which: only without the pole that
@@ -58,7 +58,7 @@ def without_misplaced(
     radius, radius_sigma
         Of the poles, and its 1 σ, metres.
     scene
-        Whether the scene may be asked.
+        Whether the scene may be used.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _have_same_arrangement(aligned: BeamAlignment) -> bool:
 
 
 def check_axes(aligned: BeamAlignment) -> None:
-    """Refuse poles that did not stand to each other alike when each LiDAR recorded them.
+    """Refuse poles whose arrangement differed between the recordings of the LiDARs.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def check_axes(aligned: BeamAlignment) -> None:
     test = aligned.axes_test
     limit = MAX_AXES_CHI2 * test.freedom
     if not _have_same_arrangement(aligned):
-        # Of two poles neither can be told to be the one that moved.
+        # Of two poles it is undecidable which one moved.
         worst = int(np.argmax(test.by_pole)) if len(test.by_pole) > 2 else None
         named = "" if worst is None else f", freeing pole {worst} explains most of it"
         raise Refusal(
@@ -126,7 +126,7 @@ def check_axes(aligned: BeamAlignment) -> None:
 
 
 def check_contradiction(refined: Refinement | None) -> None:
-    """Refuse poles and a scene that give poses further apart than both allow by far.
+    """Refuse poles and a scene whose poses differ by far more than both allow.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def check_contradiction(refined: Refinement | None) -> None:
 
 
 def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason]:
-    """Warn where the returns conflict with the radius that was given, by so many σ."""
+    """Warn, with the number of σ, where the returns conflict with the given radius."""
     if contradicted > MAX_NORMAL:
         yield Reason(
             "radius_differs",
@@ -192,7 +192,7 @@ def agreement_tests(aligned: BeamAlignment, refined: Refinement | None) -> Itera
 
 
 def check_minima(refined: Refinement | None) -> Iterator[Reason]:
-    """Warn where the scene leads to different poses from within the poles' uncertainty."""
+    """Warn where the scene converges to different poses within the poles' uncertainty."""
     if refined is not None and refined.other_minima:
         furthest = max(refined.other_minima, key=lambda step: float(np.linalg.norm(step[3:])))
         metres, radians = (float(np.linalg.norm(part)) for part in (furthest[3:], furthest[:3]))

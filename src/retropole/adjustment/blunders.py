@@ -5,10 +5,10 @@ the one without which everything fits is the blunder.
 
 Where poles do not check each other, the surroundings show a pole that moved: they coincide without
 it. Two poles fit each other wherever one of them is pushed within the freedom that the other
-leaves, and the surfaces, weighed by how far they lie apart, follow. Of three poles any two may be
+leaves, and the surfaces, weighed by their distance, follow. Of three poles any two may be
 the pair that fits. But under the pose that a moved pole gives walls do not coincide that do without
 it. Most of what is seen is ground, which coincides with itself wherever it slides to: only what two
-answers place differently tells between them.
+answers place differently distinguishes them.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ PLACED_DIFFERENTLY = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""
 
 MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
-"""So many more patches must coincide under another answer, and so many times as many. Without a
-pole that stood still no patch was placed differently, and of every fourth up to 32 where none
+"""This many more patches must coincide under another answer, and this many times as many. Without a
+pole that did not move no patch was placed differently, and of every fourth up to 32 where none
 coincided either way (tuning seeds 3 to 40 of tests/adjustment/test_blunders.py, 30 to 90 of
 benchmarks/site.py). Without one that made 33 answers of the former wrong by 0.15 m or more, and
 passed its own tests, 9 to 716 more coincided, 19 times as many or more."""
@@ -98,7 +98,7 @@ def least_conflicting(ends: Sequence[End]) -> int:
         max((more_coincide(one, other) for other in ends if other is not one), default=0.0)
         for one in ends
     ]
-    # Less than a patch tells nothing.
+    # Less than a patch gives no information.
     return int(np.argmin(np.floor(against)))
 
 
@@ -128,7 +128,7 @@ def conflicting_poles(
 
 
 def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
-    """Refuse what hangs on poles without which far more of the surroundings coincides.
+    """Refuse LiDARs that depend on poles without which far more of the surroundings coincides.
 
     One pole conflicts with nothing across itself, where it alone decides and surfaces look for
     their partners no farther than it allows. So it is parted: each side has it at a place of its
@@ -213,16 +213,16 @@ and more 16 came to more than 6.5, 2 to more than `POOR`, and 2 were refused bef
 0 to 59)."""
 
 MOST_BLUNDERS = 3
-"""So many are left out at most."""
+"""At most this many are left out."""
 
 SEPARABLE = chi2_limit(2)
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
-than this is not told apart: it is up to a hundred times less likely, 2 ln 100, χ² with two degrees
-of freedom."""
+than this is not distinguished: it is up to a hundred times less likely, 2 ln 100, χ² with two
+degrees of freedom."""
 
 TAKES_ALONG = "survey of a pole", "pole", "placement"
 """What goes with what is left out, the least first: a single point of the survey takes nothing else
-along, both ends of a pole what its survey says of the frame."""
+along, both ends of a pole what its survey implies for the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def significant(tests: Sequence[Test], above: float = BLUNDER) -> list[Test]:
 
 
 def is_poor(w: float, chi2: float, freedom: int, above: float = POOR) -> bool:
-    """Whether a test with so much χ² says that something does not fit, by a limit of its w."""
+    """Whether a test with this χ² shows a misfit, by a limit of its w."""
     return w > above and chi2 > MAX_AXES_CHI2 * freedom
 
 
@@ -356,7 +356,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
 
 
 def _apart(a: Adjusted, b: Adjusted) -> float:
-    """χ² by which the poses of two answers differ at most, as sure as both are."""
+    """Largest χ² between the poses of two answers, given the uncertainty of both."""
     found = 0.0
     for i, (T, T_other) in enumerate(zip(a.end.T, b.end.T, strict=True)):
         own = slice(POSE * i, POSE * (i + 1))
@@ -422,7 +422,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
     worst = list(found.values())[:MOST_LEFT_OUT]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
-    # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
+    # A pole that only one LiDAR sees has no separate test: those of its ends replace it.
     of_end = {end.name: end.axis for end in now.datum.surveyed.ends}
     of_pole: dict[int, Test] = {}
     for test in sorted(worst, key=lambda test: test.kind != "pole"):
@@ -443,7 +443,7 @@ def _is_surveyed(datum: Datum, pole: int) -> bool:
 
 
 def _survey_of(site: Site, now: Adjusted, test: Test) -> Suspect:
-    """Suspect all that was surveyed of a pole, which may stand where the LiDARs see it."""
+    """Suspect all that was surveyed of a pole, which may be where the LiDARs see it."""
     assert test.pole is not None
     pole = now.datum.poles[test.pole]
     name = pole.name(site)
@@ -522,7 +522,7 @@ def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
 
 
 def place_of(site: Site, pole: SharedPole) -> dict[str, float | int | str]:
-    """Say which pole it is, and where its middle stands in the frame of the site, metres."""
+    """Say which pole it is, and where its middle is in the frame of the site, metres."""
     at = pole.extent.mean(axis=0)
     return {
         "pole": pole.name(site),

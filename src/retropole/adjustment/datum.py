@@ -42,7 +42,7 @@ class Dependent:
     Attributes
     ----------
     near, far
-        Indices of the two LiDARs of the link: of the others, and of those that hang.
+        Indices of the two LiDARs of the link: of the others, and of the dependent ones.
     T
         (4, 4) maps points of `far` into the frame of `near`: the pose that the surroundings gave.
     lidars
@@ -84,7 +84,7 @@ class Dependent:
 
 
 def find_dependent(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Dependent, ...]:
-    """Find the links by place that join what poles alone do not; none where these join all.
+    """Find the links by surroundings that join what poles alone do not; none where these join all.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def orient_links(
 def prior_poses(
     dependent: Sequence[Dependent], poses: Mapping[int, Array]
 ) -> tuple[PriorPose, ...]:
-    """Hold what hangs where the place puts it, as wide as that is taken to be known.
+    """Give each dependent LiDAR the pose from its surroundings as a prior, as wide as assumed.
 
     Parameters
     ----------
@@ -174,12 +174,12 @@ def check_poles_left(
 def check_dependent(
     site: Site, dependent: Sequence[Dependent], T: Array, covariance: Array
 ) -> None:
-    """Refuse what hangs where the scene holds it little better than the place was taken to.
+    """Refuse dependent LiDARs that the scene constrains little better than their prior does.
 
     Parameters
     ----------
     site, dependent
-        Names, and what hangs.
+        Names, and the dependent LiDARs.
     T, covariance
         (L, 4, 4) poses and (6 L, 6 L) their joint covariance.
 
@@ -209,7 +209,7 @@ class Datum:
     words
         What fixes the frame.
     unmet
-        What was surveyed and nothing that the LiDARs see meets.
+        What was surveyed and matches nothing that the LiDARs see.
     dependent
         What depends on a link that the surroundings give in part, seen from what defines the
         frame.
@@ -242,7 +242,7 @@ def find_datum(
     poses, poles
         In the frame of the first of the linked LiDARs.
     dependent
-        By `find_dependent`: what the surroundings give a part of is held there (`Surveyed.poses`).
+        By `find_dependent`: poses partly from the surroundings get a prior (`Surveyed.poses`).
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _unturned(T: Array) -> Array:
 
 
 def _levelling(up: Sequence[MeasuredUp], poses: dict[int, Array]) -> Array:
-    """(3, 3) shortest rotation that turns what the LiDARs say is up, on average, upright."""
+    """(3, 3) shortest rotation that turns the mean up of the LiDARs upright."""
     mean = np.sum([poses[each.lidar][:3, :3] @ each.direction for each in up], axis=0)
     mean /= np.linalg.norm(mean)
     axis = np.cross(mean, [0.0, 0.0, 1.0])
@@ -347,7 +347,7 @@ def _known(
     poses: dict[int, Array],
     fit: Fit,
 ) -> Surveyed:
-    """Write what was surveyed and is met as observations of axes and points."""
+    """Write what was surveyed and is matched as observations of axes and points."""
     ends = []
     for k, pole in enumerate(poles):
         if pole.surveyed is None:

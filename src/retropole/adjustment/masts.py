@@ -177,7 +177,7 @@ def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion
 
 
 def _by_common(own: Asked, A: Array, noise: float) -> tuple[Array, Array]:
-    """What the returns of one LiDAR say of the coefficients of the common motion."""
+    """Information of the returns of one LiDAR about the coefficients of the common motion."""
     of_own = np.kron(np.eye(own.features.shape[1]), A)
     return of_own.T @ own.left @ of_own / noise, of_own.T @ own.pull / noise
 
@@ -187,7 +187,7 @@ def _begins(scans: Sequence[Scan]) -> Array:
     recorded = [scan.cloud.recorded for scan in scans]
     first = np.array([np.nan if each is None else each[0] for each in recorded])
     last = np.array([np.nan if each is None else each[1] for each in recorded])
-    # Nothing else tells; recordings that were made at other times do not sway as one.
+    # There is no other evidence; recordings that were made at other times do not sway as one.
     return first - first[0] if np.max(first) <= np.min(last) else np.zeros(len(scans))
 
 

@@ -1,6 +1,6 @@
 """One adjustment of a site: from chosen poses to adjusted ones, their covariance, and all tests.
 
-What holds a site together: pairs that link all LiDARs, and the poles that both sides see.
+What links a site: pairs that link all LiDARs, and the poles that both sides see.
 
 Two LiDARs that nothing but each other ties, tested as a site is: every observation of poles.
 """
@@ -269,7 +269,7 @@ def without_observations(datum: Datum, lidar: int, placement: int) -> Datum:
 
 @dataclass(frozen=True)
 class Link:
-    """A pair of LiDARs without which some LiDARs would hang by fewer poles and patches.
+    """A pair of LiDARs without which some would be linked by fewer poles and patches.
 
     Attributes
     ----------

@@ -6,9 +6,9 @@ the error has; how well the others determine that error is its redundancy, and g
 error that the test finds.
 
 Several observations may also have one bias in common. Last come returns next to their pole, of a
-LiDAR that sees it clearly elsewhere. A return far from the axis is treated as an outlier, and
-pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate axis
-would gain them is found in full.
+LiDAR that sees it clearly at another position. A return far from the axis is treated as an outlier,
+and pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate
+axis would gain them is found in full.
 """
 
 from __future__ import annotations
@@ -117,7 +117,8 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
 def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
     """Find the LiDARs that most likely see a pole at another position than the others do.
 
-    Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
+    Of many LiDARs there are thousands of parts: the information of each about the other is computed
+    once.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def placement_moved(at: Solved, one: Observation) -> Bias:
 
 
 def lidar_displaced(at: Solved, lidar: int) -> Bias | None:
-    """A LiDAR for which all poles stand elsewhere, but for its pose."""
+    """A LiDAR for which all poles are displaced, but for its pose."""
     parts = [
         (one, np.concatenate([_axis_columns(one, int(pole)) for pole in one.poles]))
         for one in at.network.observations
@@ -385,8 +386,8 @@ def _tested(
     for k, pole in enumerate(poles):
         yield from _of_pole(at, pole.name(site), k, pole.placement, names, astray)
     for one in at.network.observations:
-        # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it. Nor
-        # on which side of poles they were surveyed.
+        # The prior of a dependent LiDAR was not observed: it is only as wide as the poles need it.
+        # Nor was it on which side of poles they were surveyed.
         if one.kind == "pose" or one.kind == "side":
             continue
         if one.poles is None:

@@ -48,7 +48,7 @@ SCATTER, FLAT = "scatter of the surfaces", "surfaces that are not flat"
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """What each of C places says of F parameters, with the errors of the LiDARs eliminated.
+    """Information of each of C places about F parameters, with the errors of the LiDARs eliminated.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def places_of(
 
 
 def places_of_poses(end: End) -> Places:
-    """Sum what all places say of the poses that are estimated."""
+    """Sum the information of all places about the poses that are estimated."""
     inverse = end.inverse
     free = np.flatnonzero(np.diag(inverse)[: len(end.search)] > 0)
     gains = [inverse[np.ix_(free, term.place)] for term in end.scene]
@@ -198,7 +198,7 @@ class Solved:
     values
         (Z,) the unknowns.
     inverse
-        (Z, Z) of all information; zero where the datum holds a pose.
+        (Z, Z) of all information; zero where the datum fixes a pose.
     wide
         (Z, R) errors that are considered and not estimated, each of 1 σ.
     sigma

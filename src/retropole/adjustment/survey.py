@@ -1,8 +1,8 @@
 """How what the LiDARs see is laid on a survey: poles by their shape, control points by name.
 
-Then it is checked: in one frame, in metres, and all of it met by what is seen. What is met by
-nothing that the LiDARs see is named, and left out. Where what is not met would fix another frame,
-or fits as a mirror image or in another unit, nobody can tell which part is right.
+Then it is checked: in one frame, in metres, and all of it matched by what is seen. What matches
+nothing that the LiDARs see is named, and left out. Where the unmatched part would fix another
+frame, or fits as a mirror image or in another unit, it is undecidable which part is right.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ROUGH = 0.1
 no better, and one that fits worse is no frame of its own."""
 
 SAMPLES = 5
-"""Points on a surveyed pole that stand for returns when it is matched."""
+"""Points on a surveyed pole that represent returns when it is matched."""
 
 LEAST_BASE = 0.3
 """Control points nearer to one line than this fix no frame, metres."""
@@ -43,7 +43,7 @@ MOST_TRIPLES = 60
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A way of laying what the LiDARs see on the survey, and what of the survey is met under it.
+    """An alignment of what the LiDARs see to the survey, and what of the survey it matches.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Fit:
     poles, sightings
         Indices of the surveyed poles, and of the control points and their sightings.
     ends
-        How many ends of poles and sightings are met.
+        How many ends of poles and sightings are matched.
     rms
-        How far they are beside what is seen, metres.
+        How far they are from what is seen, metres.
     """
 
     T: Array
@@ -65,14 +65,14 @@ class Fit:
 
     @property
     def points(self) -> frozenset[int]:
-        """Indices of the control points of which a sighting is met."""
+        """Indices of the control points of which a sighting is matched."""
         return frozenset(q for q, _ in self.sightings)
 
 
 def every_fit(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> list[Fit]:
-    """Find the ways of laying what the LiDARs see on the survey, the one that meets most first."""
+    """Find the alignments of what the LiDARs see to the survey, the one that matches most first."""
     fits: list[Fit] = []
     for T in (*_by_poles(site, poles), *_by_points(site, origins, poses)):
         same = [k for k, other in enumerate(fits) if _same(T, other.T, poles)]
@@ -89,9 +89,9 @@ def every_fit(
 
 
 def order(fit: Fit) -> tuple[float, float]:
-    """Those that meet most come first, each end by how well: the less the farther it is beside.
+    """Those that match most come first, each end by how well: the less the farther it is off.
 
-    A truncated quadratic (Torr and Zisserman 2000): one more that is met to half a metre, with
+    A truncated quadratic (Torr and Zisserman 2000): one more that is matched to half a metre, with
     all others pulled along, is no more than what fits to centimetres.
     """
     return -fit.ends * (1.0 - (fit.rms / OVERLAP_DISTANCE) ** 2), fit.rms
@@ -107,8 +107,8 @@ def _is_line(each: SurveyedPole) -> bool:
 
 
 def _by_poles(site: Site, poles: Sequence[SharedPole]) -> Iterator[Array]:
-    """Lay the axes that the LiDARs see on the surveyed ones: LiDARs and survey stand still, so that
-    poles of all placements count together.
+    """Align the axes that the LiDARs see to the surveyed ones: LiDARs and survey do not move, so
+    that poles of all placements count together.
     """
     known = [each for each in site.poles if _is_line(each)]
     if len(known) < 2 or len(poles) < 2:
@@ -142,7 +142,8 @@ def _line(foot: Array | None, top: Array | None) -> Pole:
 
 
 def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[Array]:
-    """Lay the control points that the LiDARs see on the surveyed ones, and every three of them."""
+    """Align the control points that the LiDARs see to the surveyed ones, and every three of
+    them."""
     known, seen = [], []
     for q, point in enumerate(site.points):
         at = [there for _, there in sightings_of(site, q, origins, poses)]
@@ -183,7 +184,8 @@ def _onto(a: Array, b: Array) -> Array | None:
 def _fit(
     T: Array, site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> Fit | None:
-    """Tell what of the survey is met under a pose; None where it fixes no frame or is not met."""
+    """Find what of the survey matches under a pose; None where it fixes no frame or nothing
+    matches."""
     gaps: list[float] = []
     matched: set[int] = set()
     sightings: set[tuple[int, int]] = set()
@@ -265,11 +267,11 @@ def transformed(pole: SharedPole, T: Array) -> SharedPole:
 
 
 SURVEY_UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
-"""Units that coordinates come in beside metres, metres each."""
+"""Units of coordinates other than metres, metres each."""
 
 MOST_RMS = 0.02
-"""Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
-as this, metres."""
+"""Alignments of the survey to what is seen are distinguished where one fits twice as well, or so
+well as this, metres."""
 
 
 def align_to_survey(
@@ -310,7 +312,7 @@ def align_to_survey(
 
 
 def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
-    """Refuse where what is not met by the best way fixes another frame by itself."""
+    """Refuse where what the best alignment does not match fixes another frame by itself."""
     left = other.poles - best.poles, other.points - best.points
     if other.rms > ROUGH or not fixes_frame(site, *left):
         # Two lines fit others by chance, but hardly so well.
@@ -411,7 +413,7 @@ def _names(site: Site, poles: frozenset[int], points: frozenset[int]) -> str:
 def list_unmet(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole], fit: Fit
 ) -> Iterator[Reason]:
-    """Name what was surveyed and nothing that the LiDARs see meets.
+    """Name what was surveyed and matches nothing that the LiDARs see.
 
     Parameters
     ----------
@@ -444,7 +446,7 @@ def list_unmet(
 
 
 def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> Reason:
-    """Say where the nearest pole is that LiDARs see, or in which placement the pole stands."""
+    """Give the nearest pole that LiDARs see, or the placement that the pole is in."""
     where = site.placements[each.placement]
     values: dict[str, float | int | str] = {"observation": each.name, "placement": where}
     for p, name in enumerate(site.placements):

@@ -1,7 +1,8 @@
-"""Recordings that are not what the site file says: of another LiDAR, or of another placement.
+"""Recordings that are not what the site file states: of another LiDAR, or of another placement.
 
-A LiDAR stands still, so that all its recordings show one place; and the poles of a placement are
-the same for all LiDARs. A recording that nothing agrees with is tried in the place of another.
+A LiDAR does not move, so that all its recordings show the same surroundings; and the poles of a
+placement are the same for all LiDARs. A recording that nothing agrees with is tried instead of
+another.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def check_places(site: Site, views: Views) -> None:
 
 
 def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved | None]) -> Refusal:
-    """Say that a LiDAR does not stand where it stood, by how much, or that it is another place."""
+    """Report that a LiDAR is not where it was, by how much, or that the surroundings differ."""
     which = ", ".join(placements)
     values: dict[str, float | int | str] = {"lidar": name, "placements": which}
     steps = [step for step in away.values() if step is not None]
@@ -79,7 +80,7 @@ def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved |
 
 
 def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
-    """Whether two LiDARs' recordings of a placement fit the other's recordings elsewhere."""
+    """Whether two LiDARs' recordings of a placement fit the other's other recordings."""
     found = []
     for own, other in ((i, j), (j, i)):
         here = views.every[own][p]
@@ -131,7 +132,7 @@ def support_of(
         i, j = pair.lidars
         placed = i in choice.poses and j in choice.poses
         found = None
-        # Where the scenes hardly overlap poles of one shape may be met by chance.
+        # Where the scenes hardly overlap, poles of one shape may match by chance.
         if placed and pair.overlaps:
             found = pair.at(se3.inverse(choice.poses[i]) @ choice.poses[j], poles[j])
         for p in range(len(scans.by_lidar[0])):
@@ -167,7 +168,7 @@ def check_swapped(
         tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))
         seen = Views(_swapped(views.every, one, other))
         if any(elsewhere(seen.every[lidar]) for lidar in {one[0], other[0]}):
-            # In each other's place they would not show where those LiDARs stand.
+            # Exchanged, they would not show the surroundings of those LiDARs.
             continue
         if _share_poles(tried, choice, site.radius, one, other):
             if not _share_poles(scans, choice, site.radius, one, other):

@@ -111,13 +111,13 @@ def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> Ret
 
 @dataclass(frozen=True, eq=False)
 class AxesTest:
-    """Whether both LiDARs see the poles stand to each other alike.
+    """Whether both LiDARs see the same arrangement of the poles.
 
     Attributes
     ----------
     chi2, freedom
         By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² if the poles stood the same.
+        posterior, and how many more parameters that has: χ² if the arrangement was the same.
     by_pole
         (K,) the same where only that pole's axis is freed.
     """
@@ -128,7 +128,7 @@ class AxesTest:
 
 
 def compare_axes(network: Network, precision: Array, considered: Array) -> AxesTest:
-    """Test whether the poles stood the same when each LiDAR recorded them (score test, Rao 1948).
+    """Test whether both LiDARs recorded the same arrangement of poles (score test, Rao 1948).
 
     The source's axes get a separate displacement, in addition to pose, errors and common axes. Six
     of its directions are the pose's; two poles leave two to test, their angle and their distance.
@@ -210,7 +210,7 @@ class BeamAlignment:
     radius_conflict
         By how many σ the returns alone conflict with the radius that was given.
     axes_test
-        Whether both LiDARs see the poles stand to each other alike.
+        Whether both LiDARs see the same arrangement of the poles.
     noise, lateral_noise
         1 σ of a return along the beam and across it, for the target and the source, metres.
     converged, iterations
@@ -248,7 +248,7 @@ class Aligned:
     radius, radius_conflict
         As in `BeamAlignment`.
     radius_sigma
-        1 σ of the radius that was taken in the end, metres.
+        1 σ of the radius that was used in the end, metres.
     sights
         What each LiDAR saw.
     """
@@ -273,12 +273,12 @@ def align_beams(
     by_place: bool = False,
     left: tuple[Array, ...] = (),
 ) -> BeamAlignment:
-    """Align matched poles by what both LiDARs' beams can have met.
+    """Align matched poles by what both LiDARs' beams can have hit.
 
     Parameters
     ----------
     target, source
-        Beams of the two LiDARs; the poles are numbered alike.
+        Beams of the two LiDARs; the poles have the same numbers.
     T_start
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
@@ -287,7 +287,7 @@ def align_beams(
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.
     placement
-        (K,) index of that which each pole stood in; None if there is one.
+        (K,) index of that of each pole; None if there is one.
     by_place
         Whether the surroundings, and not the poles, gives what `T_start` has in addition to them.
 
@@ -356,7 +356,7 @@ def align_all(
     model
         Of the errors.
     placement
-        (K,) index of that which each pole stood in.
+        (K,) index of that of each pole.
     free
         (6 L,) which parameters of the poses are estimated.
     scene_bands
@@ -390,7 +390,7 @@ def align_all(
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
         return Aligned(found, network, estimate, contradicted, given_sigma, sights)
-    # What was given has no say any more: the climb finds the radius anew, as good as free, and that
+    # What was given is no longer used: the climb finds the radius anew, as good as free, and that
     # takes its place.
     assumed = found.point.state.radius
     found, network = maximum(found.point.state, found.point.log_noise, radius)
@@ -435,7 +435,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     Parameters
     ----------
     found
-        Of two LiDARs, the target's pose held.
+        Of two LiDARs, the target's pose fixed.
     model
         Of the errors, with the 1 σ of the radius that was taken.
 

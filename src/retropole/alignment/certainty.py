@@ -35,10 +35,10 @@ POLES_ONLY = "tape", "radius"
 
 WORKING_SHARE = 0.25
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
-their 1 σ; what is stated counts them whole. A few poles cannot tell an offset from a translation:
-given all the freedom that the instrument has, the estimate takes noise for offsets. Of 100 set-ups
-of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with offsets of
-7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
+their 1 σ; what is stated counts them whole. A few poles cannot distinguish an offset from a
+translation: given all the freedom that the instrument has, the estimate takes noise for offsets. Of
+100 set-ups of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with
+offsets of 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
 
 CONSIDERED = "width"
 CONSIDERED_SHARE = 0.01
@@ -53,7 +53,7 @@ MIN_MEMBERS = 5
 """Errors that a size is estimated from, and as many of the size that is known beforehand count
 in addition to the data's. Those of a whole LiDAR, one to four of a kind, do not determine their
 own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
-lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
+lines estimated, of 36 recordings of a stationary vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
 missed so."""
 
@@ -62,7 +62,7 @@ MAX_SCALE = 3.0
 
 
 def prior_precision(groups: Groups, sigma: Array) -> Array:
-    """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is held fast."""
+    """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is almost fixed."""
     constrained = considered(groups, sigma) > 0
     return np.asarray(
         1.0 / (np.where(constrained, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2
@@ -179,7 +179,7 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class FactorEstimate:
     """Steps (6 L,) of all poses, errors (B,), and the inverse (K, K) of the information of both,
-    zero where the datum holds a pose.
+    zero where the datum fixes a pose.
     """
 
     steps: Array

@@ -1,4 +1,4 @@
-"""What a return says of the axis of a taped pole, and what a beam that passed it says.
+"""Likelihood of the axis of a taped pole given a return, and given a beam that passed it.
 
 Xue et al. 2019, eq. 3 and 4, walk along the facing arc of the pole and solve eq. 4 for each step.
 Here every beam is compared with the cylinder in closed form. That is exact, and covers beams off
@@ -81,7 +81,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products of (N, 3) rows; np.cross takes twice as long over so few."""
+    """Cross products of (N, 3) rows; np.cross takes twice as long for few rows."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 

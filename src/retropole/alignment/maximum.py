@@ -1,8 +1,8 @@
 """Up to the maximum of the posterior of shared cylinders, from lines fitted to the returns.
 
 The posterior may be of two LiDARs or more. Each LiDAR's beams say of the poles what `posterior`
-has; survey and inertial sensors add what they say of axes and poses. Of a pair the target's pose is
-held: its frame is that of the poles.
+has; survey and inertial sensors add information about axes and poses. Of a pair the target's pose
+is fixed: its frame is that of the poles.
 """
 
 from __future__ import annotations

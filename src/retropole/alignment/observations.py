@@ -20,16 +20,16 @@ it than outliers lie, metres."""
 
 NEXT_TO_POLE = 0.2
 """Beams this much further aside, along such a stretch of the pole, show whether those next to it
-are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
+are recorded, metres: beams of the coarsest sensor of the table have 0.08 m between them at 8 m."""
 
 MOST_RETURNS = 1000
-"""Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
-errors that all of them share. Of streets recorded with 10 and 30 sweeps (seeds 501 to 504), the
+"""Of one pole, no more are worked on: their noise then leaves the axis uncertain by 1 mm, less than
+the errors that all of them share. Of streets recorded with 10 and 30 sweeps (seeds 501 to 504), the
 poses are as near the truth as with all returns, and the model, which knows no smaller errors, is
-not held to what it cannot explain."""
+not tied to what it cannot explain."""
 
 FEW_RETURNS = 300
-"""Where a cloud was downsampled, so many returns of a pole stay all the same: those of one
+"""Where a cloud was downsampled, this many returns of a pole stay all the same: those of one
 sweep."""
 
 RMS_MARGIN = 2.0

@@ -1,6 +1,6 @@
-"""The posterior of shared cylinders: what all beams of both LiDARs say together, and its gradient.
+"""The posterior of shared cylinders: that of all beams of both LiDARs, and its gradient.
 
-The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share,
+The state is the pose, a range offset that all retro-reflective returns of one LiDAR share,
 the radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
 `State.moved`. The cost is the negative logarithm of the posterior.
 
@@ -58,11 +58,11 @@ class JointState:
         return (POSE + 1) * len(self.T) + 1
 
     def axes(self, own: IntArray) -> IntArray:
-        """(4 N,) where the parameters of some axes stand."""
+        """(4 N,) indices of the parameters of some axes."""
         return np.asarray((self.first_axis + 4 * own[:, None] + np.arange(4)).reshape(-1))
 
     def control_points(self) -> slice:
-        """Where the parameters of the control points stand."""
+        """Indices of the parameters of the control points."""
         return slice(self.first_axis + 4 * len(self.points), self.size)
 
     def of(self, lidar: int, own: IntArray) -> State:
@@ -141,8 +141,8 @@ class BeamGeometry:
     Attributes
     ----------
     depth, lateral_offset, sine
-        (N,) each: how far the return lies in front of the axis and beside it, metres, and the sine
-        of the angle between beam and axis.
+        (N,) each: how far the return lies in front of the axis and to its side, metres, and the
+        sine of the angle between beam and axis.
     jacobian
         (N, 2, P) derivative of depth and lateral offset by a step of `State.moved`.
     """
@@ -279,7 +279,8 @@ class OnPoles:
 
 
 def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tuple[Terms, OnPoles]:
-    """Evaluate what the beams of one LiDAR say, under a noise (2,) in depth and sideways, metres.
+    """Evaluate the likelihood of the beams of one LiDAR, under a noise (2,) in depth and sideways,
+    metres.
 
     Returns
     -------
@@ -343,7 +344,7 @@ def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Ter
 
 
 def _terms(log: Array, score: Array, information: Array, J: Array, least: Array) -> Terms:
-    """Sum what beams say; no eigenvalue of their lifted information is below the least (N,)."""
+    """Sum terms of beams; no eigenvalue of their damped information is below the least (N,)."""
     size = J.shape[2]
     flat = J.reshape(-1, size)
     total = flat.T @ (information @ J).reshape(-1, size)

@@ -20,7 +20,7 @@ from ..base.datatypes import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 60
 """Steps at most. From lines on lines most starts need 5 to 15, the beam model 5 to 30; what has not
-come to rest by then walks to and fro."""
+converged by then oscillates."""
 
 DAMPING = 1e-3
 """Damping at the start, as a part of each parameter's own curvature: starts are near a minimum."""
@@ -40,7 +40,7 @@ class Model(Protocol):
 
     @property
     def curvature(self) -> Array:
-        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
+        """(P, P) second derivative by the step, or a positive definite substitute."""
 
 
 class Quadratic(Model, Protocol):

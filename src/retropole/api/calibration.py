@@ -129,7 +129,7 @@ def calibrate_with(
     listener: Listener = SILENT,
     walk: Callable[[], SeenWalk] | None = None,
 ) -> CalibrationResult:
-    """Calibrate as `calibrate` does, with the options of a run as the result document holds them.
+    """Calibrate as `calibrate` does, with the options of a run as in the result document.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def calibrate_with(
     config
         The options.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
     walk
         As `carried.calibrate_walk` takes it.
 
@@ -221,7 +221,7 @@ def calibrate_site(
     Parameters
     ----------
     site
-        A site file, or the folder that holds ``site.toml``; or a `base.description.Site` that was
+        A site file, or the folder of ``site.toml``; or a `base.description.Site` that was
         put together in Python.
     progress
         Called with the name of each step as it starts, and with which recording of how many is

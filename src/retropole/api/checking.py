@@ -38,7 +38,7 @@ from .stored import are_swapped, hashes_of, loaded, with_sensors_from
 
 
 class Stored(NamedTuple):
-    """What a stored result holds: the pose, the options of its run, and what it warned of.
+    """What a stored result contains: the pose, the options of its run, and what it warned of.
 
     `uncertainty` is of a result that distinguishes random and systematic errors, `hashes` are
     those of target and source of each placement.
@@ -62,12 +62,12 @@ def read_stored(
     Parameters
     ----------
     path
-        A result document, the folder that holds it, or any file that an export writes.
+        A result document, its folder, or any file that an export writes.
     sigma
         1 σ of its rotation, rad, and of its translation, m, about and along each axis; None takes
         its covariance.
     lidars
-        Target and source by their names, of the result of a site or another file that holds several
+        Target and source by their names, of the result of a site or another file with several
         poses: what both have in common cancels in their pose. How much of it errs the same in both
         recordings is not stored: all counts.
 
@@ -76,7 +76,7 @@ def read_stored(
     Refusal
         If it was refused, and ``no_covariance`` where the file does not say how certain it is.
     ReadError
-        If it cannot be read, or holds no pose, or several, of these LiDARs.
+        If it cannot be read, or has no pose, or several, of these LiDARs.
     """
     file = result_file(path)
     document = result_in(read_document(file))
@@ -174,14 +174,14 @@ def check_recordings(
     target, source
         What `io.read_cloud` reads.
     rotation, translation
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
     intensity, intensity_source, angles, angles_source
         The same; those of the stored run are left out if a recording has no use for them: no
         such field, or no packets. A field of the intensity is that of both.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def check_in_map(
     target, source
         The map, which may be another than before, and the recording.
     config
-        Of the run, with the place in the map about which it is looked for.
+        Of the run, with the position in the map about which it is searched.
     listener
         As of `check_recordings`.
 
@@ -328,7 +328,7 @@ class CheckedPair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SiteCheck:
-    """Whether the LiDARs of a site still stand as they stood.
+    """Whether the LiDARs of a site have not moved.
 
     Attributes
     ----------
@@ -340,7 +340,7 @@ class SiteCheck:
     pairs
         Each pair that shared poles when the site was calibrated.
     moved
-        LiDARs that stand elsewhere to those of the largest group of which all are the same; empty
+        LiDARs that moved relative to the largest group of which all are the same; empty
         where no group is the largest: then nobody can determine which of them moved.
     untold
         LiDARs of which no pair shows whether they moved.
@@ -366,16 +366,16 @@ def check_site(
     Parameters
     ----------
     result
-        ``site-result.json``, or the folder that holds it.
+        ``site-result.json``, or its folder.
     site
-        The site file of the new recordings, or the folder that holds ``site.toml``. Its LiDARs have
+        The site file of the new recordings, or the folder of ``site.toml``. Its LiDARs have
         the names that they have in the result; those that it leaves out are not checked. Of each
-        pair the first placement that tells is taken. Angles, and fields of the intensity, that it
+        pair the first decisive placement is used. Angles, and fields of the intensity, that it
         does not say are those of the result.
     rotation, translation
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -443,7 +443,7 @@ def verdict_of(pairs: Sequence[CheckedPair], lidars: Sequence[str]) -> SiteCheck
     is_decided = len(sizes) == 1 or sizes[0] > sizes[1]
     of_moved = {(a, b) for a, b, answer in pairs if answer.status == "moved"}
     off = {b if a in largest else a for a, b in of_moved if (a in largest) != (b in largest)}
-    # Whoever stands with one that moved, moved with it.
+    # Whatever is fixed to one that moved, moved with it.
     moved = {name for name in lidars if groups[name] & off} if is_decided else set()
     decided = largest | moved if is_decided else {name for pair in of_moved for name in pair}
     untold = tuple(name for name in lidars if name not in decided and len(lidars) > 1)

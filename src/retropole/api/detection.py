@@ -40,7 +40,7 @@ def detect(
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
-        Of a cloud with more, so many are kept: the brightest, and the others evenly.
+        Of a cloud with more, this many are kept: the brightest, and the others evenly.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     intensity

@@ -99,7 +99,7 @@ def compare(
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,
 ) -> list[Compared]:
-    """Run our method and its rivals on the same clouds, and score their answers alike.
+    """Run our method and its rivals on the same clouds, and score their answers in the same way.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def compare(
     methods, T_true, sigma, seed
         As `checking.comparison.compare` takes them.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def _result_of(given: Array | CalibrationResult | str | Path) -> ResultDoc | None:
-    """Give the result document that a transform is from; None if it is from elsewhere."""
+    """Give the result document that a transform is from; None if it has another source."""
     if isinstance(given, CalibrationResult):
         return given.document
     found = read_result(Path(given)) if isinstance(given, str | Path) else None

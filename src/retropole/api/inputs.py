@@ -42,7 +42,7 @@ x, y, z and intensity."""
 
 
 class Listener(NamedTuple):
-    """Who is told how a run goes on.
+    """Callbacks for the progress of a run.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Listener(NamedTuple):
 
 
 SILENT = Listener()
-"""Nobody is told."""
+"""No callbacks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def read_input(
     how
         Of which sensor and in which unit it is, and what is read of a recording.
     listener
-        Told of each of several frames, and of the cloud once it is read.
+        Receives each of several frames, and the cloud once it is read.
     role
         What messages call it: ``target``.
 

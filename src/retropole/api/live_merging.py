@@ -112,7 +112,7 @@ class LiveLidar(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What a check against the result says: which LiDARs moved, and why, in words."""
+    """Outcome of a check against the result: which LiDARs moved, and why, in words."""
 
     moved: tuple[str, ...]
     words: str
@@ -335,7 +335,7 @@ class LiveMerge:
                 self._about[""] = words
 
     def new_words(self) -> list[str]:
-        """Give what is to be said since this was last called; each once for as long as it holds."""
+        """Give the new messages since the last call; each once for as long as it applies."""
         words, self._words = self._words, []
         return words
 
@@ -367,7 +367,7 @@ def merging_live(
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     sources
         By the names of its LiDARs (of a pair ``target`` and ``source``), as `source_of` takes them.
     wish
@@ -381,7 +381,7 @@ def merging_live(
     Raises
     ------
     Refusal
-        If the result was refused: it holds no poses.
+        If the result was refused: it has no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be opened, or options do not go together.
     """
@@ -463,7 +463,7 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     frames
         Of some of its LiDARs, by their names, metres.
 

@@ -195,7 +195,7 @@ def placed(
 
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
-    """Say in a file what its calibration says of itself."""
+    """Write the verdict of the calibration into a file."""
     words = [f"warning ({each.code}): {each.message}" for each in document.reasons]
     return [verdict_line(document.status, document.reasons), *words]
 
@@ -229,7 +229,7 @@ def merge(
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     recordings
         Other recordings of the same LiDARs by their names (of a pair ``target`` and ``source``);
         or where those of the run are now, as `stored.find_recordings` takes them. A pair of paths
@@ -254,12 +254,12 @@ def merge(
     surfels
         Side of the cells, metres, to make surfels and compare LiDARs.
     listener
-        Told of each sweep.
+        Receives each sweep.
 
     Raises
     ------
     Refusal
-        If the result was refused: it holds no poses.
+        If the result was refused: it has no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be read or written, or options do not go together.
     """
@@ -466,7 +466,7 @@ class _Stream:
 def _about(
     stream: _Stream, at: Placed, names: Sequence[str], words: Sequence[str], colour: str | None
 ) -> About:
-    """Say what a file holds, by the first sweep of each LiDAR."""
+    """Describe a file by the first sweep of each LiDAR."""
     clouds = [
         in_metres(head.cloud, each.how.unit)
         for head, each in zip(stream.heads, stream.opened, strict=True)

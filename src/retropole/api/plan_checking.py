@@ -1,4 +1,4 @@
-"""A stored plan against what stands: which pole is out of place, and what that cost."""
+"""A stored plan against the poles as set up: which is out of place, and what that cost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .result import CalibrationResult
 from .stored import loaded
 
 COSTLY = 1.25
-"""An error so many times the planned one is not as planned: noise alone changes it by less."""
+"""An error this many times the planned one is not as planned: noise alone changes it by less."""
 
 
 def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) -> PolePlanDoc:
@@ -66,7 +66,7 @@ def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = Non
 
 
 def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
-    """Say where the poles of a calibration stood against the plan, and what that cost.
+    """Compare the poles of a calibration with the plan, and state what that cost.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`plan`: bare recordings in, where to stand the poles out, as a document, a page and a card."""
+"""`plan`: bare recordings in, positions of the poles out, as a document, a page and a card."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Wish:
     Attributes
     ----------
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     need
@@ -91,12 +91,12 @@ class Wish:
 
 @dataclass(frozen=True, eq=False)
 class PolePlan:
-    """Where the poles should stand.
+    """Planned positions of the poles.
 
     Attributes
     ----------
     document
-        As ``plan.json`` holds it.
+        As in ``plan.json``.
     planned
         All that it was chosen from.
     """
@@ -143,7 +143,7 @@ def plan(
     progress: Callable[[str], None] = lambda step: None,
     **older: Any,
 ) -> PolePlan:
-    """Plan where to stand the poles, from recordings of the place without poles.
+    """Plan the positions of the poles, from recordings of the scene without poles.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def plan(
         (4, 4) maps points of the source into the target's frame, good to 10° and 1 m, or a file
         that `export` reads; None finds it from the surroundings.
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     need, at
@@ -190,7 +190,7 @@ def plan_pair(
     rough: Array | Path | None = None,
     listener: Listener = SILENT,
 ) -> PolePlan:
-    """Plan for two LiDARs that recorded the place without poles.
+    """Plan for two LiDARs that recorded the scene without poles.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def plan_pair(
 def plan_site(
     path: Path, wish: Wish, rough: Path | None = None, listener: Listener = SILENT
 ) -> PolePlan:
-    """Plan for the LiDARs of a site file, whose first recordings show the place without poles.
+    """Plan for the LiDARs of a site file, whose first recordings show the scene without poles.
 
     Parameters
     ----------
@@ -232,7 +232,8 @@ def plan_site(
     wish
         What is requested; the radius is the file's.
     rough
-        An older result of the site, good to 10° and 1 m; None asks the place for all poses.
+        An older result of the site, good to 10° and 1 m; None takes all poses from the
+        surroundings.
     """
     path = site_file_in(path)
     file: SiteFile = read_site_file(path)
@@ -347,7 +348,7 @@ def _poses(
     Raises
     ------
     UsageError
-        Where neither tells.
+        Where neither determines it.
     """
     found = [np.eye(4)]
     for i in range(1, len(scans)):
@@ -364,7 +365,7 @@ def _poses(
 
 
 def _by_place(scans: Sequence[Scan], found: Sequence[Array], i: int) -> Iterator[Array]:
-    """Ask the place for a pose of a LiDAR against each that stands already."""
+    """Find a pose of a LiDAR from the surroundings, against each that has one already."""
     for j, T in enumerate(found):
         sensors = scans[j].sensor, scans[i].sensor
         answer = calibrate(

@@ -52,7 +52,7 @@ class Result(Generic[AnyDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as the file holds it.
+        Everything that was found, as in the file.
     path
         The file that it was loaded from; None of a run.
     """
@@ -170,7 +170,7 @@ class CalibrationResult(Result[ResultDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as ``result.json`` holds it: hypotheses, poles, the uncertainty,
+        Everything that was found, as in ``result.json``: hypotheses, poles, the uncertainty,
         the inputs with their hashes, the options, the time of each step.
     placements
         What was recorded and found, one for each placement of the poles; None of a result that was
@@ -354,7 +354,7 @@ class SiteResult(Result[SiteDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as ``site-result.json`` holds it.
+        Everything that was found, as in ``site-result.json``.
     calibration
         The same as arrays, with the clouds; None of a result that was loaded.
     path
@@ -512,7 +512,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     Parameters
     ----------
     path
-        ``result.json``, or the folder that holds it.
+        ``result.json``, or its folder.
 
     Raises
     ------
@@ -529,7 +529,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     Parameters
     ----------
     path
-        ``site-result.json``, or the folder that holds it.
+        ``site-result.json``, or its folder.
 
     Raises
     ------

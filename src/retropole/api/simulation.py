@@ -51,7 +51,7 @@ def simulate(
     sensor_target, sensor_source
         Names of sensors; None takes the scene's own.
     poles
-        How many taped poles; 0 for the place of 2 before they are set up.
+        How many taped poles; 0 for the scene of 2 before they are set up.
     radius
         Of the poles, metres.
     frames

@@ -73,7 +73,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked for of a watch.
+    """Options of a watch.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Wish:
     sweeps
         Of each LiDAR that are kept of a placement.
     plan
-        Where the poles should stand; with its names of the LiDARs as `names`.
+        Planned positions of the poles; with its names of the LiDARs as `names`.
     stored
         A result to test the rig against, instead of a calibration.
     """
@@ -119,7 +119,7 @@ class Watch:
     sources
         Of target and source.
     wish
-        What is asked for.
+        The options.
     out
         Folder for recordings, result, report and certificate.
     clock
@@ -387,7 +387,8 @@ class Watch:
         return self._no_room[0]
 
     def _record(self, capture: Capture) -> tuple[Path, str]:
-        """Write a placement to the folder, beside those of a watch before, and give its SHA-256."""
+        """Write a placement to the folder, next to those of an earlier watch, and give its
+        SHA-256."""
         number = self._recorded + 1
         while (path := self._out / RECORDING.format(number)).exists():
             number += 1
@@ -497,7 +498,7 @@ class Watch:
 
 
 def _of_captured(captured: Mapping[Path, str], work: Callable[[], T]) -> T:
-    """Do what reads recordings, and make sure that these are what was captured.
+    """Do what reads recordings, and check that these are what was captured.
 
     Raises
     ------

@@ -56,7 +56,7 @@ EVERY = 2.0
 """Seconds from one solution to the next at least; that of a walk of 40 s takes 1 s."""
 
 UNSEEN = 2.0
-"""Seconds for which a LiDAR has not seen the pole before it is said."""
+"""Seconds for which a LiDAR has not seen the pole before it is reported."""
 
 MOST_POINTS = 150
 """Of a path that is shown."""
@@ -107,7 +107,7 @@ class Walked:
         return [self._timing.timed(each) for each in first]
 
     def add(self, frame: Frame, now: float) -> None:
-        """Search a timed sweep; some, evenly taken, stand for the surroundings."""
+        """Search a timed sweep; some, evenly spaced, represent the surroundings."""
         found = self.search.add(frame.cloud)
         if found:
             self.last = now, max(found, key=lambda each: len(each.xyz))
@@ -119,7 +119,7 @@ class Walked:
             self._scene, self._every = self._scene[::2], 2 * self._every
 
     def surroundings(self) -> Input:
-        """Join the sweeps that stand for the surroundings."""
+        """Join the sweeps that represent the surroundings."""
         lidar = self._lidar
         whole = Recording(Path(lidar.view.name), len(self._scene), lambda numbers: iter(()))
         cloud = joined(whole, self._scene)

@@ -32,7 +32,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 DEFAULT_RADIUS = 0.02
-"""Radius of the taped poles where nothing else is said, metres (Xue et al. 2019)."""
+"""Default radius of the taped poles, metres (Xue et al. 2019)."""
 
 MIN_RADIUS, MAX_RADIUS = 0.002, 0.25
 """Taped poles are no thinner and no thicker, metres: a wire and a bollard."""
@@ -211,7 +211,7 @@ class Detection:
     candidates
         Lines that may be poles; their points are among the rejected.
     threshold_least
-        To what the threshold falls with the range; None if it holds at any range.
+        To what the threshold falls with the range; None if it applies at any range.
     """
 
     poles: tuple[Pole, ...]
@@ -265,7 +265,7 @@ class Hypothesis:
     overlap, covisible_overlap
         Share of all points, and of those that both could see, with a neighbour in the other cloud.
     free_space_violation
-        Share of the points that stand where the other LiDAR looked through, 0 to 1.
+        Share of the points that lie where the other LiDAR looked through, 0 to 1.
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
@@ -396,7 +396,7 @@ class Test:
         Indices in the site, and in `SiteCalibration.poles`; None if it is about none. Those of a
         pair are 0 for the target and 1 for the source.
     chi2, freedom
-        By how much the fit improves without it, χ² with so many degrees of freedom.
+        By how much the fit improves without it, χ² with this many degrees of freedom.
     w
         The same as a standard normal number: Baarda's w with one degree of freedom.
     redundancy
@@ -435,7 +435,7 @@ class Calibration:
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
     poles, refined
-        The pose from the poles alone, and with the scene; None if it did not come to that.
+        The pose from the poles alone, and with the scene; None if it was not computed.
     hypotheses, chosen, margin
         All ways of matching the poles, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.

@@ -154,13 +154,13 @@ class Refusal(RetropoleError):
 
     @property
     def reason(self) -> Reason:
-        """The same as a reason, which a verdict holds."""
+        """The same as a reason, for a verdict."""
         return Reason(self.code, self.message, self.values)
 
 
 @dataclass(frozen=True, eq=False)
 class Reason:
-    """What there is to say of an answer: a stable code, words with numbers, and the numbers."""
+    """A remark on an answer: a stable code, words with numbers, and the numbers."""
 
     code: Code
     message: str

@@ -266,7 +266,7 @@ def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
 
 
 class RelativePose(NamedTuple):
-    """Where LiDAR j stands for LiDAR i.
+    """Pose of LiDAR j in the frame of LiDAR i.
 
     Attributes
     ----------

@@ -54,9 +54,9 @@ power and others that at an eighth, 1.7 times as much."""
 SPINNING_BEND = float(np.radians(0.003))
 """1 σ of how scan lines bend where a LiDAR turns about one axis, rad: then only its bearing bends
 them, by less than it lets the axis wobble. Mirrors that turn about two axes, and lenses, distort a
-whole field of view. With 0.002, 0.003 and 0.006° the region holds 79, 86 and 95 % of truths where
-lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors where they are
-not are 5, 7 and 14 % larger than without (tuning families, seeds 0 to 23)."""
+whole field of view. With 0.002, 0.003 and 0.006° the region contains 79, 86 and 95 % of truths
+where lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors where
+they are not are 5, 7 and 14 % larger than without (tuning families, seeds 0 to 23)."""
 
 HARMONICS = (2, 3)
 """Periods over a turn of what bends scan lines: a parabola and a cubic over the field of view of a
@@ -125,7 +125,7 @@ without it 3 were outside of the 95 % region."""
 def sizes_of(sensor: Sensor | None) -> Sizes:
     """Give the sizes of the errors of a sensor: those measured, else as its manufacturer states.
 
-    The defaults are for what neither says.
+    The defaults are for what neither states.
     """
     if sensor is None:
         return Sizes()
@@ -176,7 +176,7 @@ TAPE, WIDTH = DEVICE - 2, DEVICE - 1
 """Parameters of a whole LiDAR, and which of them only tape has, and only edges show."""
 
 RADIUS = 2 * DEVICE
-"""Where the error of the poles' radius stands, after those of the target and of the source."""
+"""Index of the error of the poles' radius, after those of the target and of the source."""
 
 SHARED_ERRORS = RADIUS + 1
 """Parameters that are no single ring's."""
@@ -200,11 +200,11 @@ class Layout:
         return SHARED_ERRORS + RING * (len(self.bands[0]) + len(self.bands[1]))
 
     def device(self, lidar: int) -> slice:
-        """Where the errors of the whole target (0) or source (1) stand."""
+        """Indices of the errors of the whole target (0) or source (1)."""
         return slice(DEVICE * lidar, DEVICE * (lidar + 1))
 
     def rings(self, lidar: int, kind: int) -> slice:
-        """Where the errors of one of `RING_KINDS` of the bands of a LiDAR stand."""
+        """Indices of the errors of one of `RING_KINDS` of the bands of a LiDAR."""
         first = SHARED_ERRORS + RING * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
         return slice(first, first + len(self.bands[lidar]))
 
@@ -393,7 +393,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
 
 def stated_sway(sigma: float) -> Sway:
-    """Give what a mast is said to sway by, where a recording shows nothing of it.
+    """Give the stated sway of a mast, where a recording does not show it.
 
     `sigma` is the root mean square of its angle from rest, rad. A mast turns about level axes, half
     of the variance about each; which axes of the LiDAR are level is not known: any may be.

@@ -246,7 +246,7 @@ def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
 def pose_in_frame(frame: Frame, T_site_lidar: Array) -> Array:
     """Pose of a LiDAR (4, 4) in the frame's own coordinates, its axes east, north, up there.
 
-    In a projected system the place is exact, and headings count from grid north. A point that the
+    In a projected system the position is exact, and headings are from grid north. A point that the
     LiDAR sees is then off by the scale of the grid: 12 mm at 30 m where it is 0.9996.
     """
     place = T_site_lidar[:3, 3]

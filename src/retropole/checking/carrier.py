@@ -1,9 +1,9 @@
 """What a carrier that moves between two recordings makes of the pose between their LiDARs.
 
-A vehicle that is said to stand may creep. Where its LiDARs recorded some time apart, it was
-elsewhere in between, and the pose between them is off by its motion: that is no movement of the
+A vehicle reported as stationary may creep. Where its LiDARs recorded at different times, it was
+at another pose, and the pose between them is off by its motion: that is no movement of the
 rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is removed. A
-single sweep shows none; then only how fast a carrier creeps that is taken to stand bounds it.
+single sweep shows none; then only the assumed speed of a stationary carrier bounds it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from ..surfaces.sway import velocity_of, without_velocity
 from .movement import FALSE_ALARM, ROTATION, TRANSLATION, least_certain
 
 CREEP = 0.07
-"""1 σ of the speed, along each axis, of a carrier that is taken to stand, m/s. Vehicles of 13
-recordings that were taken to stand crept at up to 0.24 m/s; the test
+"""1 σ of the speed, along each axis, of a carrier that is assumed stationary, m/s. Vehicles of 13
+recordings that were assumed stationary crept at up to 0.24 m/s; the test
 explains 4.1 σ, 0.29 m/s, less the noise of the poses."""
 
 FASTEST = 0.5
@@ -35,7 +35,7 @@ LEVER = 10.0
 """A carrier that creeps turns as about a point so far away, metres, 1 σ."""
 
 SWEEP = 0.2
-"""Recordings whose middles are further apart in time than a sweep of the slowest LiDARs takes, s,
+"""Recordings whose middles differ in time by more than a sweep of the slowest LiDARs takes, s,
 and than either recording took, are not of one moment: a motion between them is unknown."""
 
 

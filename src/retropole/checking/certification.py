@@ -40,7 +40,7 @@ from .distances import (
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """Which poles of one placement are the same, and which way round.
+    """Which poles of one placement are the same, and in which direction.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Correspondence:
 def correspond(target: Sequence[Pole], source: Sequence[Pole]) -> Correspondence:
     """Say which poles are the same, by their distances and angles alone.
 
-    Poles that stand up to half a metre from where the others say they are count as the same:
+    Poles up to half a metre from where the others place them are treated as the same:
     that they do not fit is for the test to find.
 
     Raises
@@ -108,7 +108,7 @@ class DistanceTest(msgspec.Struct, frozen=True):
     Attributes
     ----------
     placement
-        Index of the placement that the poles stand in.
+        Index of the placement of the poles.
     poles
         Numbers of both poles in the target's detection.
     target_m, source_m, u_target_m, u_source_m
@@ -151,7 +151,7 @@ class FieldTest:
     Attributes
     ----------
     status
-        ``pass``, ``fail``, or ``refused`` where there is too little to tell.
+        ``pass``, ``fail``, or ``refused`` where there are too few data.
     reasons
         Why it was refused, or else which placements are not compared.
     distances

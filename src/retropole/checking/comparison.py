@@ -65,7 +65,7 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Compared]:
-    """Run methods one after the other on the same clouds, and score their answers alike.
+    """Run methods one after the other on the same clouds, and score their answers in the same way.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Distances between poles that need no transform: how certain they are, and how well they repeat.
 
-A line has no points of its own, and its taped part ends for each LiDAR elsewhere. So each pole gets
-a point that only the poles themselves define: the place on its axis from which the squared
+A line has no distinct points, and its taped part ends differently for each LiDAR. So each pole gets
+a point that only the poles themselves define: the point on its axis from which the squared
 distances to all other axes are least. It may lie metres above the ground; from there both LiDARs go
 the same way along the axis, to the middle of what they see of it. What is compared is the distance
 of two such points. Where on the axis they lie is only as certain as the poles lean against each
 other, but it hardly changes a distance across them.
 
 Each sweep of a recording measures all distances again. Their scatter is compared with what the
-returns of a sweep allow, since a LiDAR that stands nearer, or has more beams, repeats a distance
+returns of a sweep allow, since a LiDAR that is nearer, or has more beams, repeats a distance
 better without being better than is stated of it.
 """
 
@@ -81,7 +81,7 @@ class Measured:
 
 
 def places(points: Array, directions: Array) -> Array:
-    """Find on each axis the place from which the squared distances to all others are least.
+    """Find on each axis the point from which the squared distances to all others are least.
 
     Parameters
     ----------

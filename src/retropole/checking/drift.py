@@ -1,10 +1,10 @@
 """Is an installed site still where it was? New recordings against a stored calibration.
 
 The pose is found again, with the poles where they are there, by the scene alone where they are not.
-Only the new clouds are registered to each other, so the place itself may have changed since.
+Only the new clouds are registered to each other, so the surroundings may have changed since.
 Whether the new pose is the stored one is tested by `movement`.
 
-Where target and source were given the other way round, the stored pose reversed fits
+Where target and source were given in reverse order, the stored pose reversed fits
 (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
 chance where the pose reversed is.
 """
@@ -52,21 +52,21 @@ NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide compared with what the
-scene holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in
-what it does not hold. Surfaces correspond over three times as much, and more."""
+scene constrains, so that the answer is not drawn back to the stored pose, and too wide for *same*
+in what it does not hold. Surfaces correspond over three times as much, and more."""
 
 NEAR_STORED_ROTATION = float(np.radians(10.0))
 """1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
 
 MAX_FREE_SPACE_VIOLATION = 0.05
-"""Share of the points that may stand, under the new pose, where the other LiDAR looked through. The
+"""Largest share of points, under the new pose, where the other LiDAR looked through. The
 right pose has up to 0.02 of them, at the edges of objects; wrong ones that cling to the ground have
 0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewPose:
-    """A pose found again, or None, and what there is to say of it.
+    """A pose found again, or None, and remarks on it.
 
     `is_uncertain` says that it must not be taken for a movement, nor for none.
     """
@@ -194,11 +194,11 @@ NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
 range over which `drift` searches about the stored pose."""
 
 MORE = 3.0
-"""So many times more voxels agree with the stored pose reversed than with the stored one. In six
+"""This many times more voxels agree with the stored pose reversed than with the stored one. In six
 simulated scenes, swapped, it was 10 and more."""
 
 SEPARATION = 3.0
-"""The stored pose and its reverse must be so many times farther from each other. Where they are
+"""The stored pose and its reverse must be this many times farther from each other. Where they are
 not, as of two LiDARs back to back at one height, either order gives the same answer."""
 
 
@@ -235,7 +235,7 @@ def swapped_clouds(
     scenes
         Objects in the target's and in the source's scene.
     found
-        What that says of the stored pose.
+        Conclusion about the stored pose.
     """
     reverse = se3.inverse(T_stored)
     rotation, translation = _apart(T_stored, reverse)
@@ -283,15 +283,15 @@ NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor
 """Refusals of a new calibration that leave the scene nothing to answer by either."""
 
 PREFERRED = 2.0
-"""So many σ better the surfaces must fit under the new pose than under the stored one before it has
-moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
+"""The surfaces must fit this many σ better under the new pose than under the stored one before it
+has moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
 hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8 and
 more, corridors of few places least (seeds 0 to 12)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """What is stored, by which devices, and how small a movement must be told."""
+    """What is stored, by which devices, and how small a movement must be detected."""
 
     stored: PoseEstimate
     uncertainty: Uncertainty | None
@@ -323,9 +323,9 @@ def check(
         What is known of both, as for `pipeline.calibrate`.
     uncertainty
         The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
-        None, as of a pose from elsewhere, shares no errors with the new one.
+        None, as of a pose of another source, shares no errors with the new one.
     tolerance
-        The movement that matters, or as small a one as these data can tell.
+        The movement that matters, or as small a one as these data can show.
 
     Raises
     ------
@@ -480,7 +480,7 @@ class _Doubt(NamedTuple):
 def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
     """Doubt a movement under which the surfaces fit no better; None if there is nothing to.
 
-    They could have seen it where one of the same size the other way makes them fit worse.
+    They could have seen it where one of the same size in the other direction makes them fit worse.
     """
     if answer.status != "moved" or answer.T_target_source is None or answer.step is None:
         return None
@@ -503,8 +503,8 @@ def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt 
 def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
     """Whether the surfaces alone, from about the stored pose, conflict with a pose of the poles.
 
-    Poles that were carried alike between the recordings draw the surfaces along, into a minimum
-    that is none without them. What the search alone would hold is no denial.
+    Poles that were carried in the same way between the recordings draw the surfaces along, into a
+    minimum that is none without them. What the search alone would hold is no denial.
     """
     if found.pose is None or found.is_uncertain:
         return False

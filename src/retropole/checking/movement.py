@@ -11,12 +11,12 @@ answered only within a tolerance: by as much as it has not moved with a confiden
 
 What scatter leaves in both poses is drawn anew and adds up. What the instruments err by is the same
 in both, and cancels in the step as far as both poses were found the same way: by poles at the same
-places, say. By poles elsewhere, or by the scene alone, the same errors move the pose another way.
-How an error passes into each pose is not stored, only what all errors make together; but along a
-direction in which both are equally uncertain they were probably found alike, and one in which only
-the one is uncertain is nothing they can share. So with variances a and b along each of the
-directions in which both systematic parts are uncorrelated (their generalised eigenvectors), the
-step keeps
+places, say. By poles at other positions, or by the scene alone, the same errors move the pose
+another way. How an error passes into each pose is not stored, only what all errors make together;
+but along a direction in which both are equally uncertain they were probably found in the same way,
+and one in which only the one is uncertain is nothing they can share. So with variances a and b
+along each of the directions in which both systematic parts are uncorrelated (their generalised
+eigenvectors), the step keeps
 
     a + b − 2 ρ √(a b),
 
@@ -45,9 +45,9 @@ from .tolerance import NO_REQUEST, WIDEST_TOLERANCE, RequestedTolerance, Toleran
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
 warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
-recordings is at most 5 with the poles where they were, 10 with poles elsewhere and 8 without (field
-and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the simulator's devices
-repeat all of their errors."""
+recordings is at most 5 with the poles where they were, 10 with poles at other positions and 8
+without (field and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the
+simulator's devices repeat all of their errors."""
 
 
 def step_covariance(stored: Uncertainty, new: Uncertainty) -> Array:
@@ -85,16 +85,16 @@ FALSE_ALARM = 0.01
 """How often the test may find a movement where there was none."""
 
 CONFIDENCE = 0.95
-"""With which it has moved by less than the tolerance before *same* is said: of movements of the
-tolerance, so many at least are not answered by *same*."""
+"""With which it has moved by less than the tolerance before *same* is reported: of movements of the
+tolerance, at least this share is not answered by *same*."""
 
 CONFIDENTLY = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
-"""Probability of finding a movement of the tolerance, below which its size counts as uncertain."""
+"""Probability of finding a movement of the tolerance, below which its size is uncertain."""
 
 ONE_SIDED = float(ndtri(CONFIDENCE))
-"""So many σ beyond a normal variable its mean lies with that confidence: 1.645."""
+"""Number of σ from a normal variable to its mean with that confidence: 1.645."""
 
 MAX_NONCENTRALITY = 1000.0
 """Beyond, the power is 1 to all digits and SciPy's noncentral χ² is not reliable."""
@@ -180,7 +180,7 @@ class Weakness:
     requested: Tolerance
 
     def too_weak(self, widest: Tolerance) -> Reason:
-        """Say that nothing is confirmed: what these data tell is wider than the widest they may."""
+        """Report that nothing is confirmed: the bound by these data is wider than allowed."""
         parts = (
             (self.reported.rotation > widest.rotation, widest.rotation_in_words),
             (self.reported.translation > widest.translation, widest.translation_in_words),
@@ -193,7 +193,7 @@ class Weakness:
         )
 
     def wider_tolerance(self) -> Reason:
-        """Say that *same* holds within more than the default, and why within no less."""
+        """Report that *same* applies within more than the default, and why within no less."""
         return self._reason(
             "wider_tolerance",
             f"the same within {self.reported.in_words}, {CONFIDENTLY}; the default, "
@@ -255,7 +255,7 @@ def directions_in_words(covariance: Array) -> str:
 
 
 BOUND_SIGMAS = 3.0
-"""A movement that was found is certainly below the tolerance where so many σ more would be."""
+"""A movement that was found is certainly below the tolerance where this many σ more would be."""
 
 Status = Literal["same", "moved", "cannot_tell"]
 Method = Literal["poles", "scene"]
@@ -271,14 +271,14 @@ class Movement:
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """Whether the source still stands where it was, as seen by the target.
+    """Whether the source is still where it was, as seen by the target.
 
     Attributes
     ----------
     status
         ``same``, ``moved`` or ``cannot_tell``.
     reasons
-        Why it cannot tell, and what stood in the way of a better answer.
+        Why it is undecided, and what prevented a better answer.
     used
         What the new pose was found by: ``poles`` (and the scene), ``scene`` alone, or None.
     T_target_source
@@ -292,14 +292,14 @@ class CheckResult:
         (6, 6) of that what each new check draws anew; the rest is the same in all checks that find
         the pose the same way.
     chi2, p_value
-        The test, and how often so much comes about where nothing moved.
+        The test, and how often chance alone makes this much where nothing moved.
     power
         Probability that a movement of the tolerance requested, or else of the default, would have
         been found, in the worst direction.
     tolerance
         If nothing moved: the least that these data confirm, no less than what was requested. By
-        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
-        another reason speaks against any.
+        more it has not moved, with `CONFIDENCE`. Of *same*, the bound that it is reported within.
+        None if another reason speaks against any.
     confirmation
         What the new recordings show about the stored pose; None if there are none.
     """

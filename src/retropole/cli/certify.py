@@ -102,7 +102,7 @@ def _is_site(path: Path) -> bool:
 
 
 def _refuse_options() -> None:
-    """Refuse what a site file says itself: an option that is ignored is a silent error."""
+    """Refuse options that a site file states: an option that is ignored is a silent error."""
     context = click.get_current_context()
     given = [
         param.opts[0]

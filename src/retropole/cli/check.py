@@ -260,7 +260,7 @@ def site_check(
 ) -> int:
     """Say which LiDARs of a site have moved since RESULT was made.
 
-    RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
+    RESULT is site-result.json, or its folder. SITE.toml is the site file of new
     recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
     enough, with or without poles, and its LiDARs have the names that they have in RESULT. Each pair
     that shared poles is checked as by 'retropole check'; the site is the same where such pairs join

@@ -32,7 +32,7 @@ EXIT_INTERRUPTED, EXIT_PIPE = 130, 128 + 13
 
 ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
-"""What stands for our own signs where a terminal has them not."""
+"""Replacements of our signs where a terminal does not have them."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
 
@@ -144,7 +144,7 @@ def listening(
     Parameters
     ----------
     quiet
-        Says nothing.
+        No output.
     frames
         Which were requested; None for none.
     advice

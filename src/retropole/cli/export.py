@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..api.inputs import Input
 
 MCAP = "mcap"
-"""The one that holds the clouds too; it is written to a file, and no transform is read from it."""
+"""The one with the clouds too; it is written to a file, and no transform is read from it."""
 
 TITLES = {name: each.title for name, each in FORMATS.items()}
 TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"

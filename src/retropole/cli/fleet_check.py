@@ -224,7 +224,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
 
 
 def _undecided(newest: CheckRow) -> str:
-    """Say why a check gave no answer; of what cannot be determined the codes say it shortly."""
+    """Give the reason why a check gave no answer; by codes where it cannot be determined."""
     codes = ", ".join(newest.codes)
     if newest.status == "error":
         return f"error ({codes}: {newest.message})"

@@ -55,7 +55,7 @@ def level(
 ) -> int:
     """Find roll, pitch and height over the ground of the LiDARs of RESULT.
 
-    RESULT is a result.json, a site-result.json, or the folder that holds it. Its recordings are
+    RESULT is a result.json, a site-result.json, or its folder. Its recordings are
     looked for as 'report' does; give them where they are at another place now. The plane is the
     one that fits the ground best within a disc below the LiDARs.
 

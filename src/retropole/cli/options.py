@@ -174,7 +174,7 @@ METAVARS = {
     "intensity": "NAME",
     "angles": "FILE",
 }
-"""What stands for the values of options in the help, where their type says too little."""
+"""Names of the values of options in the help, where their type is too vague."""
 
 NAMES = {
     "need_m": "--need-cm",

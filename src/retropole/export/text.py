@@ -49,7 +49,7 @@ def write_matrix(transform: Transform) -> str:
 def write_cloudcompare(transform: Transform) -> str:
     """Write the matrix for CloudCompare's Edit > Apply Transformation, on the child's cloud.
 
-    The note stands after the numbers, in square brackets: pasted, CloudCompare drops what is in
+    The note is after the numbers, in square brackets: pasted, CloudCompare drops what is in
     such brackets; from a file it reads sixteen numbers and stops.
     """
     return f"{_rows(transform.T_parent_child)}[ {'; '.join(transform.notes)} ]\n"
@@ -65,7 +65,7 @@ _WRAPPING = re.compile(r"\b(?:(?:np|numpy)\.)?(?:array|matrix)\s*\(|,?\s*dtype\s
 def read_matrix(data: bytes) -> list[Found]:
     """Read sixteen numbers, row by row, also in brackets with commas, as NumPy prints them.
 
-    Comments start with # or //, or stand in [ ] with more than numbers.
+    Comments start with # or //, or are in [ ] with more than numbers.
     """
     text = data.decode()
     parent, child = names_in_words(text)

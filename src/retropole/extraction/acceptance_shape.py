@@ -21,9 +21,9 @@ MIN_POLE_RINGS = MIN_LINE_POINTS
 """Fewest rings that hit a pole: one for each point that a line needs."""
 
 MIN_LENGTH = 0.25
-"""Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 ·
-3.6 m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles lost,
-3 of them recorded posts, 10 fewer false."""
+"""Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° between them, at 3.6
+m (2 · 3.6 m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles
+lost, 3 of them recorded posts, 10 fewer false."""
 
 MAX_LENGTH = 4.0
 """Largest extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
@@ -130,7 +130,7 @@ def _runs_along_rings(cloud: PointCloud, line: Line) -> bool:
 
 
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
-    """Whether one beam, seen from the cloud's origin, met all points of the line."""
+    """Whether one beam, seen from the cloud's origin, hit all points of the line."""
     rays = cloud.xyz[line.index] - cloud.origin
     in_sight = line.length > ONE_BEAM_ELEVATION * np.linalg.norm(rays[0])
     return bool(in_sight and np.ptp(elevations(rays, cloud.axis)) < ONE_BEAM_ELEVATION)

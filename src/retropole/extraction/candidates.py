@@ -1,6 +1,6 @@
 """Candidate poles: lines that a strict rule rejects, but that are as probably poles as not.
 
-They stand near a wall, next to a vest or another bright thing, have three to five returns, or tape
+They are near a wall, next to a vest or another bright thing, have three to five returns, or tape
 that is too dim for the threshold. Nothing rests on them until the other LiDAR and the scene confirm
 them (`hypotheses.candidate_confirmation`; docs/evidence/detection.md, Candidate poles).
 """

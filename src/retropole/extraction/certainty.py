@@ -70,7 +70,8 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
 
 
 def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
-    """A pole has no gap as long as half of it, except between rings that are far apart."""
+    """A pole has no gap as long as half of it, except between rings that are far from each
+    other."""
     order = np.argsort(line.along, kind="stable")
     gaps = np.diff(line.along[order])
     widest = int(np.argmax(gaps))

@@ -56,7 +56,7 @@ class LineSearch(NamedTuple):
     Attributes
     ----------
     radius, beams
-        Of the poles, metres, and what is known of the beams that met them.
+        Of the poles, metres, and what is known of the beams that hit them.
     failure_of
         Says why a line in its surroundings is none of them; None if it is one.
     fewest, shortest

@@ -1,13 +1,13 @@
 """From a cloud to its taped poles: threshold, cluster, look for lines, test each.
 
 The first step of Xue et al. 2019, with rules for what else shines (docs/evidence/detection.md).
-Nothing here asks which way is up or where the sensor stood: a cloud gives the same poles after any
-rigid motion, and in whatever order its points come.
+Nothing here depends on the vertical or on where the sensor was: a cloud gives the same poles after
+any rigid motion, and in whatever order its points come.
 
-A vest beside a pole, or two crossing poles, are one cluster. So lines are looked for inside the
+A vest next to a pole, or two crossing poles, are one cluster. So lines are looked for inside the
 clusters, and what a line leaves is looked at again, until nothing long and thin is left.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def extract_poles(
     sensor
         What recorded it; gives the threshold where none is given. None asks the cloud itself.
     threshold
-        Intensity from which a return counts as retro-reflective.
+        Intensity from which a return is retro-reflective.
     radius
         Of the poles, metres. Thicker posts are doubtful: to about 0.07 m, and to 0.1 m where they
         are short.

@@ -1,13 +1,13 @@
-"""Does a line stand free? One function for each rule, and what is about a line.
+"""Is a line isolated? One function for each rule, and what is about a line.
 
 Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
-something. A pole has free air beside it. Points about it may be a second pole, or a wall behind it.
+something. A pole has free air around it. Points about it may be a second pole, or a wall behind it.
 
 A band is worn, or held, as by a person: the body goes on above it and below it, and has air around.
-A pole stands on the ground and is as high as a person, so that nothing near it goes on beyond both
+A pole reaches the ground and is as high as a person, so that nothing near it goes on beyond both
 of its ends. A wall does, but has no end beside the line either.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ Range noise as large as a step turns single ones, but hardly their sum."""
 
 
 def on_crossing_line(nearby: Array, line: Line) -> BoolArray:
-    """Tell which of the points beside a line lie on one other line that is not parallel to it.
+    """Find which of the points next to a line lie on one other line that is not parallel to it.
 
     Parameters
     ----------
     nearby
-        (K, 3) points beside the line, metres.
+        (K, 3) points next to the line, metres.
     line
         The line itself.
 
@@ -95,7 +95,8 @@ def on_crossing_line(nearby: Array, line: Line) -> BoolArray:
 
 
 def is_wall_behind(nearby: Array, own: Array) -> bool:
-    """Whether the points beside a line lie on one plane that passes part of the line at a distance.
+    """Whether the points next to a line lie on one plane that passes part of the line at a
+    distance.
 
     A stripe lies in the plane all along; a pole that leans on the wall does not. At a corner or a
     rounded edge there is no single plane.
@@ -103,7 +104,7 @@ def is_wall_behind(nearby: Array, own: Array) -> bool:
     Parameters
     ----------
     nearby
-        (K, 3) points beside the line, metres.
+        (K, 3) points next to the line, metres.
     own
         (N, 3) points of the line, metres.
     """
@@ -158,7 +159,7 @@ of lamps are. It is the least length of tape that the advice in `reasons` asks f
 0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
 
 PIECES = 8
-"""Pieces that a line is cut into, to see along how much of it other returns are beside it.
+"""Pieces that a line is cut into, to see along how much of it other returns are next to it.
 Sensitivity at 6: 3 recorded posts lost, 1 more found, 3 fewer false; at 11: 1 pole lost, 4 fewer
 false."""
 
@@ -176,7 +177,7 @@ class Surroundings:
     distance, along
         (M,) their distances from the line, and their places along it, metres.
     neighbour_limit
-        Up to which distance from the line points are beside it, metres.
+        Up to which distance from the line points are its neighbours, metres.
     is_retro
         (M,) which of them are retro-reflective and on no other pole.
     on_line
@@ -184,7 +185,7 @@ class Surroundings:
     untaped
         (M,) which are too dim for tape.
     nearby
-        (M,) which lie beside the line, outside its tube and between its ends.
+        (M,) which lie next to the line, outside its tube and between its ends.
     is_thick, is_short, has_few_points
         What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
     """
@@ -210,8 +211,8 @@ class Surroundings:
 
     @cached_property
     def retro_neighbours(self) -> BoolArray:
-        """The retro-reflective ones of those beside (M,), without a pole that crosses: one other
-        line, where that leaves next to nothing beside this one.
+        """The retro-reflective neighbours (M,), without a pole that crosses: one other
+        line, where that leaves almost no neighbours of this one.
         """
         found = self.nearby & self.is_retro
         if self.is_suspect or cluttered_share(self.line, self.along[found], LITTLE) <= HALF:
@@ -239,7 +240,7 @@ def surroundings_of(
     """
     assert cloud.intensity is not None
     distance, along = line_coordinates(cloud.xyz[near], line.point, line.direction)
-    # Where rings are farther apart, so may be the columns of a sign.
+    # Where rings are sparser, so may be the columns of a sign.
     limit = max(MAX_NEIGHBOUR_DISTANCE, line.step)
     nearby = (distance > line.tube) & (distance < limit)
     nearby &= (along >= line.low) & (along <= line.high)
@@ -341,12 +342,12 @@ post without tape one in ten does by chance."""
 
 
 def surroundings_failure(around: Surroundings) -> Failure | None:
-    """Say what a line is part of; None where it stands free.
+    """Find what a line is part of; None where it is isolated.
 
-    The line is cut into pieces, and in each the returns beside it are weighed against its own. A
-    stripe on a wall has the wall beside it all along. A pole that is held or touched somewhere does
-    not; the stray returns about a bright edge are few; and the wall that a pole leans on passes
-    behind it.
+    The line is cut into pieces, and in each the returns next to it are weighed against its own. A
+    stripe on a wall has the wall next to it all along. A pole that is held or touched somewhere
+    does not; the stray returns about a bright edge are few; and the wall that a pole leans on
+    passes behind it.
     """
     return (
         retro_clutter(around)
@@ -376,7 +377,7 @@ def untaped_between(around: Surroundings) -> Failure | None:
     """A pole is taped all along: few returns without tape lie between its points.
 
     A dim one at the height of a bright one, or farther to the side, is from the edge of the pole,
-    where tape is met at a grazing angle.
+    where tape is hit at a grazing angle.
     """
     between = (around.along > around.line.low) & (around.along < around.line.high)
     dim = around.untaped & around.on_line & between
@@ -432,7 +433,7 @@ def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
 
 
 def along_the_sweeps(around: Surroundings) -> Failure | None:
-    """A pole runs across the rings; rings themselves say so better, where the cloud has them."""
+    """A pole runs across the rings; rings themselves show it better, where the cloud has them."""
     cloud, line = around.cloud, around.line
     if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
         return None

@@ -97,7 +97,7 @@ def calibrate_fleet(
         for site in sorted(sites, key=lambda site: site.id):
             parts.setdefault(partition_of(site.id), []).append(site)
 
-        # One that is to be tried again has no row that holds.
+        # One that is to be tried again has no valid row.
         holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
         tasks = (
             task_of(site, time_limit, known=holds.get(site.id), reports=reports)

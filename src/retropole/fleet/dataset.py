@@ -1,6 +1,6 @@
 """The answers of a fleet as partitioned Parquet, schema ``retropole/fleet/1``.
 
-``answers/part-3f.parquet`` holds the rows of all sites whose id has a SHA-256 that begins with
+``answers/part-3f.parquet`` has the rows of all sites whose id has a SHA-256 that begins with
 ``3f``, in the order of the ids: nothing but the rows decides what a file is, byte for byte. What
 differs from run to run, times and machines, lies next to it in ``runs/part-3f.parquet``.
 """

@@ -213,7 +213,7 @@ def mapped(
 def _interrupts_are_ours() -> Iterator[None]:
     """Keep Ctrl-C, which a terminal sends to all processes, from those that are started here.
 
-    Threads and processes inherit what is blocked. One that comes meanwhile is met afterwards.
+    Threads and processes inherit what is blocked. One that comes meanwhile is handled afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -238,7 +238,7 @@ def _leftovers_unsaid() -> Iterator[None]:
 
 
 def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
-    """Have the workers of a cluster do tasks, and give what becomes of each as it comes.
+    """Have the workers of a cluster do tasks, and give the outcome of each as it comes.
 
     Parameters
     ----------

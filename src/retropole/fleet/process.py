@@ -1,6 +1,6 @@
 """Calibrating in a separate process, which is ended where it takes too long or too much.
 
-It may hang, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
+It may stall, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
 standard input and answers on its standard output, one after the other; `Reader` starts it. It ends
 when its input does.
 """
@@ -179,7 +179,7 @@ class Reader:
     def _watched(
         self, process: subprocess.Popen[bytes], limit: float
     ) -> Iterator[list[tuple[str, str]]]:
-        """End a process that takes too long or too much; what is given then says why."""
+        """End a process that takes too long or too much; the outcome gives the reason."""
         import psutil
 
         why: list[tuple[str, str]] = []

@@ -122,7 +122,7 @@ FLAT_BELOW = 500e3
 """So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
 
 MOST_NAMED = 20_000
-"""So many sites, the worst first, say their names in the map: a page of 2 MB."""
+"""At most this many sites, the worst first, have their names in the map: a page of 2 MB."""
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
@@ -140,8 +140,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     Returns
     -------
     str
-        The page. It holds its style and code, asks no other address for anything, and works from a
-        file. The same dataset gives the same page.
+        The page. It contains its style and code, loads nothing from any other address, and works
+        from a file. The same dataset gives the same page.
     """
     link = cache(link)
     every = (
@@ -215,7 +215,7 @@ def _from(folder: str, to: str) -> str | None:
         except ValueError:  # On another drive.
             return None
     (scheme, _, here), (other, _, there) = folder.partition("://"), to.partition("://")
-    # The first name is a bucket: no relative link leads from one to another.
+    # The first name is a bucket: no relative link goes from one to another.
     if scheme != other or here.split("/")[0] != there.split("/")[0]:
         return None
     return posixpath.relpath(f"/{there}", f"/{here}")

@@ -137,7 +137,7 @@ def _expanded(given: str) -> list[str]:
 
 
 def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
-    """Find the sites that a file or a folder stands for."""
+    """Find the sites that a file or a folder lists."""
     if exists(place, as_folder=True):
         yield from _in_folder(place, config)
     elif not exists(place):

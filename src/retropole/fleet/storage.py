@@ -81,7 +81,7 @@ def filesystem(place: str) -> tuple[Any, str]:
         system, path = url_to_fs(place)
     except Exception as error:
         raise UsageError(f"{place}: {said(error)}") from None
-    # What goes wrong is said here, and once.
+    # Errors are reported here, and once.
     logging.getLogger(type(system).__module__.partition(".")[0]).setLevel(logging.CRITICAL)
     return system, str(path)
 
@@ -126,7 +126,7 @@ def _below(folder: str, name: str) -> str:
     if not is_url(folder):
         return str(Path(folder) / name)
     scheme, _, path = folder.partition("://")
-    # As the local system would: `..` leads one folder up.
+    # As the local system would: `..` goes one folder up.
     return f"{scheme}://{posixpath.normpath(posixpath.join('/', path, name))[1:]}"
 
 
@@ -166,7 +166,7 @@ def _file_system(place: str, fault: str) -> Iterator[tuple[Any, str]]:
 
 @contextmanager
 def _changed(place: str) -> Iterator[tuple[Any, str]]:
-    """Open the file system of a place; whatever it raises is an `OSError` that names the place."""
+    """Open the file system of a path; whatever it raises is an `OSError` that names the path."""
     system, path = filesystem(place)
     try:
         yield system, path
@@ -283,7 +283,7 @@ def write_bytes(place: str, data: bytes) -> None:
     Raises
     ------
     OSError
-        If it cannot be written; names the place.
+        If it cannot be written; names the path.
     """
     if not is_url(place):
         write_atomically(Path(absolute(place)), data)
@@ -336,7 +336,7 @@ def remove(place: str) -> None:
     Raises
     ------
     OSError
-        If it cannot be removed; names the place.
+        If it cannot be removed; names the path.
     """
     with _changed(place) as (system, path):
         system.rm_file(path)

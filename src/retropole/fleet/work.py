@@ -51,11 +51,11 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     tolerance
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     tried
-        When the run began: the time of a site whose recordings tell none.
+        When the run began: the time of a site whose recordings have none.
     document
-        The stored result itself; None if it is at the place that the site names.
+        The stored result itself; None if it is at the path that the site names.
     lidars
         Target and source by their names, of the stored result of a site; None of a pair.
     known
@@ -81,7 +81,7 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker is told: the site, and the key of the row that there is of it.
+    """What a worker receives: the site, and the key of the row that there is of it.
 
     With a `check` the site is compared with its stored result, and not calibrated. Of `protocols`
     URLs are followed as by whoever gives it.
@@ -107,7 +107,7 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 class Outcome(msgspec.Struct, frozen=True, tag=True):
     """The outcome of a task: the row of a calibration, or that of a check.
 
-    Neither is there where the row that there is still holds.
+    Neither is there where the existing row is still valid.
     """
 
     id: str

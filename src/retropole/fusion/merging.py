@@ -27,7 +27,7 @@ POINT = np.dtype(
 of its LiDAR."""
 
 NO_RING = 2**16 - 1
-"""Stands for a ring that is not known."""
+"""Number of a ring that is not known."""
 
 Points = NDArray[np.void]
 """Fused points (N,), of `POINT`."""

@@ -72,8 +72,8 @@ NOISES = (0.001, 0.003, 0.01)
 grass."""
 
 LEAST_FALL = 0.02
-"""Beams fall by this part of their length at least, where they are counted by where they meet the
-plane: farther away the ground may rise to meet them."""
+"""Beams fall by this part of their length at least, where they are counted by where they hit the
+plane: farther away the ground may rise towards them."""
 
 PLANE_SIGMA = (1.0, 0.3, 0.3)
 """1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
@@ -86,7 +86,7 @@ MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.08
 metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
 
 WIDER = (1.0, 1.5, 2.25, 3.4)
-"""Where too little of the disc is seen, discs so many times as large are taken: 6 m high on a mast
+"""Where too little of the disc is seen, discs this many times as large are used: 6 m high on a mast
 a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
@@ -337,7 +337,7 @@ class _LidarCells(NamedTuple):
 
 def _lidar_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _LidarCells:
     xyz = viewer.cloud.xyz[index]
-    # By where the beams meet the plane: by the points, noise would choose the cell.
+    # By where the beams hit the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
     start, beams = (
         se3.apply(T, viewer.cloud.origin[None])[0],

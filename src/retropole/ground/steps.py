@@ -37,13 +37,13 @@ MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
 
 EDGE, SIDE = 0.05, 3
-"""Where the ground on both sides of a square, so many squares of each, continues to heights there
+"""Where the ground on both sides of a square, this many squares of each, continues to heights there
 that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at
 45°, a change of the slope by 10 %, 0.04 m."""
 
 CLOSED = 1
-"""Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole.
-Two kerbs 3 m apart stay two."""
+"""Gaps of up to twice this many squares in the line of a step are closed: few rings show it whole.
+Two kerbs at 3 m distance stay two."""
 
 SEPARATION, DIFFERENT = 4, 0.06
 """Pieces that are within this many squares of each other are different levels where their heights
@@ -53,7 +53,7 @@ SAME_LEVEL = 0.06
 """A piece is of a level where the middle of its heights is so near its surface, metres."""
 
 RIDGE = 10.0
-"""Weight with which a level is held parallel to the rough axes, cells times m²."""
+"""Weight with which a level is kept parallel to the rough axes, cells times m²."""
 
 SPLIT, PARTING_ROUNDS = 0.2, 20
 """Two levels are distinguished in one piece where both together are this thin, root mean square,
@@ -69,8 +69,8 @@ MOST_LEVELS = 6
 """Number of the largest pieces that are tried for a beginning of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
-"""A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
-well, a road next to a pavement,"""
+"""A level higher or lower by this much, metres, and parallel, root mean square, may be the ground
+as well, a road next to a pavement,"""
 
 KERB_AREA = 10.0
 """… and seen on so much, m², where no step is seen between them,"""
@@ -80,7 +80,7 @@ NEAREST, NEARER = 0.05, 0.6
 which so much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
-"""At a step, levels are apart by this part of their distance in the middle of this many nearest
+"""At a step, levels differ by this part of their distance in the middle of this many nearest
 pairs of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes
 fit (seeds 0 to 199, 3065 and 3181 of the benchmark)."""
 
@@ -89,7 +89,7 @@ STRIP, STRIP_TURNS = 0.5, 90
 
 STRAYS, ALIKE = 0.05, 0.01
 """Part of the squares that may be of the other level than the rest of their strip, and by which
-directions are treated as alike."""
+directions are treated as equal."""
 
 REACHES = np.linspace(0.1, 2.0, 20)
 """Distances within which a level may lie on all sides of the foot, as parts of the radius."""
@@ -273,7 +273,7 @@ def _along_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels differ as much where they are nearest as elsewhere, unlike a slope."""
+    """Whether two levels differ as much where they are nearest as on average, unlike a slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]

@@ -26,7 +26,7 @@ LOW, HIGH = 0.1, 0.9
 err."""
 
 FLAT = 0.06
-"""Bottom and top of a square of ground are no further apart, metres: less than the least
+"""Bottom and top of a square of ground differ by no more, metres: less than the least
 kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3
@@ -39,8 +39,9 @@ MIN_CLEAR = 0.1
 """LiDARs are at least so high above the ground, metres."""
 
 OTHER_SIDE = 3.0
-"""A plane on the side of the LiDAR's −z axis is the ground, unless there are so many times as
-many places on one on the other side: a floor has a ceiling over it, a LiDAR may hang head down."""
+"""A plane on the side of the LiDAR's −z axis is the ground, unless there are this many times as
+many places on one on the other side: a floor has a ceiling over it, a LiDAR may be mounted upside
+down."""
 
 
 UPRIGHT = 0.1
@@ -209,7 +210,7 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
 def level_axes(up: Array) -> Array:
     """(3, 3) rows x, y, z, in a frame: z up (3,), and x the frame's own x laid along the ground.
 
-    Where that stands upright, what is at right angles to the frame's y is taken for it.
+    Where that is upright, what is at right angles to the frame's y is taken for it.
     """
     x = np.array([1.0, 0.0, 0.0]) - up[0] * up
     if np.linalg.norm(x) < UPRIGHT:

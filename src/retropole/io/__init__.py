@@ -75,7 +75,7 @@ def open_recording(
         Naming the file and what was expected.
     UsageError
         If a topic is given, and the path is neither a bag nor a capture; where angles are, and
-        it holds no packets.
+        it has no packets.
     MissingExtraError
         If the format needs an extra that is not installed.
     """
@@ -275,7 +275,7 @@ def frames_of(folder: Path) -> list[Path]:
     """
     named = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_dir()]
     for path in named:
-        # A frame that is a pipe, or leads nowhere, is not left out without a word.
+        # A frame that is a pipe, or a broken link, is not left out without a word.
         if path.suffix.lower() in READERS:
             check_is_file(path)
     files = [p for p in named if p.is_file()]

@@ -150,7 +150,7 @@ def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
-    # So much in all, and so many times its size; coordinates compress 2 to 10 fold.
+    # This much in all, and this many times its size; coordinates compress 2 to 10 fold.
     spend = allowance(len(data), 2**28, 20)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
     with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -398,7 +398,7 @@ FOUR, FIVE = PLAIN_COLUMNS, (*PLAIN_COLUMNS, "ring")
 """Columns of KITTI's velodyne files, and of nuScenes' ``.pcd.bin`` files."""
 
 FLOAT, LONG_RECORD = 4, 32
-"""Bytes of a value; and of a point as PCL holds it in memory, x y z and intensity each padded."""
+"""Bytes of a value; and of a point as in PCL's memory, x y z and intensity each padded."""
 
 TINIEST = 1e-20
 """No coordinate but zero is smaller, or above `LARGEST`, metres or millimetres: halves of float64,
@@ -466,8 +466,8 @@ def _alternate(rows: NDArray[Any]) -> bool:
     low, high = np.minimum(*spreads), np.maximum(*spreads)
     length = np.maximum(np.linalg.norm(ground, axis=1), TINIEST)
     cosine = np.sum(ground[:-1] * ground[1:], axis=1) / (length[:-1] * length[1:])
-    # Points of one sweep spread alike, and lie in one direction: the upper and the lower lasers of
-    # a VLP-16 alternate, and may see 4 m and 16 m.
+    # Points of one sweep spread equally, and lie in one direction: the upper and the lower lasers
+    # of a VLP-16 alternate, and may see 4 m and 16 m.
     return bool(np.any(high > 8.0 * low) and np.median(cosine) < 0.9)
 
 

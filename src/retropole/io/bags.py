@@ -255,7 +255,7 @@ FOOTER = 37
 """Bytes of the last record and of the mark at the end of the file."""
 
 RECORD_COST = 512
-"""Bytes that a record is counted as besides its own: so much memory and time it takes."""
+"""Bytes that a record costs in addition to its own, by the memory and time that it takes."""
 
 MAX_WAITING = 2**28
 """Bytes of messages that may wait to be sorted by time, where chunks overlap."""
@@ -329,7 +329,7 @@ def _index(file: BinaryIO) -> Summary:
 
 
 def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
-    """Give the messages as they stand: to sort those of a whole file would take its memory."""
+    """Give the messages in file order: to sort those of a whole file would take its memory."""
     from mcap.stream_reader import StreamReader
     from mcap.summary import Summary
 
@@ -340,7 +340,7 @@ def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
 
 
 def entries_of(record: Any, index: Summary, spend: Spend) -> Iterator[Entry]:
-    """Give the messages of a record, and keep in the index what it says of topics and types."""
+    """Give the messages of a record, and keep its topics and types in the index."""
     from mcap.records import Channel, Message, Schema
 
     for each in _parts(record, spend):
@@ -357,7 +357,7 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, Message
 
-    # Of a chunk, the time of its first message stands for all that it holds.
+    # Of a chunk, the time of its first message is used for all messages in it.
     waiting: list[tuple[int, int, int, Any]] = [
         (chunk.message_start_time, chunk.chunk_start_offset, -1, None)
         for chunk in index.chunk_indexes
@@ -479,7 +479,7 @@ def _folder(path: Path) -> Iterator[Bag]:
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """Read what the metadata of a ROS 2 bag say of its files.
+    """Read the names of the files in the metadata of a ROS 2 bag.
 
     Raises
     ------

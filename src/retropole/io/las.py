@@ -36,7 +36,7 @@ ITEMS_AT, ITEM = 34, "<HHH"
 """Byte of LAZ's own record at which the items of a point begin, after their number; and an item."""
 
 FIRST_CHUNK = 8
-"""Bytes from the start of the points to the first chunk: the place of the table of chunks."""
+"""Bytes from the start of the points to the first chunk: the position of the table of chunks."""
 
 
 def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
@@ -57,7 +57,7 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     with path.open("rb") as opened:
         _check_header(opened, size)
     try:
-        # One thread: several gain a sixth of the time, and hang in processes made by fork.
+        # One thread: several gain a sixth of the time, and stall in processes made by fork.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
             header = file.header
             left = size - header.offset_to_point_data
@@ -148,7 +148,7 @@ def _chunk_table(file: BinaryIO, start: int, size: int) -> int:
     file.seek(start)
     head = file.read(FIRST_CHUNK)
     table: int = struct.unpack("<q", head)[0] if len(head) == FIRST_CHUNK else 0
-    if table == -1:  # a writer that could not go back put the place at the very end
+    if table == -1:  # a writer that could not go back put the position at the very end
         file.seek(size - FIRST_CHUNK)
         table = struct.unpack("<q", file.read(FIRST_CHUNK))[0]
     if not start < table <= size - FIRST_CHUNK:

@@ -54,7 +54,7 @@ OF_MOTION = {True: 0, False: 6}
 
 
 class _File(NamedTuple):
-    """What the headers say: whether it is LVX2, LiDARs by their number, and where frames are."""
+    """Content of the headers: whether it is LVX2, LiDARs by their number, and where frames are."""
 
     is_new: bool
     names: dict[int, str]

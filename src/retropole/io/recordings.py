@@ -60,11 +60,11 @@ PACKET_MESSAGES = frozenset(
 """Types of the messages in which drivers publish packets."""
 
 PACKETS_OF = "packets of "
-"""So begins what is in the place of a type where a capture has several LiDARs."""
+"""Start of what replaces a type where a capture has several LiDARs."""
 
 
 class FrameHeader(NamedTuple):
-    """What is known of a frame apart from its points.
+    """What is known of a frame besides its points.
 
     Attributes
     ----------
@@ -309,7 +309,7 @@ def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
 
 
 def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
-    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if nothing says it.
+    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if it is not known.
 
     By up to some tenths of a second it is not that of the clocks: frames are recorded when they
     have come.
@@ -344,7 +344,7 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
 
 MAX_POINTS = 1_500_000
 """Points of one cloud that are worked on unless more are requested. Of four streets recorded with
-30 sweeps of 100,000 points, thinned to so many, the refined pose came out as well as of all
+30 sweeps of 100,000 points, thinned to this many, the refined pose was as good as of all
 (0.001° to 0.009° off instead of 0.002° to 0.005°), in less than half the time."""
 
 LEAST_POINTS = 1000
@@ -352,7 +352,7 @@ LEAST_POINTS = 1000
 
 FEWEST_FRAMES = 20
 """Of more frames, every second is left out before any is downsampled: whole frames keep the pattern
-of the beams, and so many show what moved."""
+of the beams, and this many show what moved."""
 
 BRIGHT_SHARE = 0.01
 """Part of the points that are left which the brightest may be: 15,000 of them. Returns on

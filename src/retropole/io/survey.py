@@ -173,7 +173,7 @@ def _named(lines: Sequence[str]) -> tuple[int, list[str]]:
 
 
 def _places(names: Sequence[str]) -> dict[str, int]:
-    """Where id, e, n and h stand, and σe, σn and σh where they are there."""
+    """Columns of id, e, n and h, and of σe, σn and σh where they are there."""
     if not names:
         raise ReadError(
             "no line names its columns, and programs write north first as well as east first; say "

@@ -1,4 +1,4 @@
-"""Which poles of all that could stand: the best set by exchange on their information.
+"""Which poles of all possible ones: the best set by exchange on their information.
 
 A set is begun by the best pole for what it lacks, one after the other, and then improved: each
 pole in turn is exchanged for the best of all others, until none is better (Fedorov 1972, Theory of
@@ -34,17 +34,17 @@ WALK = 0.005
 """Part of the error that one metre less between placements is worth."""
 
 MOST_TRIED = 10
-"""Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
+"""Poles, the best by the error, that are tried instead of each where a LiDAR depends on one."""
 
 DEARER = 1.25
 """Factor by which the error may grow if one LiDAR fewer depends on a single pole."""
 
 UNCONSTRAINED = 1.0
-"""A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
+"""A LiDAR whose error by the poles alone is above this, metres, is not constrained by them."""
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
 """Of two poles: between their feet, metres; between their axes, rad; and between their leans where
-two or three stand. A half turn about the vertical lays two of equal leans on each other: on bare
+two or three stand. A half turn about the vertical maps two of equal leans to each other: on bare
 ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
 DISTINGUISHABLE = float(np.radians(6.0)), 0.3
@@ -63,12 +63,12 @@ def unknown_precision(unknowns: Unknowns) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """Which poles may stand together in one placement (docs/poles.md).
+    """Which poles may be in one placement (docs/poles.md).
 
     Attributes
     ----------
     pairs
-        (C, C) which two do: far enough apart, not parallel, and none before the other.
+        (C, C) which two do: at enough distance, not parallel, and none before the other.
     seen
         (C, L) which LiDAR sees which.
     differ
@@ -84,7 +84,7 @@ class Rules:
     gap: Array
 
     def allow(self, k: int, others: Sequence[int]) -> bool:
-        """Whether one pole may stand next to others."""
+        """Whether one pole may be next to others."""
         if 0 < len(others) <= 2 and not self.differ[k, list(others)].all():
             return False
         # Two LiDARs are linked by two poles that both see.
@@ -110,7 +110,7 @@ class Design:
     Attributes
     ----------
     roots
-        Of each pole, the place among the unknowns and the root (P, R) of what it says of them.
+        Of each pole, the indices of its unknowns and the root (P, R) of its information about them.
     informations
         (K, K) of all unknowns without any pole, with the surfaces and the poles alone: each with
         the priors of the errors.
@@ -119,7 +119,7 @@ class Design:
     reach
         Range that the error is predicted at, metres.
     rules
-        Which of them may stand together.
+        Which of them may be in one placement.
     feet
         (C, 2) where each is, metres.
     found
@@ -201,7 +201,7 @@ def choose(
     Returns
     -------
     list of list of int
-        For each placement the numbers of its poles; None if that many may not stand together.
+        For each placement the numbers of its poles; None if that many may not be in one.
     """
     chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
     for count in range(poles):
@@ -288,15 +288,15 @@ def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
     """Geometric mean of the errors with the surfaces and without, metres.
 
     Each is the root mean square over all LiDARs: the largest would not say which pole is the first
-    step where several LiDARs are constrained by none yet. What the surfaces alone hold says the
-    same of all poles. Then the poles decide: they are what the surfaces are checked by.
+    step where several LiDARs are constrained by none yet. What the surfaces alone constrain shows
+    the same of all poles. Then the poles decide: they are what the surfaces are checked by.
     """
     joint, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
     return float(np.sqrt(joint * alone))
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
-    """Find the best further pole for a placement, and the error with it; None if none may stand."""
+    """Find the best further pole for a placement, and the error with it; None if there is none."""
     return next(_ranked(design, chosen, p), None)
 
 
@@ -310,7 +310,7 @@ def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator
 
 
 def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -> Rules:
-    """Find which poles may stand together.
+    """Find which poles may be in one placement.
 
     Parameters
     ----------
@@ -331,7 +331,8 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -
 
 
 def _gaps(candidates: Candidates) -> Array:
-    """(C, C) least distance between the lines of every two poles; of parallel ones none is told."""
+    """(C, C) least distance between the lines of every two poles; of parallel ones none is
+    given."""
     axis, centre = candidates.axis, candidates.centre
     across = np.cross(axis[:, None], axis)
     length = np.linalg.norm(across, axis=2)

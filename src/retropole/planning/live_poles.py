@@ -1,4 +1,4 @@
-"""Sweeps as they come: the poles in each, which of them is which, whether it stands still, and the
+"""Sweeps as they come: the poles in each, which of them is which, whether it moves, and the
 sweeps that are kept while all do."""
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ AT_EDGE = 0.5
 """A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
 
 STILL = 1.0
-"""A pole that stood where it does for so long stands still, s."""
+"""A pole that did not move for this long is stationary, s."""
 
 MOVED, MOVED_FAR = 0.06, 0.004
 """A pole moved where the middle or an end of its returns lies so far from its line before, metres,
-and so much more a metre of range: lines of one sweep scatter by half of that on simulated poles
+and this much more a metre of range: lines of one sweep scatter by half of that on simulated poles
 (benchmarks/watch.py, seeds to 99)."""
 
 SAME = 0.5
@@ -43,7 +43,7 @@ LATELY, REMEMBERED = 1.0, 30.0
 what can be found is not in every sweep."""
 
 LATELY_CAME = 3.0
-"""How often sweeps come and are searched is counted over so many seconds."""
+"""How often sweeps come and are searched is counted over this many seconds."""
 
 SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
 """Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
@@ -59,7 +59,7 @@ MOST_SWEEPS = 150
 """More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
 
 NEW_PLACEMENT = 0.3
-"""A pole that stands so far from where it was, metres, or one more, is another placement."""
+"""A pole this far from where it was, metres, or one more, is another placement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Tracked:
     has_moved: bool = False
 
     def is_still(self, now: float) -> bool:
-        """Whether it has stood where it does for `STILL`."""
+        """Whether it has not moved for `STILL`."""
         return self.seen - self.since >= STILL and now - self.seen <= LATELY
 
     @property
@@ -289,7 +289,7 @@ class View:
     sensor: Sensor | None = None
 
     def is_at_edge(self, pole: Pole) -> bool:
-        """Whether a pole stands half a metre or less inside the end of the field of view."""
+        """Whether a pole is half a metre or less inside the end of the field of view."""
         if self.sensor is None:
             return False
         margin = np.arctan2(AT_EDGE, float(np.hypot(*pole.point[:2])))
@@ -366,7 +366,7 @@ class Received(NamedTuple):
 
 
 def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Received:
-    """Take the newest sweep of a LiDAR, and search it for standing poles.
+    """Take the newest sweep of a LiDAR, and search it for stationary poles.
 
     Parameters
     ----------
@@ -513,12 +513,12 @@ class Capture:
 
 
 def begun(tracks: Sequence[Sequence[Tracked]], now: float) -> Capture:
-    """Begin to keep sweeps of poles that stand so."""
+    """Begin to keep sweeps of this placement."""
     return Capture(tuple(() for _ in tracks), now, tuple(present(own, now) for own in tracks))
 
 
 def is_new_placement(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
-    """Whether the poles stand otherwise than when a placement was kept."""
+    """Whether the poles have moved since a placement was kept."""
     for was, own in zip(capture.poles, tracks, strict=True):
         for each in present(own, now):
             gaps = [max(away_from(each.pole, old.pole), _along(each, old)) for old in was]

@@ -1,4 +1,4 @@
-"""The place as it was recorded without poles: its ground, and the poles that could stand on it.
+"""The scene as it was recorded without poles: its ground, and the possible poles on it.
 
 All is in the frame of the scene, whose z axis points up from the ground. For each possible pole
 it is known which beams of each LiDAR hit it.
@@ -43,7 +43,7 @@ FARTHEST = 15.0
 """Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
 
 ABOVE = 0.3
-"""Returns so high above the ground are of something that stands there, metres."""
+"""Returns this high above the ground are of an object, metres."""
 
 CLEARANCE = 0.6
 """So far a pole keeps from it, metres (docs/poles.md)."""
@@ -52,7 +52,7 @@ LIDAR_CLEARANCE = 1.0
 """Poles keep so far from a LiDAR, metres."""
 
 MIN_FEET = 4
-"""Fewer places for a foot are no ground to stand poles on."""
+"""Fewer places for a foot are no ground for poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Surroundings:
     Attributes
     ----------
     feet
-        (F, 3) where a foot can stand, the middle of each cell on the ground.
+        (F, 3) possible feet, the middle of each cell on the ground.
     objects
         What was recorded above the ground, to keep away from.
     """
@@ -138,14 +138,14 @@ class Surroundings:
 def survey(
     stations: Sequence[Station], allowed: Sequence[Area] = (), forbidden: Sequence[Area] = ()
 ) -> Surroundings:
-    """Find the ground on which a pole can stand.
+    """Find the ground for poles.
 
     Parameters
     ----------
     stations
         All LiDARs, in the frame of the scene.
     allowed, forbidden
-        Where poles may stand, anywhere if empty; and where they may not.
+        Where poles are allowed, anywhere if empty; and where they are not.
 
     Raises
     ------
@@ -227,7 +227,7 @@ MIN_CORE = 10
 """… and those of infinitely thin beams: 8 on 3 rings are what the simulator takes for seen."""
 
 FAR = 600.0
-"""A LiDAR sees a pole as far away as so many times its radius: one of 4 cm up to 12 m. With poles
+"""A LiDAR sees a pole as far away as this many times its radius: one of 4 cm up to 12 m. With poles
 10 m from masts nearly all runs are answered, 15 m from them a fifth is not (masts.py)."""
 
 IN_VIEW = 0.7
@@ -240,7 +240,7 @@ IN_FIELD = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poles that stand free on the ground, in the frame of the scene.
+    """Isolated poles on the ground, in the frame of the scene.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ def candidate_poles(
     length: float,
     radius: float,
 ) -> tuple[Candidates, BoolArray]:
-    """Stand poles on the ground, upright and leaning, where two LiDARs or more see them.
+    """Place poles on the ground, upright and leaning, where two LiDARs or more see them.
 
     Returns
     -------
@@ -388,7 +388,7 @@ def shared_feet(feet: Array, seen: BoolArray) -> Array:
 def leaning(
     feet: Array, leans: Sequence[float], directions: int, length: float, radius: float
 ) -> Candidates:
-    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
+    """Place a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
     axes = [np.array([0.0, 0.0, 1.0])]
     for lean in leans:
         for toward in 2 * np.pi * np.arange(directions) / directions:

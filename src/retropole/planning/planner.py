@@ -1,4 +1,4 @@
-"""From bare recordings to where the poles should stand: the planner on one page.
+"""From bare recordings to the positions of the poles: the planner on one page.
 
 `rehearse` is the calibration before anyone drives out: poles are put into the recordings, and all
 is run.
@@ -55,7 +55,7 @@ def recordings_with(
 ) -> list[PointCloud]:
     """Put poles, in the frame of the scene, into the recording of each LiDAR.
 
-    The place was recorded once. Recorded `again`, for another placement, its ranges have other
+    The scene was recorded once. Recorded `again`, for another placement, its ranges have other
     noise: number for number the same, it would be refused as one recording given twice.
     """
     made = []
@@ -77,7 +77,7 @@ def rehearse(
     radius: float,
     need: Need | None = None,
 ) -> Rehearsal:
-    """Calibrate with the poles of all placements, as if they stood there already."""
+    """Calibrate with the poles of all placements, as if they were there already."""
     rng = np.random.default_rng(0)
     clouds = [
         recordings_with(stations, poles, rng, again=p > 0) for p, poles in enumerate(placements)
@@ -95,7 +95,7 @@ def rehearse(
 
 
 LENGTH = 2.0
-"""Of the poles where nothing else is said, metres."""
+"""Of the poles by default, metres."""
 
 WORTH = 0.15
 """One pole or placement more is worth it where it takes so large a part of the error away, or where
@@ -141,7 +141,7 @@ class More:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """Where the poles should stand.
+    """Planned positions of the poles.
 
     Attributes
     ----------
@@ -150,9 +150,9 @@ class Planned:
     place
         Its ground.
     candidates, seen
-        All poles that could stand, and (C, L) which LiDAR sees which.
+        All possible poles, and (C, L) which LiDAR sees which.
     design
-        What each would say; see `choice`.
+        Information of each; see `choice`.
     chosen
         For each placement the numbers of its poles.
     reach
@@ -196,14 +196,14 @@ def plan(
     forbidden: Sequence[Area] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> Planned:
-    """Plan where to stand the poles.
+    """Plan the positions of the poles.
 
     Parameters
     ----------
     stations
         The LiDARs, in the frame of the scene; the first is the reference.
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     reach
@@ -211,15 +211,15 @@ def plan(
     need
         How accurate the answer must be.
     allowed, forbidden
-        Where poles may stand, and where not.
+        Where poles are allowed, and where not.
     progress
         Called with the name of each step as it starts.
 
     Raises
     ------
     Refusal
-        ``no_ground`` where no pole can stand, ``nowhere_seen`` where no two LiDARs see one that
-        stands, and ``not_linked`` where they hold not every LiDAR.
+        ``no_ground`` where there is no room for a pole, ``nowhere_seen`` where no two LiDARs see
+        one of them, and ``not_linked`` where they do not constrain every LiDAR.
     """
     progress("surfaces")
     surfaces = surfaces_of(stations)

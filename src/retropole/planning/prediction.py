@@ -176,7 +176,7 @@ ROUGH_SIGMA = np.radians(2.0), 0.3
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What the place without poles says of the poses, and of the errors of the LiDARs.
+    """Information of the scene without poles about the poses, and the errors of the LiDARs.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ def known_poses(stations: Sequence[Station], bands: Sequence[IntArray]) -> PoleF
 
 
 def refined(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
-    """Settle the poses on the surfaces that the LiDARs share; the first one's stays."""
+    """Refine the poses on the surfaces that the LiDARs share; the first one's stays."""
     factor = known_poses(stations, surfaces.bands)
     end = minimise(problem_of(factor, stations, surfaces))
     return [replace(each, T=T) for each, T in zip(stations, end.T, strict=True)]
@@ -274,7 +274,7 @@ def predict(
     stations, surfaces
         The LiDARs, their poses refined, and what they share.
     poles, seen, placement
-        Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each is in.
+        Those of the plan, (K, L) which LiDAR sees which, (K,) which placement each is in.
 
     Returns
     -------

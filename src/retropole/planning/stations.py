@@ -74,7 +74,7 @@ def place_lidars(
     poses, is_refined = [np.eye(4)], [True]
     for i in range(1, len(scans)):
         others = sorted(range(i), key=lambda j: _apart(rough[j], rough[i]))
-        # The nearest of those that stand already shares most with it.
+        # The nearest of those placed already shares most with it.
         found, conflicts = Refined(rough[i]), []
         for j in others:
             T = se3.inverse(poses[j]) @ rough[i]
@@ -87,7 +87,7 @@ def place_lidars(
                 found = refined._replace(T=poses[j] @ refined.T)
             if refined.is_clear:
                 break
-        # Where another settles it, one that sees little of the same is no witness.
+        # Where another determines it, one that sees little of the same is no witness.
         if conflicts and not found.by_place:
             raise conflicts[0]
         is_refined.append(found.by_place)
@@ -105,14 +105,14 @@ def place_drawn_lidars(
     poses: Sequence[Array],
     boxes: Sequence[Box] = (),
 ) -> list[Station]:
-    """Stand LiDARs that have recorded nothing yet over flat ground (z = 0) with boxes on it.
+    """Place LiDARs that have recorded nothing yet over flat ground (z = 0) with boxes on it.
 
     Parameters
     ----------
     names, sensors, poses
         Of the LiDARs; (4, 4) poses in the frame that is drawn in.
     boxes
-        What stands there, in the same frame.
+        Objects there, in the same frame.
 
     Raises
     ------
@@ -187,12 +187,12 @@ class Refined(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether so few conflict that no other LiDAR need be asked."""
+        """Whether so little conflicts that no other LiDAR need be used."""
         return self.by_place and self.contradicting <= FEW * self.agreeing
 
 
 def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Refined:
-    """Settle a rough pose (4, 4), target from source, on what both recorded.
+    """Refine a rough pose (4, 4), target from source, on what both recorded.
 
     If they share too little, the ground is aligned with the ground.
 

@@ -25,15 +25,15 @@ LEAST_GAP = 20.0
 """Names of two curves are at least so far from each other."""
 
 MOST_ABOVE = 4.0
-"""A need beyond so many times the largest error is told in words alone: its line would press the
-curves flat."""
+"""A need beyond this many times the largest error is stated in words alone: its line would press
+the curves flat."""
 
 
 class ErrorCurve(NamedTuple):
     """The error of a point of a LiDAR at `RANGES`, metres.
 
     `bounds` hold for all points up to there with a probability of `CONFIDENCE`, as a need does;
-    None if nothing holds with it, since the pose may be another one.
+    None if there is none, since the pose may be another one.
     """
 
     sigmas: Sequence[float]
@@ -109,7 +109,7 @@ def curve_figure(curve: ErrorCurve | None) -> Html:
 
 
 def _curves(chart: Chart, curve: ErrorCurve) -> Iterator[Html]:
-    """Draw the curves and name each at its end, the names apart from each other."""
+    """Draw the curves and name each at its end, the names not overlapping."""
     lines = [("one-sigma", "1 σ", curve.sigmas)]
     if curve.bounds is not None:
         lines.append(("bound", f"{100 * CONFIDENCE:.0f} %", curve.bounds))
@@ -150,7 +150,7 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
 
 
 def sways(subject: Subject) -> Html:
-    """Draw what was seen of each recording, name what was stated; nothing if all stood."""
+    """Draw what was seen of each recording, name what was stated; nothing if none swayed."""
     if not subject.site.sways:
         return EMPTY
     several = len(subject.site.placements) > 1

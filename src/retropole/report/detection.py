@@ -74,7 +74,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
 
 
 def _frame(cloud: PointCloud, detection: Detection) -> tuple[Array, float]:
-    """Middle (3,) and half width, metres, of a view that holds the first poles and the sensor.
+    """Middle (3,) and half width, metres, of a view of the first poles and the sensor.
 
     The origin of a cloud in map coordinates can be far from its points; then the view is about the
     poles.

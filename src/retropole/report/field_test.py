@@ -167,7 +167,7 @@ def _variances(test: SpreadTest) -> str:
 
 
 def render_field_test(document: FieldTestDoc) -> str:
-    """Render the test as one HTML page that holds its style and code and works from a file."""
+    """Render the test as one HTML page, with its style and code, that works from a file."""
     kind, symbol, title = VERDICTS[document.status]
     pairs = EMPTY
     if len(document.pairs) > 1:
@@ -185,7 +185,7 @@ def render_field_test(document: FieldTestDoc) -> str:
 
 
 def _inputs(document: FieldTestDoc) -> Html:
-    """List serial numbers and recordings: what tells again what was tested."""
+    """List serial numbers and recordings: what identifies what was tested."""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))
@@ -196,7 +196,7 @@ def _inputs(document: FieldTestDoc) -> Html:
 
 
 def field_test_section(document: FieldTestDoc) -> Html:
-    """Write every pair as a section of an HTML page; whatever the document holds is escaped."""
+    """Write every pair as a section of an HTML page; all content of the document is escaped."""
     parts = []
     for pair in _in_order(document):
         reasons = fill_each("said", (f"{each.message}." for each in pair.reasons))

@@ -33,7 +33,7 @@ SCENE_HALF_WIDTH = 14.0
 """Half the width of the picture of a pair, metres."""
 
 AROUND = 12.0
-"""The picture of a site shows so much around LiDARs and poles, metres: the ground and walls."""
+"""The picture of a site shows this much around LiDARs and poles, metres: the ground and walls."""
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -73,7 +73,7 @@ def axis_words(axis: Array, vertical: Array | None) -> str:
 
 
 def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
-    """Name the options that would leave one of the hypotheses that stand, as marked-up sentences.
+    """Name the options that would leave one hypothesis, as marked-up sentences.
 
     A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
     two: whatever it is, it then leaves one at most.
@@ -112,7 +112,7 @@ def pose_numbers(hypothesis: HypothesisDoc) -> list[str]:
 
 
 def describe_undecided(result: ResultDoc) -> list[str]:
-    """Write the hypotheses that stand for a terminal, a few lines; none where it is decided."""
+    """Write the hypotheses that are not ruled out, for a terminal; none where it is decided."""
     named = undecided(result)
     if not named:
         return []
@@ -134,7 +134,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
         return EMPTY
     compared = fill(
         "hypotheses-compared",
-        undecided=_undecided(result),
+        standing=_undecided(result),
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
         table=listed(listings.hypotheses(result)),
     )
@@ -150,7 +150,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
 
 
 def margin_words(result: ResultDoc) -> str:
-    """Say which hypothesis is chosen, and by how much it leads; empty if none leads another."""
+    """Give the chosen hypothesis and its margin; empty if there is no other."""
     chosen = [hypothesis_name(k) for k, each in enumerate(result.hypotheses) if each.chosen]
     if not chosen or result.margin is None:
         return ""

@@ -38,7 +38,7 @@ UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
 
 NAMED = 3
-"""Number of observations that stand out and are named; the page lists them all."""
+"""Number of conspicuous observations that are named; the page lists them all."""
 
 
 class Listing(NamedTuple):
@@ -56,7 +56,7 @@ class Listing(NamedTuple):
 
 
 def columns(names: str) -> list[str]:
-    """Take names of columns apart that stand in one line, between semicolons."""
+    """Split names of columns in one line, between semicolons."""
     return names.split("; ")
 
 
@@ -219,7 +219,7 @@ def pairs(site: SiteDoc) -> Listing:
 
 
 def pair_words(pair: PairDoc, refused: bool) -> str:
-    """Say what a pair alone has to say of its pose."""
+    """Give the answer of a pair alone on its pose."""
     if pair.standing == 1:
         return "decides by itself"
     if pair.standing > 1:

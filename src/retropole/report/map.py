@@ -1,4 +1,5 @@
-"""Pictures of a site: from above, with how certain its LiDARs stand; and the graph of its pairs."""
+"""Pictures of a site: from above, with the uncertainty of its LiDARs; and the graph of its
+pairs."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ GRAPH_HEIGHT = 420.0
 """Of the graph of the pairs."""
 
 RADIUS = 145.0
-"""Of the circle that the LiDARs stand on in the picture."""
+"""Of the circle of the LiDARs in the picture."""
 
 LABELLED_PAIRS = 10
 """Up to this many lines all bear their w; of more only those beyond `DOUBT_W`."""
@@ -47,11 +48,12 @@ LEVELS = (
     ("blunder", f"above {POOR:g}"),
     ("untested", "not tested"),
 )
-"""How a line is drawn by the size of its w, and what the legend says of it."""
+"""How a line is drawn by the size of its w, and its text in the legend."""
 
 
 def site_map(subject: Subject, plan: Plan) -> Html:
-    """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
+    """Draw a site from above and list the positions of its LiDARs; nothing of two, or where
+    refused."""
     site = subject.site
     if subject.pair is not None or not subject.answered:
         return EMPTY

@@ -38,7 +38,7 @@ SYMBOLS = {"ok": "✓", "warn": "!", "refused": "✕"}
 
 
 def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
-    """Render a plan as one HTML page that holds its style and code and works from a file.
+    """Render a plan as one HTML page, with its style and code, that works from a file.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
 
 
 def _kind(document: PolePlanDoc) -> str:
-    """Style of the verdict: that of the rehearsal, unless the need is hardly met."""
+    """Style of the verdict: that of the rehearsal, unless the need is hardly fulfilled."""
     kind = "ok" if document.rehearsal is None else document.rehearsal.status
     hardly = document.probability is not None and document.probability < 0.5
     return "warn" if kind == "ok" and hardly else kind
@@ -138,7 +138,7 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
 
 
 def _where(words: str) -> str:
-    """Where a pole stands, without its name before it."""
+    """Position of a pole, without its name before it."""
     return words.partition(": ")[2] or words
 
 
@@ -302,7 +302,7 @@ def _at_range(errors: Sequence[ErrorAtRange], at: float) -> float:
 
 
 def describe_plan(document: PolePlanDoc) -> str:
-    """Say where the poles should stand and what to expect."""
+    """Describe the positions of the poles and what to expect."""
     document = legible(document)
     lines: list[str] = []
     several = len(document.placements) > 1

@@ -443,7 +443,7 @@ def _poles(pair: ResultDoc) -> str:
 
 
 def _budget(budget: list[BudgetEntry]) -> Html:
-    """List the largest sources of error, and what all others come to."""
+    """List the largest sources of error, and the sum of all others."""
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
     caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]

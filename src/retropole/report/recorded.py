@@ -30,10 +30,10 @@ HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units; `pieces.html` has the same."""
 
 RESIDUAL_SCALE = 0.01
-"""Returns further than this from the surface, metres, count for less and less in its place."""
+"""Returns further than this from the surface, metres, have less and less weight in its position."""
 
 SHOWN_RETURNS = 0.98
-"""Share of the returns that a picture holds; strays are cut off."""
+"""Share of the returns in a picture; strays are cut off."""
 
 SAME_DISTANCE = 0.3
 """A cluster may be the missing pole where it is as far from a found one as the other LiDAR's
@@ -47,7 +47,7 @@ NAMED = 3
 """Number of candidates that are named of each LiDAR; the page lists all clusters below."""
 
 NEAREST = 2.0
-"""No pole is required to stand nearer than this, metres: what would have to is too little to go
+"""No pole is required to be nearer than this, metres: what would have to is too little to go
 by."""
 
 
@@ -162,7 +162,7 @@ def run(subject: Subject) -> Html:
 
 
 def _options_table(subject: Subject) -> Html:
-    """List the options of the run; those at their default are left out, and that is said."""
+    """List the options of the run; those at their default are left out, as stated."""
     rows = _options(subject)
     if not rows:
         return fill("p", text="Every option is at its default.")

@@ -37,7 +37,7 @@ _AROUND: tuple[tuple[float, float, str], ...] = (
     *((0, -3.6, "middle"), (0, 3.6, "middle"), (2, -3, "start"), (2, 3, "start")),
     *((-2, -3, "end"), (-2, 3, "end")),
 )
-"""Where a label may stand around its mark, in units of their distance, and its anchor."""
+"""Positions of a label around its mark, in units of their distance, and its anchor."""
 
 
 Box = tuple[float, float, float, float]
@@ -60,7 +60,8 @@ class Chart:
 
     @classmethod
     def around(cls, middle: Array, scale: float, box: Box) -> Chart:
-        """Show what is about a point (2,), at so many units of the picture per number both ways."""
+        """Show what is about a point (2,), at this many units of the picture per number in both
+        axes."""
         across, down = (box[2] - box[0]) / scale / 2, (box[3] - box[1]) / scale / 2
         x, y = float(middle[0]), float(middle[1])
         return cls(box, (x - across, x + across), (y - down, y + down))
@@ -150,7 +151,7 @@ class Labels:
 
 
 def _beyond(times: float, away: float) -> float:
-    """Go so many times away, the steps beyond the first being short: a mark may be large."""
+    """Go this many times away, the steps beyond the first being short: a mark may be large."""
     steps = max(abs(times) - 1, 0.0)
     return math.copysign(min(abs(times), 1.0) * away + steps * STEP, times)
 

@@ -1,4 +1,4 @@
-"""A result, or what a recording holds, in words for a terminal: from documents to text.
+"""A result, or the content of a recording, as text for a terminal: from documents to text.
 
 Tables, and lines that are broken at the width of the screen; nothing that steers a terminal.
 """
@@ -95,7 +95,7 @@ ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
 
 FEW_LISTED = 3
-"""Rejected clusters that are listed where nothing stands out from the rest."""
+"""Rejected clusters that are listed where none is conspicuous."""
 
 LONGEST_NAME = 20
 """Characters of a LiDAR's name in a table; the middle of a longer one is left out."""

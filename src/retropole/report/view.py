@@ -68,7 +68,7 @@ class MarkView(msgspec.Struct, frozen=True):
 class CloudView(msgspec.Struct, frozen=True):
     """One recording: whose and of which placement, and what is in it, in its LiDAR's frame.
 
-    `contradicting` are the points that stand where the other LiDAR looked through, by the id of
+    `contradicting` are the points where the other LiDAR looked through, by the id of
     the pose.
     """
 

@@ -42,7 +42,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A LiDAR where it is.
 
     The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
-    empty if the place was drawn.
+    empty if the scene was drawn.
     """
 
     name: Name

@@ -21,7 +21,7 @@ PRIOR, PER_SHARE, PER_Z_MARGIN, PER_CLEAR_Z_MARGIN = 0.23, 0.29, -0.42, -3.65
 """Of the log odds that an answer is wrong: for the share of the voxels that conflict with it (its
 logarithm), for its z-margin within `CLEAR_Z_MARGIN`, and for the rest. A logistic regression of 407
 answers with two poles, 66 of them wrong (benchmarks/deception.py, seeds 20000 to 20022; the least
-chance that it gives a wrong one is 27 %). So it holds where as many recordings deceive as there;
+chance that it gives a wrong one is 27 %). So it applies where as many recordings deceive as there;
 docs/evidence/verdicts.md shows how well, on other seeds."""
 
 DECEIVING = 66 / 407
@@ -34,8 +34,8 @@ smaller odds, with which no wrong answer to such recordings was confirmed (bench
 --times, seeds 100 to 135)."""
 
 UNUSABLE = 0.2
-"""Above this probability that it is wrong an answer is not to be used, and what is told of it is
-what to do instead. Chosen: one in five and more of such answers are wrong."""
+"""Above this probability that it is wrong an answer is not to be used, and what is reported of it
+is what to do instead. Chosen: one in five and more of such answers are wrong."""
 
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000
@@ -79,8 +79,8 @@ class Confirmation(
     deceiving
         Share of such recordings that deceive, which the next is stated for.
     along
-        (3,) unit vector, target axes, along which the scene holds the pose least; None if that
-        is no shift, or nothing stands.
+        (3,) unit vector, target axes, along which the scene constrains the pose least; None if that
+        is no shift, or nothing is above the ground.
     probability_wrong
         Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
         deceive; None without a margin. It follows from the others.

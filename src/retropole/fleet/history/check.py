@@ -140,7 +140,7 @@ def check_site(
     Parameters
     ----------
     site
-        A pair, and the place of its stored result: ``result.json`` next to the target where it
+        A pair, and the path of its stored result: ``result.json`` next to the target where it
         names none.
     check
         What to compare it with.

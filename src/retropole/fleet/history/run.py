@@ -30,7 +30,7 @@ FLUSH = 100
 
 @dataclass(frozen=True, eq=False)
 class SiteChange:
-    """What the history says of one site.
+    """The history of one site.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def _length(vector: Array, covariance: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class FleetCheck:
-    """What a run did: how many checks were new to the history, and what it says of each site.
+    """What a run did: how many checks were new to the history, and its summary of each site.
 
     What of the history is damaged, and was left out, is named in `damaged`.
     """
@@ -129,16 +129,16 @@ def check_fleet(
     doing
         What does the tasks: `engine.outcomes` with its client.
     answers
-        Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
+        Path or URL of a dataset of `batch.calibrate_fleet` with the stored results; None
         where each site names its own, or has it next to the target.
     tolerance
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     time_limit
         Of one site, seconds.
     now
         When the run begins: the time of sites whose files cannot be read. None takes the clock.
     progress
-        Is told how many of the sites are checked, and when the rest may be.
+        Receives how many of the sites are checked, and when the rest may be.
     replaying
         What replays the history of sites: `engine.mapped` with its client, or `map` here.
 
@@ -229,7 +229,7 @@ def replay(
     """Say what changed at sites, in the order of their ids, and what of the history is damaged.
 
     Without ids, at all that the history has.
-    `newest` holds the result of each site of a run, by its id, and `known` the files that existed.
+    `newest` has the result of each site of a run, by its id, and `known` the files that existed.
     """
     damaged: list[ReadError] = []
     changes: list[SiteChange] = []

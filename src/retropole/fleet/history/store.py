@@ -2,7 +2,7 @@
 
 ``HISTORY/month=2026-11/<hash>.parquet``: each append writes one file for each month in which it has
 new rows, named by the keys of its rows and written whole or not at all. Nothing is ever rewritten.
-It is read a few sites at a time; what is damaged is told and left out.
+It is read a few sites at a time; what is damaged is reported and left out.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "sw
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
 MOST_STEP = 1e6
-"""Steps of a pose are below this, rad and m: squares of larger ones leave what a number holds."""
+"""Steps of a pose are below this, rad and m: squares of larger ones overflow."""
 
 PLACE = "place"
 """Column of the file that a row was read of; no file has it."""
@@ -60,7 +60,7 @@ def _raise(error: ReadError) -> None:
 
 
 Report = Callable[[ReadError], None]
-"""Is told what is damaged, which is then left out; or raises it."""
+"""Receives what is damaged, which is then left out; or raises it."""
 
 Sites = dict[str, tuple[str, ...]]
 """Files of a history, and the sites that each has."""
@@ -118,7 +118,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     def key(self) -> str:
         """What makes it this check: the same site, time, stored result and recordings.
 
-        A check that ended in an error does not stand for one that succeeds.
+        A check that ended in an error does not replace one that succeeds.
         """
         hashes = self.stored_sha256, self.target_sha256, self.source_sha256
         return key_of(self.id, self.time.astimezone(UTC), hashes, self.status, self.codes)
@@ -189,7 +189,7 @@ def row_of(columns: Mapping[str, Any]) -> CheckRow:
 
 
 def observed(rows: Iterable[CheckRow]) -> list[tuple[CheckRow, Observed]]:
-    """Give what the checks of one site say of its newest stored pose, in the order of time.
+    """Give the checks of one site against its newest stored pose, in the order of time.
 
     A site that was calibrated anew begins anew: steps from an older pose are left out.
     """
@@ -308,7 +308,7 @@ def tables(
     ids
         Sites to read; None reads all.
     report
-        Is told of each file that is damaged or not of this schema.
+        Receives each file that is damaged or not of this schema.
     known
         What `contents` gave; what was appended since is found.
     """
@@ -345,7 +345,7 @@ def _parts(names: list[str], most: int) -> Iterator[list[str]]:
 
 
 def rows_of(table: Any, report: Report = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
-    """Give the checks of each site of a table in the order of time; what is no row is told."""
+    """Give the checks of each site of a table in the order of time; what is no row is reported."""
     micros = table.set_column(
         table.schema.get_field_index("time"), "time", table["time"].cast("int64")
     )

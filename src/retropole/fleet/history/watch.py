@@ -51,7 +51,7 @@ LEVEL_FACTOR = 1.5
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
 """Prior of the ratio of a site's random scatter to what is stated, in σ, before its first check;
-and how many checks that counts as. The site's own surprises then correct it."""
+and how many checks that is worth. The site's own surprises then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
 """Of what varies slowly the variance relative to the random part, and the days in which it forgets;
@@ -87,8 +87,8 @@ SHORTEST_TREND = 120.0
 """Days a trend must have lasted: over fewer it is no other than a step, unless it is plain."""
 
 BEHIND = 20.0
-"""By how much less a step may be beyond its threshold than a short trend, and still be told: over
-few checks chance makes one of the other."""
+"""By how much less a step may be beyond its threshold than a short trend, and still be reported:
+over few checks chance makes one of the other."""
 
 LEAST = np.radians(0.05), 0.005
 """A smaller change, or trend in a year, of rotation and translation, rad and m, is none: a sixth of
@@ -172,7 +172,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What the checks of a site say so far.
+    """The checks of a site so far.
 
     Attributes
     ----------
@@ -333,7 +333,8 @@ def _include(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
 
 
 def _kept(now: _Filter, n: int, days: float) -> BoolArray:
-    """(M,) changes that are still tried: of older trends the first of each so many days."""
+    """(M,) changes that are still tried: of older trends the first of each period of this many
+    days."""
     span = np.where(now.is_trend, now.began // SPACING, -now.onset - 1.0)
     first = np.zeros(len(span), dtype=bool)
     first[np.unique(span, return_index=True)[1]] = True
@@ -345,7 +346,7 @@ def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
     A change may be one of translation alone, as of a foundation that settles, which has three
-    degrees of freedom; it counts as the χ²(6) that chance exceeds as often.
+    degrees of freedom; it is converted to the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
     pushed = (V.T @ b).T[..., None]
@@ -420,7 +421,7 @@ def watch(checks: Sequence[Observed]) -> Watched:
             waiting = []
         if found is not None:
             m, event = found
-            # The first check alone may stand against the stored pose and all others.
+            # The first check alone may contradict the stored pose and all others.
             first = event.onset == 1 and _from_stored(check) < _from_stored(checks[0])
             events.append(Event("outlier", 0, n) if first else event)
             now = _accepted(now, m)

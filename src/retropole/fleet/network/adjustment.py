@@ -36,7 +36,7 @@ left of what no observation checks, far below what any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple
-of the χ² that chance allows: the tests of nearer ones tell better which of two is wrong."""
+of the χ² that chance allows: the tests of nearer ones show better which of two is wrong."""
 
 KERNEL = 15.0
 """From about this many σ on an edge has less weight in the robust start (Cauchy). With 5, 5 more of
@@ -46,7 +46,7 @@ FAINT = 1e-6
 """Weight of residuals that are left out: GTSAM then still has the covariance of their ends."""
 
 DATUM_SIGMA = 1e-6
-"""1 σ of what holds the datum, rad and m."""
+"""1 σ of the constraint of the datum, rad and m."""
 
 MOST_ROUNDS = 30
 """So often the network is adjusted again at most."""
@@ -61,7 +61,7 @@ class NetworkAdjustment:
     T_world_node
         (N, 4, 4) poses: map points of each node into the frame of the network.
     covariance
-        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum holds.
+        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum fixes it.
     cross
         (E, 6, 6) covariance between the first and the second pose of each edge.
     used
@@ -79,7 +79,7 @@ class NetworkAdjustment:
     components
         Nodes that are connected, and what ties them to the ground.
     doubtful
-        (N,) poses that are tied to their datum by rivals: they may be elsewhere.
+        (N,) poses that are tied to their datum by rivals: they may be wrong.
     unit_variance
         Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
@@ -131,7 +131,7 @@ def adjust_network(
     graph
         Relative poses, and what ties them to the ground. No pose need be known before.
     progress
-        Is told each step as it begins.
+        Receives each step as it begins.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _adjusted(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustmen
 
 
 def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = False) -> Any:
-    """Observations as a graph of GTSAM, those that are active (M,); then what holds each datum."""
+    """Observations as a graph of GTSAM, those that are active (M,); then what fixes each datum."""
     gtsam, (edges, points) = engine(), (graph.edges, graph.points)
     model, kernels = gtsam.noiseModel, gtsam.noiseModel.mEstimator
     # Far from control a network bends by more than its controls are uncertain at first: none of
@@ -229,7 +229,8 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
 
 
 def _ordering(graph: Graph, factors: Any) -> Any:
-    """Put what is held last: eliminated earlier, it would drown what all else says in rounding."""
+    """Put what is fixed last: eliminated earlier, it would drown all other information in
+    rounding."""
     everything = np.ones(len(graph.ends), dtype=bool)
     last = [int(each.nodes[0]) for each in find_components(graph, everything)]
     gtsam = engine()

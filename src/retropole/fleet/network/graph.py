@@ -50,7 +50,7 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Surveyed points that a node sees, or that it stands on.
+    """Surveyed points that a node sees, or that it is on.
 
     Attributes
     ----------
@@ -153,8 +153,8 @@ class Component:
     points
         (C,) control points that tie it to the frame of the network.
     held
-        (H, 3) axes about which its first node is held, since control gives no information about
-        these rotations; without control all of its pose is held.
+        (H, 3) axes about which its first node is fixed, since control gives no information about
+        these rotations; without control all of its pose is fixed.
     """
 
     nodes: IntArray
@@ -207,7 +207,7 @@ def _open(points: Array) -> Array:
 def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """Add to the wanted observations (M,) those of the least squares that hold all together.
 
-    Two contradicting edges that a node alone hangs by both look wrong; without either it would
+    Two contradicting edges that alone connect a node both look wrong; without either it would
     have no place at all.
     """
     size = graph.nodes + 1

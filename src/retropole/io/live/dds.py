@@ -86,7 +86,7 @@ def _configured(domain: int, interface: str | None) -> str | None:
             f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
         )
         if interface.startswith("lo"):
-            # It knows no multicast, so those that are there have to be asked one by one.
+            # It knows no multicast, so those that are there have to be contacted one by one.
             discovery = (
                 "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>"
                 '<Peer address="127.0.0.1"/></Peers></Discovery>'

@@ -354,7 +354,7 @@ class GrowingMcap:
             self.has_ended = True
         if code not in READ:
             return
-        # Alone, so that nothing in it leads beyond it.
+        # Alone, so that nothing in it links outside it.
         record = readers[code](ReadDataStream(BytesIO(file.read(length))))
         spend = allowance(length, MAX_UNPACKED)
         for topic, kind, entry, encoding in entries_of(record, self._index, spend):
@@ -443,7 +443,7 @@ class BagSource(_Looking):
     ReadError
         If there is no such file or folder.
     UsageError
-        If the bag is of a kind that shows what it holds only when it is closed.
+        If the bag is of a kind that shows its content only when it is closed.
     """
 
     def __init__(self, path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> None:

@@ -1,7 +1,7 @@
 """Packets that a sensor sends to a port of this computer.
 
 They are decoded as those of a capture are (`io.packets`). A thread receives them, since what the
-system holds back for a program is less than a sweep.
+system buffers for a program is less than a sweep.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
-Velodyne does unless it is configured otherwise, comes to this address alone."""
+Velodyne does unless it is configured otherwise, reaches this address alone."""
 
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
 same one begins a new sweep."""
 
 WINDOW, FEWEST = 0.1, 10
-"""Packets of the senders are counted over so many seconds. Who sends fewer is no sensor, which send
-30 and more: the busiest of all is taken instead."""
+"""Packets of the senders are counted over this many seconds. Who sends fewer is no sensor, which
+send 30 and more: the busiest of all is taken instead."""
 
 LOOK = 0.2
 """Seconds after which the thread looks whether it is to end."""
@@ -92,7 +92,7 @@ class _Mailbox:
         self._is_closed = False
 
     def put(self, item: _Came) -> None:
-        """Put a sweep in the place of the one before."""
+        """Replace the previous sweep."""
         with self._changed:
             self._held = self._count, item
             self._count += 1
@@ -106,7 +106,7 @@ class _Mailbox:
             return buffered
 
     def close(self) -> None:
-        """Wake whoever waits, and forget what is held."""
+        """Wake whoever waits, and forget what is buffered."""
         with self._changed:
             self._held, self._is_closed = None, True
             self._changed.notify_all()
@@ -379,7 +379,7 @@ class TableSource(PacketSource):
         As `VelodyneSource` takes them.
     told
         Port to which it sends its angles; None for that of its maker, where it has one and no other
-        program listens there. They may also come to the first port.
+        program listens there. They may also use the first port.
     angles
         File of the unit's own angles.
 
@@ -459,7 +459,7 @@ class TableSource(PacketSource):
             self._told = None
 
     def _heard(self) -> bytes:
-        """What the LiDAR whose packets are taken told last; empty before it did."""
+        """What the LiDAR whose packets are taken reported last; empty before it did."""
         address = self._sender[0] if self._sender else ""
         others = self._told.packets if self._told else {}
         return self._own_told.get(address) or others.get(address, b"")

@@ -59,7 +59,7 @@ class Sender:
     rows, times
         Its packets, by their numbers in the recording; when each came, by the recorder's clock, s.
     angles, told
-        Its own, where a packet told them, and how many packets tell about it.
+        Its own, where a packet reported them, and how many packets report on it.
     """
 
     title: str

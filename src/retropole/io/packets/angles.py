@@ -1,4 +1,4 @@
-"""Where the channels of a unit look: what its own file says, or its packets."""
+"""Directions of the channels of a unit, by its own file or its packets."""
 
 from __future__ import annotations
 

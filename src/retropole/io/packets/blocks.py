@@ -178,7 +178,7 @@ def _blocks_s(layout: Blocks, echoes: int) -> Array:
 
 
 def _states(layout: Blocks, packets: NDArray[np.uint8], echoes: int) -> IntArray:
-    """Tell for each block (N, B) which of the firing times are its own."""
+    """Find for each block (N, B) which of the firing times are its own."""
     shape = (len(packets), layout.count)
     states = np.zeros(shape, np.int64)
     if layout.states == "loops":

@@ -71,7 +71,7 @@ class Capture:
     records
         (N, 2) start and size of each packet, bytes.
     gaps
-        (M, 2) start and size of what lies between them and holds none, bytes.
+        (M, 2) start and size of what lies between them and has none, bytes.
     size
         Of the file, bytes.
     times, links
@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        If the file is no capture, holds no whole packet, or is damaged all over.
+        If the file is no capture, has no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -154,7 +154,7 @@ Step = tuple[Record | NDArray[np.void] | None, int, int]
 was looked for."""
 
 OF_ONE_SIZE = 8
-"""So many records of one size in a row may be followed by more, which are found at once."""
+"""This many records of one size in a row may be followed by more, which are found at once."""
 
 
 def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
@@ -190,7 +190,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
     header = struct.Struct(f"{order.mark}4I")
     at = CAPTURE_HEADER
     while at < size:
-        # As long as each leads to another, they are read from a block at once.
+        # As long as each is followed by another, they are read from a block at once.
         file.seek(at)
         block = file.read(LARGE_BLOCK)
         last, here, same = len(block) - PACKET_HEADER, 0, 0

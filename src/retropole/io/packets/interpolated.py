@@ -1,7 +1,7 @@
 """Packets whose blocks say an azimuth each, between which that of each firing is interpolated:
 RoboSense's spinning LiDARs, and Leishen's C series.
 
-Of some LiDARs a block holds two firings of all channels, of others two blocks hold one. Here both
+Of some LiDARs a block has two firings of all channels, of others two blocks have one. Here both
 become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens next to its axis.
 """
 
@@ -32,8 +32,8 @@ SMALL = 1e-6
 """Units by which the ends of a range, which are kept, may miss whole ones."""
 
 WIDEST_STEP = 1.0
-"""Degrees from a row to the next; where it is more, the LiDAR was told to leave a sector out. At 20
-turns a second it is 0.4°, with two firings in a row 0.8°."""
+"""Degrees from a row to the next; where it is more, the LiDAR was configured to leave a sector out.
+At 20 turns a second it is 0.4°, with two firings in a row 0.8°."""
 
 STEP_BACK = 0.1
 """Turns by which packets that came late may be back."""
@@ -257,7 +257,7 @@ def _firings(
 ) -> tuple[_Rows, Array, float]:
     """Give rows, when each firing of a row is (S,), and when the next row begins, both seconds.
 
-    If a row holds two firings of the channels, and packets come twice as often as these take,
+    If a row has two firings of the channels, and packets come twice as often as these take,
     the second half is the other return of the first one.
     """
     slots = rows.distance.shape[2]

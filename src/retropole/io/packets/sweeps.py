@@ -55,7 +55,7 @@ AT_ONCE = 1024
 """Packets of a bag that are in memory at a time: 1.5 MB."""
 
 PILED = 64
-"""Packets that come now are looked at so many at a time: every 5 to 30 ms."""
+"""Packets that come now are looked at this many at a time: every 5 to 30 ms."""
 
 MOST_KEPT = 2**14
 """Packets that come now are kept at most, where no sweep becomes whole: 1.2 s of an OT128."""
