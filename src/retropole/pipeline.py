@@ -334,7 +334,7 @@ def calibrate_site(
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns differ, and returns
                 # that lie next to a pole under them pull no more; what of a survey they did not
-                # meet may be met now.
+                # encounter may occur now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.

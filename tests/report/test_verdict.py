@@ -81,7 +81,7 @@ def test_an_answer_says_what_to_do_next(kind: str) -> None:
         text = Page(verdict(subject) + next_steps(subject)).text
         for words in ("What to do next", *said[kind]):
             assert words in text
-        assert ("Settle the warning first" in text) is (status == "warn")
+        assert ("Resolve the warning first" in text) is (status == "warn")
     refused = subject_of(kind, "refused")
     assert "What to do next" not in Page(verdict(refused) + next_steps(refused)).text
 

@@ -113,7 +113,7 @@ def check_axes(aligned: BeamAlignment) -> None:
         named = "" if worst is None else f", freeing pole {worst} explains most of it"
         raise Refusal(
             "poles_inconsistent",
-            "the poles do not stand to each other alike in both recordings: χ² is "
+            "the arrangement of the poles differs between both recordings: χ² is "
             f"{test.chi2:.0f} with {test.freedom} degrees of freedom, {limit:.0f} are allowed"
             f"{named}; did one move between the recordings, or is one another object?",
             {
@@ -213,10 +213,10 @@ def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
         yield Reason(
             "one_place_decides",
             f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
-            f"the target, holds {place.share:.0%} of what is known of the pose along one "
+            f"the target, holds {place.share:.0%} of the information about the pose along one "
             f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
             "elsewhere. What is stated is that of the rest: add a placement of the poles, or "
-            "record where more stands around",
+            "record where more objects are around",
             {
                 "share": place.share,
                 "x_m": x,

@@ -131,8 +131,8 @@ def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator
     """Refuse LiDARs that depend on poles without which far more of the surroundings coincides.
 
     One pole conflicts with nothing across itself, where it alone decides and surfaces look for
-    their partners no farther than it allows. So it is parted: each side has it at a place of its
-    own, and the place holds the pose.
+    their partners no farther than it allows. So it is split: each side has it at a separate
+    position, and the surroundings constrain the pose.
 
     Yields
     ------
@@ -166,7 +166,7 @@ def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator
         if every is None or not _is_constrained(each, every[0]):
             yield Reason(
                 "not_checked",
-                f"{names} alone holds a part of the pose between {each.names(site)}, and the "
+                f"{names} alone determines a part of the pose between {each.names(site)}, and the "
                 f"surroundings do not check it: a push of it would not show; {LEAN_ANOTHER}",
                 {"lidar": site.lidars[each.far].name, "poles": names},
             )
@@ -322,9 +322,9 @@ def _is_checked(adjusted: Adjusted) -> bool:
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
     """Choose the suspect without which all else fits, and most of the surroundings coincides.
 
-    What is left of two poles or three fits easily, whichever goes; the surroundings tell, and where
-    they do not the first is chosen. Where something else does not fit either, what is left hardly
-    tells: of those that leave about as little, the one that itself fits worst is.
+    What is left of two poles or three fits easily, whichever goes; the surroundings decide, and
+    where they do not the first is chosen. Where something else does not fit either, what is left
+    hardly does: of those that leave about as little, the one that itself fits worst is.
 
     Raises
     ------
@@ -348,7 +348,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
             names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
             raise Refusal(
                 "site_inconsistent",
-                f"{names} moved, and neither poles nor surroundings tell which: add a pole, or "
+                f"{names} moved, and neither poles nor surroundings show which: add a pole, or "
                 "record the placement again",
                 {"poles": names, "chi2": chi2, "allowed": WARN_MAHALANOBIS_SQ},
             )
@@ -454,7 +454,7 @@ def _survey_of(site: Site, now: Adjusted, test: Test) -> Suspect:
     return Suspect(
         Reason(
             "survey_outlier",
-            f"{name} does not stand where it was surveyed (w {test.w:.1f}), and "
+            f"{name} is not where it was surveyed (w {test.w:.1f}), and "
             f"{' and '.join(ends)} were left out: check their coordinates",
             {"w": test.w, "chi2": test.chi2, "observation": name, **place_of(site, pole)},
         ),
@@ -475,7 +475,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         return Suspect(
             Reason(
                 "pole_moved",
-                f"{name} does not stand at one place for all that see it ({seen}; {misfit}), "
+                f"{name} is not at one position for all that see it ({seen}; {misfit}), "
                 "and was left out: did it move between the recordings?",
                 values,
             ),
@@ -514,7 +514,7 @@ def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
     seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
     return Reason(
         "pole_moved",
-        f"{pole.name(site)} does not stand at one place for all that see it ({seen}): without it "
+        f"{pole.name(site)} is not at one position for all that see it ({seen}): without it "
         f"{more:.0f} more patches of their surroundings coincide, and it was left out: did it "
         "move between the recordings?",
         {"more": more, "allowed": MORE_PATCHES, **place_of(site, pole)},

@@ -50,9 +50,9 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
-"""A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
-least bound in metres: of few returns axes of their own take up much of the noise, ten lie
-√(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
+"""At most this much further do a LiDAR's returns lie from the common axes than from its own, beyond
+a least bound in metres: of few returns axes of their own take up much of the noise, ten lie √(10/6)
+= 1.3 times nearer. More is no noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ POLES_ONLY = "tape", "radius"
 
 WORKING_SHARE = 0.25
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
-their 1 σ; what is stated counts them whole. A few poles cannot distinguish an offset from a
+their 1 σ; what is stated includes them whole. A few poles cannot distinguish an offset from a
 translation: given all the freedom that the instrument has, the estimate takes noise for offsets. Of
 100 set-ups of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with
 offsets of 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
@@ -43,7 +43,7 @@ offsets of 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)
 CONSIDERED = "width"
 CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
-held within. The estimate takes beams to be as wide as they are known to be, and what is stated
+kept within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
 give the width: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to

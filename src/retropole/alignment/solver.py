@@ -122,7 +122,7 @@ def levenberg_marquardt(
     small
         Whether a step that was taken is small enough to stop.
     tolerance
-        Largest entry of a scaled step that counts as small where no step lowers the cost: the
+        Largest entry of a scaled step that is small where no step lowers the cost: the
         minimum is reached.
     damping, min_damping
         At the start, and at least.

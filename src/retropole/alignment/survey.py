@@ -1,6 +1,6 @@
 """What is known in addition to the returns on poles.
 
-Surveyed ends of poles and control points, which way is up, and a pose that the surroundings give.
+Surveyed ends of poles and control points, up directions, and poses from the surroundings.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class SeenPoint:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredUp:
-    """Which way is up (3,) in the frame of a LiDAR, and 1 σ, rad."""
+    """Up direction (3,) in the frame of a LiDAR, and 1 σ, rad."""
 
     name: str
     lidar: int

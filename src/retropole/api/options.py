@@ -116,7 +116,7 @@ NOT_OF_WALKS = (
     *("radius_sigma_m", "up", "prior_rpy_deg", "prior_sigma_deg", "hypothesis", "poles"),
     *("trust_poles", "deceiving_share", "mast_sway_deg", "map", "prior_xyz"),
 )
-"""Options of standing poles that give no information about one that is carried."""
+"""Options of poles that are set up that give no information about one that is carried."""
 
 LETTER = "a letter of the list of hypotheses, such as a"
 

@@ -1,4 +1,4 @@
-"""Results as a user meets them, of two LiDARs or of a site: look at one, save it, load it."""
+"""Results for users, of two LiDARs or of a site: look at one, save it, load it."""
 
 from __future__ import annotations
 

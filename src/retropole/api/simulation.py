@@ -156,7 +156,7 @@ def simulate_site(
     placements, poles
         How many placements, and poles in each; None takes as many as the kind needs.
     sensors
-        Names of sensors, taken in turn; none takes those of the kind.
+        Names of sensors, used in turn; none takes those of the kind.
     survey
         Survey the poles of the first placement and four control points.
     frames

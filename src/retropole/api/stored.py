@@ -427,7 +427,7 @@ def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        That holds it.
+        That contains it.
     """
     return renamed(document, str, lambda text: str((folder / text).resolve()))
 

@@ -271,8 +271,8 @@ class Hypothesis:
     stands
         Whether it is the best, or the scene does not rule it out against the best.
     possible
-        Whether it stands, or scores little less than the best: on bare ground a pose that brings
-        the LiDARs near each other overlaps twice as much as the right one. Of a site.
+        Whether it is not ruled out, or scores little less than the best: on bare ground a pose that
+        brings the LiDARs near each other overlaps twice as much as the right one. Of a site.
     poles
         From the index of each placement that allows it to how many poles there agree. Of a site.
     """

@@ -80,7 +80,7 @@ class RetropoleError(Exception):
 
 
 class ReadError(RetropoleError):
-    """A file that cannot be read: names the file, the place and what was expected."""
+    """A file that cannot be read: names the file, the position and what was expected."""
 
 
 class NewerError(ReadError):

@@ -387,7 +387,7 @@ TAPE_RANGE = 5.0
 """The table's thresholds are for tape at about this range, metres."""
 
 
-LITTLE = "little stands out"
+LITTLE = "little is conspicuous"
 """So ends how a threshold was found that lies among the diffuse returns: none is much brighter."""
 
 GIVEN = "given"

@@ -188,8 +188,8 @@ class Weakness:
         missing = " and ".join(words for is_missing, words in parts if is_missing)
         return self._reason(
             "too_weak",
-            f"no movement was found, but these data tell only, {CONFIDENTLY}, that it moved by no "
-            f"more than {self.reported.in_words} ({missing} must be told): ",
+            f"no movement was found, but these data show only, {CONFIDENTLY}, that it moved by no "
+            f"more than {self.reported.in_words} ({missing} must be detectable): ",
         )
 
     def wider_tolerance(self) -> Reason:

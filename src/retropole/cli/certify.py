@@ -48,7 +48,7 @@ def certify(
     TARGET and SOURCE are recordings of the same poles, as for 'calibrate'. Each LiDAR measures the
     distances between the poles for itself. If they differ by more than the stated errors of both
     LiDARs allow, the pair fails. Four poles, or several placements, are needed. Name the sensors:
-    their stated errors set the limits. A site file (.toml), or the folder that holds site.toml,
+    their stated errors set the limits. A site file (.toml), or the folder of site.toml,
     alone as TARGET tests every pair of its LiDARs.
 
     \b

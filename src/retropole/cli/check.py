@@ -103,7 +103,7 @@ def check(
 ) -> int:
     """Determine whether the LiDARs have moved since RESULT was made.
 
-    RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
+    RESULT is result.json, its folder, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
     recordings of the same two LiDARs. With poles, the poles are used; without, the scene. Radius,
     sensors, thresholds, units, fields of the intensity and angles are those of RESULT.
@@ -261,7 +261,7 @@ def site_check(
     """Say which LiDARs of a site have moved since RESULT was made.
 
     RESULT is site-result.json, or its folder. SITE.toml is the site file of new
-    recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
+    recordings, or its folder; 'retropole site init' writes one. One placement is
     enough, with or without poles, and its LiDARs have the names that they have in RESULT. Each pair
     that shared poles is checked as by 'retropole check'; the site is the same where such pairs join
     all LiDARs.

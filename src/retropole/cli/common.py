@@ -250,7 +250,7 @@ def report_result(
         if refused and unseen:
             echo_refusal(reason.code, reason.message)
         elif refused and not sys.stdout.isatty():
-            # Why is on stdout, wherever that leads: a pipe may end on the same terminal.
+            # Why is on stdout, wherever that goes: a pipe may end on the same terminal.
             say(f"retropole: refused ({reason.code})")
         elif unseen and not refused:
             echo_warning(reason.code, reason.message)

@@ -71,7 +71,7 @@ def export(
 ) -> int:
     """Write the transform of RESULT, or all of a site, in the format of another program.
 
-    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
+    RESULT is result.json, its folder, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
     the parent, and is the pose of the child in the parent. Every output states this. --parent
     and --child name the frames of the LiDARs, never a robot's base: for the pose in base_link give
@@ -110,7 +110,7 @@ def export(
     Exit code:
       0    written
       2    a file or an option is wrong
-      3    RESULT was refused: it holds no transform
+      3    RESULT was refused: it has no transform
     """
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")

@@ -188,7 +188,7 @@ def merge(
     Exit code:
       0    written; with --live, all recordings that were played have ended
       2    a file or an option is wrong
-      3    RESULT was refused: it holds no pose
+      3    RESULT was refused: it has no pose
       130  interrupted; nothing is written, but with --live all until then
     """
     if sources:

@@ -42,7 +42,7 @@ def report(
     serials: tuple[tuple[str, str], ...],
     quiet: bool,
 ) -> int:
-    """Make the report of RESULT, result.json, site-result.json or the folder that holds it, again.
+    """Make the report of RESULT, result.json, site-result.json or its folder, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
     and from the folder of RESULT; give TARGET and SOURCE where they are at another place now (and

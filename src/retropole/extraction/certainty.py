@@ -19,7 +19,7 @@ may be lost in each, and half a step of unevenness where the cloud has no rings.
 
 MIN_SIGHT_ANGLE = float(np.radians(15.0))
 """A line that the sensor sees at a smaller angle, rad, lies on the ground or is the edge of
-something: a pole that stands 3 m away and leans by 35° towards a sensor 1.5 m above its middle is
+something: a pole that is 3 m away and leans by 35° towards a sensor 1.5 m above its middle is
 seen at 28°."""
 
 

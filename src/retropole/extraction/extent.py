@@ -19,9 +19,9 @@ from .lines import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0
 """No pose is given about an origin that is farther from the points, metres. One that is known to
-1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are 1e-14 apart:
-doubles resolve no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000, data
-sheet)."""
+1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are a factor of
+1e-14 apart: doubles resolve no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000,
+data sheet)."""
 
 THINNEST_POLE = 0.0004
 """No pole is seen where it is thinner, rad: 100 m away with a radius of 2 cm. The narrowest beam of

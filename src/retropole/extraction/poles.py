@@ -159,8 +159,8 @@ def _without_intensity(cloud: PointCloud) -> Refusal:
         what = f"has the intensity {cloud.intensity[0]:g} in all of its {len(cloud)} points"
     return Refusal(
         "no_intensity",
-        f"{name} {what}: retro-reflective tape cannot be told from the rest; record it with "
-        "intensity",
+        f"{name} {what}: retro-reflective tape cannot be distinguished from the rest; record it "
+        "with intensity",
         values,
     )
 

@@ -5,7 +5,7 @@ something. A pole has free air around it. Points about it may be a second pole, 
 
 A band is worn, or held, as by a person: the body goes on above it and below it, and has air around.
 A pole reaches the ground and is as high as a person, so that nothing near it goes on beyond both
-of its ends. A wall does, but has no end beside the line either.
+of its ends. A wall does, but has no end next to the line either.
 
 What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
@@ -124,7 +124,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
 
     The returns of one ring are much nearer to each other than to those of the next: around a line
     along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
-    say nothing. Of the squared steps to them, the share along the line counts.
+    give no information. Of the squared steps to them, the share along the line counts.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
 
 EDGE_QUANTILE = 0.9
-"""A dim return is from the edge of a pole where it lies farther to the side than so many of the
+"""A dim return is from the edge of a pole where it lies farther to the side than this many of the
 bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
 post without tape one in ten does by chance."""
 

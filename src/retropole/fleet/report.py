@@ -72,7 +72,7 @@ OUTDATED = (
 ERRORS = {
     "unreadable": (
         "A file is absent, damaged or no recording",
-        "`retropole info FILE` says what a recording holds.",
+        "`retropole info FILE` describes a recording.",
     ),
     "usage": (
         "An option or a line of the list is invalid",
@@ -505,7 +505,7 @@ def _map_text(placed: int, sites: int, view: _View) -> str:
     if max(view.metres) > FLAT_BELOW:
         text.append("The scale holds in the middle.")
     if sites > placed:
-        text.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
+        text.append(f"{quantities.counted(sites - placed, 'site')} of unknown position not drawn.")
     if placed > MOST_NAMED:
         text.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
     return " ".join(text)

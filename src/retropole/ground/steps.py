@@ -73,11 +73,11 @@ KERB, PARALLEL = (0.05, 0.5), 0.04
 as well, a road next to a pavement,"""
 
 KERB_AREA = 10.0
-"""… and seen on so much, m², where no step is seen between them,"""
+"""… and seen on this much, m², where no step is seen between them,"""
 
 NEAREST, NEARER = 0.05, 0.6
 """… where the ground is not on all sides of the foot at this part of the distance of that level, of
-which so much is nearer."""
+which this much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
 """At a step, levels differ by this part of their distance in the middle of this many nearest

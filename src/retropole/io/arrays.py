@@ -120,17 +120,17 @@ def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[
     reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = reader(file)
     if dtype.hasobject:
-        raise ReadError("holds Python objects, expected numbers")
+        raise ReadError("has Python objects, expected numbers")
     if not dtype.itemsize or any(n < 0 for n in shape):
         raise ReadError(f"an array of {dtype} and shape {shape}, expected numbers")
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
-        raise ReadError(f"promises {size} bytes of data, the file holds {left} in all")
+        raise ReadError(f"promises {size} bytes of data, the file has {left} in all")
     # A number in a point cloud takes 8 bytes.
     spend(max(size, 8 * size // dtype.itemsize))
     body = file.read(size)
     if len(body) < size:
-        raise ReadError(f"promises {size} bytes of data, the file holds {len(body)}")
+        raise ReadError(f"promises {size} bytes of data, the file has {len(body)}")
     return np.frombuffer(body, dtype).reshape(shape, order="F" if fortran else "C")
 
 
@@ -263,7 +263,7 @@ def _check_colours(values: Array) -> None:
 def _whole(column: Array) -> NDArray[Any]:
     """Give whole numbers as such: a text has no types, and of times they are ticks."""
     with np.errstate(invalid="ignore"):
-        # Up to this, a float64 holds every whole number.
+        # Up to this, a float64 represents every whole number.
         is_whole = np.all(np.abs(column) <= 2**53) and np.all(column == np.rint(column))
     return column.astype(np.int64) if is_whole else column
 
@@ -311,7 +311,7 @@ def _head(body: bytes) -> _Head:
             names = words
         position += len(raw)
     raise ReadError(
-        f"holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
+        f"has no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
         "expected x y z and more in columns"
     )
 

@@ -441,7 +441,7 @@ def _folder(path: Path) -> Iterator[Bag]:
     about = _metadata(path)
     storage = str(about["storage_identifier"])
     suffix = {"mcap": ".mcap", "sqlite3": ".db3"}.get(storage)
-    if not storage:  # as some programs leave it, the files tell
+    if not storage:  # as some programs leave it, the files show it
         suffix = next((PurePath(str(name)).suffix for name in about["relative_file_paths"]), None)
         suffix = suffix if suffix in OPENERS else None
     mode = str(about.get("compression_mode") or "none").lower()

@@ -245,7 +245,7 @@ def cloud_from_columns(
         kept &= _numbers(SECOND_RETURN, columns[SECOND_RETURN]) == 0
     second = int(both - np.count_nonzero(kept))
     if not kept.any():
-        none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
+        none = _none_of(len(xyz)) if len(xyz) else "has no points, expected at least one"
         raise NoReturnsError(none, len(xyz))
 
     def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:

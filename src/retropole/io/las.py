@@ -65,7 +65,7 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
             if needed > left * (MAX_LAZ_RATIO if header.are_points_compressed else 1):
                 raise ReadError(
                     f"the header promises {header.point_count} points, {needed} bytes"
-                    f"{' decompressed' if header.are_points_compressed else ''}; the file holds "
+                    f"{' decompressed' if header.are_points_compressed else ''}; the file has "
                     f"{left} after it"
                 )
             for record in header.vlrs.get("LasZipVlr"):
@@ -85,12 +85,12 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
         # LAZ decoder is not even an Exception.
         raise ReadError(f"is not a readable LAS file ({said(error)})") from None
     if not blocks:
-        raise ReadError("holds no points, expected at least one")
+        raise ReadError("has no points, expected at least one")
     kept = [columns for _, columns in blocks]
     columns = {name: np.concatenate(column) for name, *column in zip(names, *kept, strict=True)}
     count = sum(read for read, _ in blocks)
     if count != header.point_count:
-        raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
+        raise ReadError(f"the header promises {header.point_count} points, the file has {count}")
     if wanted.place is not None and not any(len(own) for own, *_ in kept):
         raise nothing_near(wanted.place, 0, header.mins, header.maxs)
     return cloud_from_columns(columns, wanted)

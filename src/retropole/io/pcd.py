@@ -211,7 +211,7 @@ def _read_ascii(body: bytes, header: Header) -> tuple[Columns, int]:
         raise ReadError(f"{promised} of {values} values, {cannot}")
     table = read_table(body, values, line=header.lines + 1)
     if len(table) < header.points:
-        raise ReadError(f"{promised}, the file holds {len(table)} lines")
+        raise ReadError(f"{promised}, the file has {len(table)} lines")
     points = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
@@ -238,7 +238,7 @@ def _read_binary(body: memoryview, header: Header) -> tuple[Columns, int]:
     size = header.points * record.itemsize
     if len(body) < size:
         promised = f"{header.points} points of {record.itemsize} bytes, {size} in all"
-        raise ReadError(f"the header promises {promised}, the file holds {len(body)} after it")
+        raise ReadError(f"the header promises {promised}, the file has {len(body)} after it")
     points = np.frombuffer(body, record, header.points)
     rest = bytes(body[size:]).rstrip(b"\0")
     return {name: points[name] for name in record.names or ()}, len(rest) // record.itemsize
@@ -298,7 +298,7 @@ def write_pcd(path: str | Path, cloud: PointCloud) -> None:
 def pcd_of(cloud: PointCloud) -> bytes:
     """Give a cloud as the bytes of a binary PCD.
 
-    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the
+    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT is the
     origin of the beams, without rotation. The frame index has no field of its own, so it is left
     out.
 

@@ -104,7 +104,7 @@ def _read_element(
     elif len(element.names) == len(element.properties):
         raise ReadError(
             f"the header promises {element.count} of element {element.name}, {size} bytes from "
-            f"byte {start} on, the file holds {len(data) - start}"
+            f"byte {start} on, the file has {len(data) - start}"
         )
     columns: dict[str, list[Any]] = {name: [] for name in element.names}
     for _ in range(element.count):

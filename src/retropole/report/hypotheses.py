@@ -116,7 +116,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
     named = undecided(result)
     if not named:
         return []
-    lines = ["hypotheses that stand, roll pitch yaw in deg, x y z in m"]
+    lines = ["hypotheses not ruled out, roll pitch yaw in deg, x y z in m"]
     widths = [max(len(pose_numbers(each)[k]) for _, each in named) for k in range(6)]
     for name, each in named:
         cells = [value.rjust(widths[k]) for k, value in enumerate(pose_numbers(each))]
@@ -196,7 +196,7 @@ def _undecided(result: ResultDoc) -> Html:
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",
-        table=table("Hypotheses that stand", listings.columns(names), rows, (7,)),
+        table=table("Hypotheses not ruled out", listings.columns(names), rows, (7,)),
         options=fill("advice", title="What decides", items=items) if items else items,
     )
 

@@ -384,7 +384,7 @@ def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
 
 
 def _nearer(distance: float, share: float) -> str:
-    """Say how much nearer a pole has so many returns, or rings, as are needed.
+    """Say how much nearer a pole has as many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
     LiDAR, too: this much nearer there are enough, on average at least.

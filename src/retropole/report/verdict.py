@@ -136,4 +136,4 @@ def next_steps(subject: Subject) -> Html:
 
 def _warned_first(subject: Subject) -> str:
     is_warned = subject.site.status == "warn"
-    return "Settle the warning first, as written above. " if is_warned else ""
+    return "Resolve the warning first, as written above. " if is_warned else ""

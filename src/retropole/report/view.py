@@ -238,7 +238,7 @@ def _threshold(scan: Scan) -> float | None:
 
 
 ESCAPES = re.compile(r"\\(?:([uUx][0-9a-f]{2,8})|.)")
-"""What stands for one sign in JSON and in what is visible; the first for one that is not shown."""
+"""What replaces one sign in JSON and in what is visible; the first for one that is not shown."""
 
 
 def embed_json(value: object) -> Html:
@@ -303,7 +303,7 @@ def _marks(scan: Scan) -> list[MarkView]:
 
 
 def _places(result: ResultDoc) -> list[MarkView]:
-    """Places that alone decide a direction of the pose, each with the share that it holds."""
+    """Places that alone decide a direction of the pose, each with its share."""
     return [
         MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
         for r in (*result.reasons, *result.notes)

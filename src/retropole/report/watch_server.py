@@ -1,9 +1,9 @@
 """The page of `retropole watch`, served to those who know its address, and how a phone finds it.
 
-The page holds nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again and
-again. One request a connection, few connections, and none for long: whoever else is in the network
-can neither ask for it without its address nor keep others from it for more than moments. It is
-plain HTTP: who can read the traffic of the network reads it, too.
+The page contains nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again
+and again. One request a connection, few connections, and none for long: whoever else is in the
+network can neither ask for it without its address nor keep others from it for more than moments. It
+is plain HTTP: who can read the traffic of the network reads it, too.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Reading result documents that may have been edited by hand, cut short or made elsewhere.
+"""Reading result documents that may have been edited by hand, cut short or made by others.
 
-Whoever holds one that was decoded relies on it: every number is finite, rotations rotate,
+Whoever uses one that was decoded relies on it: every number is finite, rotations rotate,
 covariances are covariances that agree with each other, and every index finds what it points to.
 """
 
@@ -42,7 +42,7 @@ INDEX_OF = {
     "pole": "poles",
     "surveyed": "surveyed_poles",
 }
-"""Fields that hold indices, wherever they stand, and the list that each points into."""
+"""Fields with indices, wherever they are, and the list that each points into."""
 
 Document = TypeVar("Document")
 
@@ -227,7 +227,7 @@ def _indices(value: Any, name: str = "", of: str = "") -> Iterator[tuple[str, st
 
 
 def _check_joint(document: SiteDoc) -> None:
-    """Check the joint covariance, and that it holds those of the LiDARs."""
+    """Check the joint covariance, and that it contains those of the LiDARs."""
     joint = document.joint_covariance
     if joint is None:
         return

@@ -1,7 +1,7 @@
 """The options of a run: what each is called, of which type and within which bounds, and its help.
 
 The command line makes its options of these fields and the Python interface checks its keywords by
-them, so that bounds, defaults and help stand here alone.
+them, so that bounds, defaults and help are here alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UNITS = get_args(Unit)
 """That coordinates may have."""
 
 LARGEST_WHOLE = 2**53
-"""Of a whole number: JSON of other programs holds none beyond."""
+"""Of a whole number: JSON of other programs has none beyond."""
 
 MIN_POLES = 0
 """The surroundings give what poles do not determine; without poles, all (docs/method.md, One pole
@@ -67,7 +67,7 @@ def describe(text: str) -> Meta:
 
 
 def rare(text: str) -> Meta:
-    """Say so of an option that few need: the command line lists it by --help-all alone."""
+    """Mark an option that few need: the command line lists it by --help-all alone."""
     return Meta(description=text, extra={"rare": True})
 
 
@@ -91,7 +91,7 @@ def frames_named(text: str) -> slice | None:
 
 
 def slice_of(frames: Frames | None) -> slice | None:
-    """Take frames as a document holds them as a slice; None for those evenly spread."""
+    """Take frames as in a document as a slice; None for those evenly spread."""
     return None if frames is None else slice(*frames)
 
 
@@ -107,7 +107,7 @@ class Reading(NamedTuple):
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
-        Of a cloud with more, so many are kept, as `io.read_cloud` does.
+        Of a cloud with more, this many are kept, as `io.read_cloud` does.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     wanted
@@ -126,7 +126,7 @@ class Reading(NamedTuple):
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not given: any number of poles, no prior, the scene's own choice,
+    None means not given: any number of poles, no prior, the scene's own choice,
     the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
     that is needed, for the source the unit of the target. Frames are start, stop and step.
     """
@@ -288,7 +288,7 @@ DEFAULT_CONFIG = RunConfig()
 class Pair(NamedTuple):
     """Fields of what each LiDAR has: one value is of both, unless it is the target's `alone`.
 
-    A second value that is None stands for `usual`: a source without a unit has the target's.
+    A second value that is None means `usual`: a source without a unit has the target's.
     """
 
     name: str

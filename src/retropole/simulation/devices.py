@@ -64,7 +64,7 @@ class NoiseModel:
         added, in squares, at 10 m from a white surface. It grows with the range, and with the
         inverse root of the brightness.
     footprint
-        What a beam reports whose footprint meets several surfaces.
+        What a beam reports whose footprint hits several surfaces.
     blooming
         Half width of the glow around tape, rad: a beam within it may return as if it had hit.
     wet
@@ -133,7 +133,7 @@ FIELD = NoiseModel(
     movers=2,
     intensity_falloff=True,
 )
-"""All that a LiDAR encounters on a site where its mast stands still. The sizes are assumptions: of
+"""All that a LiDAR encounters on a site where its mast does not move. The sizes are assumptions: of
 the order that LiDARs' manuals allow, but measured on no instrument."""
 
 NOISE_MODELS = {"field": FIELD, "typical": TYPICAL, "none": EXACT}
@@ -149,8 +149,9 @@ footprint rather loses its return)."""
 class Device:
     """The systematic errors of one LiDAR.
 
-    It believes that its beams leave in the sensor's nominal directions. They leave elsewhere, by
-    its errors of elevation and azimuth, and the points that it records lie on the nominal beams.
+    It believes that its beams leave in the sensor's nominal directions. They leave in other
+    directions, by its errors of elevation and azimuth, and the points that it records lie on the
+    nominal beams.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ def simulate_pair(
     sensor_target, sensor_source
         Names of sensors; None takes the scene's own.
     poles
-        How many taped poles. 0 leaves those away that 2 would stand there: the same place, recorded
+        How many taped poles. 0 omits those that 2 would put there: the same scene, recorded
         before the poles are set up.
     radius
         Of the poles, metres.
@@ -204,7 +204,7 @@ pole in view, and in 30 seeds no scene needed more than 2."""
 
 
 class SimulationError(RetropoleError):
-    """No arrangement of poles and LiDARs, or no recording of it, meets the demands."""
+    """No arrangement of poles and LiDARs, or no recording of it, fulfils the demands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ class SimulatedPair:
     noise
         How the recordings differ from exact geometry.
     clear
-        Half extents of the ground around the world's origin where poles may stand, metres.
+        Half extents of the ground around the world's origin where poles are allowed, metres.
     """
 
     target: PointCloud
@@ -267,7 +267,7 @@ class SimulatedPair:
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Who stands where, as nothing but geometry.
+    """Positions of everything, as nothing but geometry.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ def is_seen(on_pole: BoolArray, rings: IntArray | None, returns: int = MIN_RETUR
 def are_in_view(
     at: Arrangement, recorders: Recorders, rng: np.random.Generator, returns: int = MIN_RETURNS
 ) -> bool:
-    """Whether both LiDARs see every pole along thin, exact beams, with so many returns or more.
+    """Whether both LiDARs see every pole along thin, exact beams, with this many returns or more.
 
     This is the demand on an arrangement, so that it is the same under every noise model.
     """
@@ -355,7 +355,7 @@ def record_in_turn(
     Parameters
     ----------
     scenes
-        All surfaces as they stand when each LiDAR records.
+        All surfaces as they are when each LiDAR records.
     poses, recorders
         Of each LiDAR, and each of them.
     reach

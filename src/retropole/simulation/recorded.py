@@ -36,7 +36,7 @@ ON_RING = float(np.radians(0.2))
 by tenths of a degree."""
 
 MIN_GAP = 1.5
-"""A ring has lost returns where two of its neighbours are more than this many steps apart."""
+"""A ring has lost returns where two of its neighbours differ by more than this many steps."""
 
 MAX_GAP = float(np.radians(45.0))
 """Wider gaps are not filled, rad: behind them may be the vehicle itself, or no beam at all
@@ -73,7 +73,7 @@ def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedB
 
     A recording shows nothing of a beam without a return. Where neighbours on one ring are more
     than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
-    both, so that a pole against the sky is met. Rings come from the cloud, or else from
+    both, so that a pole against the sky is hit. Rings come from the cloud, or else from
     elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
     put back. Where a sensor that spins is given and the returns lie on its rings, all beams that
     it sends are there, above the horizon too.
@@ -222,7 +222,7 @@ def levels(sines: Array) -> IntArray:
     # Rings of the table of sensors are 8 bins apart or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
-        # A neighbouring bin holds what fell over its edge.
+        # A neighbouring bin has what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
     if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
         rings[:] = -1

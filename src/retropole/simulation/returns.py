@@ -88,7 +88,7 @@ def report(
     sensor: Sensor,
     footprint: Footprint,
 ) -> tuple[Hits, Array]:
-    """Replace hits at edges by what the parts of the beam meet.
+    """Replace hits at edges by what the parts of the beam hit.
 
     Surfaces that a pulse does not separate return one range, the mean of theirs weighted with the
     power that returns. Of those it does, the first is reported or the strongest.
@@ -112,7 +112,7 @@ def report(
     -------
     hits : Hits
     share : ndarray
-        (N,) part of each beam that meets what it reports.
+        (N,) part of each beam that hits what it reports.
     """
     share = np.ones(len(rays))
     edge = at_edges(hits, rays, sensor)
@@ -202,7 +202,7 @@ def intensities(
 
     Diffuse returns follow the cosine of incidence. Tape lies between the threshold and saturation,
     lower where only the edge of a beam hit it. With falloff, both fall with the range and nothing
-    holds them on their side of the threshold.
+    keeps them on their side of the threshold.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Where LiDARs and poles of a site stand: on posts, at a crane, on a truck, in a ring.
+"""Positions of LiDARs and poles of a site: on posts, at a crane, on a truck, in a ring.
 
-Poles stand placement by placement so that they link all LiDARs. As in `scenes`, the numbers inside
-the functions describe what is drawn, in metres and radians; they are chosen by eye, and no law
-depends on them.
+Poles are arranged placement by placement so that they link all LiDARs. As in `scenes`, the numbers
+inside the functions describe what is drawn, in metres and radians; they are chosen by eye, and no
+law depends on them.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class SiteScene:
     Attributes
     ----------
     surroundings
-        Everything that stands there, the ground included, in the world frame.
+        All objects, the ground included, in the world frame.
     poses
         (4, 4) pose of each LiDAR in the world frame.
     reach
-        Half extents in x and y around the world's origin in which poles stand, metres.
+        Half extents in x and y around the world's origin of the area of poles, metres.
     """
 
     surroundings: list[Surface]
@@ -76,7 +76,7 @@ def posts(rng: np.random.Generator, count: int) -> SiteScene:
         number = np.arange(count)
         corner: Array = np.asarray(np.pi / 4 + np.pi / 2 * (number % 4), dtype=np.float64)
         places = rng.uniform(5.0, 6.5, count)[:, None] * np.sqrt(2) * _level(corner)
-        # Those that find no free corner stand farther out on an arm.
+        # Those that find no free corner are farther out on an arm.
         outward = _level(np.asarray(corner + np.where(number // 4 % 2, np.pi / 4, -np.pi / 4)))
         places += (number // 4)[:, None] * rng.uniform(5.0, 7.0) * outward
         surroundings = _crossing(rng)
@@ -168,7 +168,7 @@ def truck(rng: np.random.Generator, count: int) -> SiteScene:
 
 
 def ring(rng: np.random.Generator, count: int) -> SiteScene:
-    """Draw LiDARs in a ring on bare ground, where neighbours stand some 7 m apart."""
+    """Draw LiDARs in a ring on bare ground, at some 7 m from their neighbours."""
     edge = rng.uniform(6.0, 8.0)
     start = rng.uniform(0, 2 * np.pi)
     headings: Array = np.asarray(start + 2 * np.pi * np.arange(count) / count)
@@ -240,7 +240,7 @@ def are_linked(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> bool:
 
 
 NEAREST = 2.0
-"""No pole stands nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
+"""No pole is nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
 
 FARTHEST = 12.0
 """Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
@@ -329,7 +329,7 @@ def _place_poles(
     poles: int,
     radius: float,
 ) -> Arrangement | None:
-    """Put the poles of each placement where they link LiDARs that nothing links yet."""
+    """Put the poles of each placement where they link LiDARs that are not linked yet."""
     at = np.array([pose[:2, 3] for pose in place.poses])
     everyone = tuple(range(len(sensors)))
     drawn: list[tuple[Cylinder, ...]] = []
@@ -363,7 +363,7 @@ def _place_poles(
 def _draw_poles(
     rng: np.random.Generator, count: int, middle: Array, place: SiteScene, radius: float
 ) -> tuple[Cylinder, ...] | None:
-    """Draw poles around a place (2,); None if this draw has none that stand free."""
+    """Draw poles around a place (2,); None if this draw has none with enough room."""
     drawn = draw_poles(rng, count, (3.0, 3.0), (MIN_POLE_ANGLE, MAX_POLE_ANGLE), radius)
     if drawn is None:
         return None

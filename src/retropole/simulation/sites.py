@@ -34,7 +34,7 @@ MAX_LIDARS, MAX_PLACEMENTS = 12, 8
 """Of a simulated site."""
 
 PlacedPoles = Sequence[Sequence[Sequence[Cylinder]]]
-"""``standing[lidar][placement]``: the poles as they stand when a LiDAR records them."""
+"""``standing[lidar][placement]``: the poles as they are when a LiDAR records them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class DrawnSite:
     kind, sensors, devices, noise, radius
         As of the `SimulatedSite`.
     at
-        Where everything stands, and who records what.
+        Positions of everything, and who records what.
     for_survey, for_changes, for_recording
         Generators of what comes next. ``for_changes`` is for those who change the site before it
         is recorded: whatever they draw, all else stays the same.
@@ -80,7 +80,7 @@ class SimulatedSite:
         point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
         where it recorded none.
     surroundings
-        All that stands there but the poles, in the world frame.
+        All objects but the poles, in the world frame.
     poles
         Of each placement.
     seen
@@ -169,7 +169,7 @@ def simulate_site(
     poles
         Of each placement, at least 2; None is 3. A ring has 2.
     sensors
-        Names of sensors, taken in turn; None takes the kind's own.
+        Names of sensors, used in turn; None takes those of the kind.
     radius
         Of the poles, metres.
     noise
@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        Where poles move between two recordings; None if they stand as they were drawn.
+        Where poles move between two recordings; None if they are as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):

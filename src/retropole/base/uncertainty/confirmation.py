@@ -58,7 +58,7 @@ class Confirmation(
     Attributes
     ----------
     agreeing, contradicting
-        Voxels off the ground, of both clouds, that agree with the pose, and that stand where the
+        Voxels off the ground, of both clouds, that agree with the pose, and that are where the
         other LiDAR looked through.
     contradicted
         Share of the voxels that conflict with the pose; 0 if there is none. It follows from the

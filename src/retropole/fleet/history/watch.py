@@ -19,7 +19,7 @@ varies slowly the site has a Kalman filter; the likeliest one decides.
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
 1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
-if its own scatter were so much wider. So none alone makes a change, but two that agree do. Such a
+if its own scatter were that much wider. So none alone makes a change, but two that agree do. Such a
 one waits until another shows what it was: an *outlier*, where the next fits again (a lorry stood in
 view), or the first of a *step*. A change that was found becomes part of what is expected, and the
 watch goes on.
@@ -345,7 +345,7 @@ def _kept(now: _Filter, n: int, days: float) -> BoolArray:
 def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
-    A change may be one of translation alone, as of a foundation that settles, which has three
+    A change may be one of translation alone, as of a foundation that sinks, which has three
     degrees of freedom; it is converted to the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]

@@ -296,7 +296,7 @@ def _decoded(
     """Open packets that the library of a maker decodes, which is to count their sweeps, too."""
     count = sum(1 for _ in sweeps())
     if not count:
-        raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")
+        raise ReadError(f"{path}: has no sweep, its packets have {sizes}")
 
     def frames(numbers: range) -> Iterator[Frame]:
         for number, sweep in enumerate(sweeps()):

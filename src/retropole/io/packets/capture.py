@@ -135,7 +135,7 @@ def walk(path: Path) -> Capture:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
     if not records and (gaps or not header):
-        raise ReadError(f"holds no whole packet in the {size - header} bytes after its header")
+        raise ReadError(f"has no whole packet in the {size - header} bytes after its header")
     found_records = _table(records)
     return Capture(
         np.column_stack([found_records["start"], found_records["size"]]),
