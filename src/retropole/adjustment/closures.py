@@ -63,7 +63,7 @@ class _Edge:
 
 
 def close_loops(at: Solved, end: End) -> Iterator[LoopClosure]:
-    """Close the loops of all pairs that have an answer of their own: triangles first."""
+    """Close the loops of all pairs that have a separate answer: triangles first."""
     edges = {each.lidars: each for each in _edges(at, end)}
     for loop in _loops(sorted({i for pair in edges for i in pair}), list(edges))[:MOST_LOOPS]:
         yield _closure(loop, edges, at, end)

@@ -51,7 +51,7 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """At most this much further do a LiDAR's returns lie from the common axes than from its own, beyond
-a least bound in metres: of few returns axes of their own take up much of the noise, ten lie √(10/6)
+a least bound in metres: of few returns separate axes take up much of the noise, ten lie √(10/6)
 = 1.3 times nearer. More is no noise, but a pole that moved."""
 
 
@@ -209,7 +209,7 @@ def _start(site: Site, datum: Datum) -> JointState:
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
-    """(L, 2) most noise of each LiDAR's returns, by how they lie about axes of its own, metres."""
+    """(L, 2) most noise of each LiDAR's returns, by how they lie about separate axes, metres."""
     most = np.full((len(site.lidars), 2), np.inf)
     for sight in sights:
         _, own = maximise_from_lines(sight.beams, site.radius)

@@ -1,8 +1,8 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets its own bias in addition to all unknowns. How much
-the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
-the error has; how well the others determine that error is its redundancy, and gives the least
+Data snooping (Baarda 1968): an observation gets a separate bias in addition to all unknowns. How
+much the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom
+as the error has; how well the others determine that error is its redundancy, and gives the least
 error that the test finds.
 
 Several observations may also have one bias in common. Last come returns next to their pole, of a
@@ -38,7 +38,7 @@ from .solved import Solved
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """A bias of its own that some observations get.
+    """A separate bias of some observations.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ errors that are not modelled add up. `blunders.BLUNDER` cites what set it."""
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How an observation's own bias was tested; see `answer.Test`."""
+    """How the bias of an observation was tested; see `answer.Test`."""
 
     chi2: float
     redundancy: float

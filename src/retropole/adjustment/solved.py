@@ -57,7 +57,7 @@ class Places:
     marginal
         (F, F) its inverse.
     information
-        (C, F, F) what each place has of it.
+        (C, F, F) the part of each place.
     gradients
         (C, F) how it pulls at the answer.
     flat
@@ -149,7 +149,7 @@ def moved_by(places: Places) -> tuple[Array, Array]:
     moves = np.linalg.solve(left, places.gradients[:, :, None])[:, :, 0]
     share = np.sum(moves * (moves @ places.marginal), axis=1)
     freedom = float(share.sum() ** 2 / max(float(np.sum(share**2)), 1e-300))
-    # A LiDAR has six parameters of its own, whatever the number of all.
+    # A LiDAR has six parameters, whatever the number of all.
     wide = np.sqrt(few_freedom(freedom))
     return moves.T * wide, places.covariance @ places.flat.T * PLACE_BIAS
 

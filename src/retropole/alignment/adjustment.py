@@ -74,7 +74,7 @@ class ReturnsRadius:
     sigma: float
 
     def sigmas_below(self, radius: float, sigma: float) -> float:
-        """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
+        """By how many σ the returns want a thinner pole than one with a separate 1 σ.
 
         Thicker is no denial: tape glows, and beams next to a pole return as if they had hit it.
         """
@@ -174,7 +174,7 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
 
 
 RADIUS_TOLERANCE = 0.02
-"""Least 1 σ of the radius, as a part of it: tubes differ by this amount, and tape adds to them."""
+"""Least 1 σ of the radius, relative to it: tubes differ by this amount, and tape adds to them."""
 
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""

@@ -262,7 +262,7 @@ def root_of(square: Array) -> Array:
 def floors(T: Array, free: BoolArray) -> list[Part]:
     """State the unmodelled errors: half of its variance for each LiDAR of a pair.
 
-    It turns and shifts a LiDAR's own frame.
+    It turns and shifts the frame of a LiDAR.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
 
 
 def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
-    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if none sways.
+    """State the remaining sway of each LiDAR (L, 6, 6), in its axes; empty if none sways.
 
     Parameters as of `floors`.
     """
@@ -291,7 +291,7 @@ def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
 
 
 def _of_frame(T: Array, free: BoolArray, lidar: int, root: Array) -> Array:
-    """(6 L, 6) what an error of one LiDAR's own frame, given by a root (6, 6), does to all poses.
+    """(6 L, 6) what an error of the frame of one LiDAR, given by a root (6, 6), does to all poses.
 
     That of a LiDAR whose frame is the datum moves all others against it.
     """
@@ -336,7 +336,7 @@ def budget_of(
     lidar
         Whose pose.
     names
-        Of all LiDARs of a site; None of a pair, whose LiDARs have names of their own.
+        Of all LiDARs of a site; None of a pair, whose LiDARs have separate names.
     """
     own = slice(POSE * lidar, POSE * (lidar + 1))
     rows: dict[tuple[str, int | None], list[Part]] = {}

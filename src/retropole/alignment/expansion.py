@@ -72,7 +72,7 @@ def _nodes_over(sideways: Array, noise: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where one LiDAR's own beams have the axes of the poles, as a step from a state's.
+    """Axes of the poles by the beams of one LiDAR alone, as a step from a state's.
 
     Attributes
     ----------
@@ -189,7 +189,8 @@ def _averaged(values: Array, weight: Array) -> Array:
 def find_view(
     state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
 ) -> View:
-    """Find how a LiDAR's own beams leave each axis uncertain, pose and errors as in the state.
+    """Find the uncertainty of each axis by the beams of one LiDAR, pose and errors as in the
+    state.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class PoleFactor:
         (K, R) how η moves with each error of the depth of a pole, by its 1 σ (`network`).
     left
         (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
-        rotation and translation, axes of its own; empty if none sways.
+        rotation and translation, in its axes; empty if none sways.
     """
 
     T: Array
@@ -316,7 +316,7 @@ def observe(
     free
         (6 L,) which parameters of the poses are estimated.
     rounds
-        At most this many for each LiDAR's own view of the axes (`find_view`).
+        At most this many for the view of the axes by each LiDAR (`find_view`).
     """
     state = end.state
     unknowns = Unknowns(bands, len(placement), len(state.control))

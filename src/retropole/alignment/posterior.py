@@ -96,7 +96,7 @@ SHARED = 9
 """Parameters before those of the axes: pose 6, offsets 2, radius 1."""
 
 RETURN_CURVATURE = 0.02
-"""Least curvature of a return's own cost that a step is taken with, in units of its information
+"""Least curvature of the cost of a return that a step is taken with, in units of its information
 ``1/σ²``: beyond the inflection of the likelihood the true one is negative. It steers the steps
 only, the covariance takes the true curvature. The same for the logarithm of the noise, per return
 that lies on a pole."""
@@ -161,7 +161,7 @@ class BeamGeometry:
 def beam_geometry(
     state: State, lidar: int, origin: Array, directions: Array, ranges: Array, own: IntArray
 ) -> BeamGeometry:
-    """Depth and lateral offset of beams at their own axis, and the Jacobian over a step of `State`.
+    """Depth and lateral offset of beams at their axis, and the Jacobian over a step of `State`.
 
     The radius is no part of either; `ranges` may be anything where only the lateral offset matters.
 
@@ -172,7 +172,7 @@ def beam_geometry(
     lidar
         0 for the target, 1 for the source: whether the pose comes in, and which range offset.
     origin, directions, ranges
-        (3,), (N, 3) and (N,): the beams in the LiDAR's own frame, metres.
+        (3,), (N, 3) and (N,): the beams in the frame of the LiDAR, metres.
     own
         (N,) the pole of each beam.
     """

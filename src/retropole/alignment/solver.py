@@ -23,7 +23,7 @@ MAX_ITERATIONS = 60
 converged by then oscillates."""
 
 DAMPING = 1e-3
-"""Damping at the start, as a part of each parameter's own curvature: starts are near a minimum."""
+"""Damping at the start, as a part of the curvature of each parameter: starts are near a minimum."""
 
 ROUNDING = 1e-9
 """Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
@@ -110,8 +110,8 @@ def levenberg_marquardt(
 ) -> Solution[Q]:
     """Minimise a cost by damped Newton steps (Marquardt 1963).
 
-    Damping is relative to each parameter's own curvature, which keeps radians and metres from being
-    weighed against each other.
+    Damping is relative to the curvature of each parameter, which keeps radians and metres from
+    being weighed against each other.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def calibrate(
     ----------
     target, source
         A path that `io.read_cloud` reads; an array, (N, 4) of x, y, z in metres and intensity; or
-        a `PointCloud`. Each in its own sensor's frame. Or a list of these, one for each placement
+        a `PointCloud`. Each in the frame of its sensor. Or a list of these, one for each placement
         of the poles, target and source in the same order: one pose is found for all.
     radius
         Radius of the poles, metres, 0.02 unless it is given.

@@ -46,7 +46,7 @@ def detect(
     intensity
         Field of a file that the intensity is read from; None takes the usual one.
     angles
-        Of packets, the file of the unit's own; None takes those of the table.
+        Of packets, the file of the unit; None takes those of the table.
 
     Returns
     -------

@@ -106,7 +106,7 @@ def compare(
     target, source
         As `evaluate` takes them.
     config
-        The options: what is read, and radius, sensors and thresholds of our own method.
+        The options: what is read, and radius, sensors and thresholds of our method.
     methods, T_true, sigma, seed
         As `checking.comparison.compare` takes them.
     listener

@@ -70,7 +70,7 @@ class Input:
     given
         The path, the cloud or the array.
     cloud
-        The points, in the sensor's own frame.
+        The points, in the frame of the sensor.
     sensor
         What recorded it; None if not known.
     threshold

@@ -224,7 +224,7 @@ class LiveMerge:
     Parameters
     ----------
     lidars
-        Each with a source of its own.
+        Each with a separate source.
     give
         Called with each cloud, and when its newest sweep was made, Unix seconds.
     crop

@@ -201,7 +201,7 @@ def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
 
 
 def has_map(site: SiteDoc) -> bool:
-    """Whether a site has coordinates of its own, other than those it counts from."""
+    """Whether a site has separate coordinates, other than those it counts from."""
     return site.frame.epsg is not None or bool(np.any(site.frame.offset))
 
 

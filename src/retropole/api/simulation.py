@@ -49,7 +49,7 @@ def simulate(
     seed
         Of everything random; equal seeds give equal pairs.
     sensor_target, sensor_source
-        Names of sensors; None takes the scene's own.
+        Names of sensors; None takes those of the scene.
     poles
         How many taped poles; 0 for the scene of 2 before they are set up.
     radius

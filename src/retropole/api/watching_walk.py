@@ -201,7 +201,7 @@ def _more(after: Array, before: Array) -> Array:
 
 
 def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
-    """Draw what each LiDAR saw in a frame of its own."""
+    """Draw what each LiDAR saw in a separate frame."""
     charts = []
     for track, name in zip(seen.tracks, names, strict=True):
         up = track.directions.mean(axis=0)

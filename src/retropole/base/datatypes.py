@@ -53,7 +53,7 @@ class PointCloud:
     xyz
         (N, 3) float64, metres; finite, and none at zero range.
     intensity
-        (N,) float64 on the sensor's own scale, or None if the file has none.
+        (N,) float64 on the scale of the sensor, or None if the file has none.
     ring, time, frame
         (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
         that the point came from; or None.
@@ -206,7 +206,7 @@ class Detection:
     poles, rejected
         Accepted poles, the best supported first; every other cluster, each with its reason.
     threshold, threshold_source, retro_points
-        Intensity from which a return is treated as retro-reflective, on the sensor's own scale;
+        Intensity from which a return is treated as retro-reflective, on the scale of the sensor;
         where it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.

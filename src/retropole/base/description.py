@@ -84,7 +84,7 @@ class SurveyedPole(
     sigma
         1 σ of each coordinate, metres.
     foot_sigma, top_sigma
-        (3,) where the coordinates of an end have their own; `sigma` is then the largest of all.
+        (3,) where the coordinates of an end have separate ones; `sigma` is then the largest of all.
     on
         Whether the ends are points of the axis, or of the surface on a side that nobody knows.
     """

@@ -142,7 +142,7 @@ class Refusal(RetropoleError):
     def __init__(
         self, code: Code, message: str, values: Mapping[str, float | int | str] | None = None
     ) -> None:
-        # These are our own words: none of them is left out.
+        # These are our words: none is left out.
         Exception.__init__(self, printable(message))
         self.code: Code = code
         self.message = str(self)

@@ -298,7 +298,7 @@ def _plain(name: str) -> str:
 
 
 def find_sensor(name: str) -> Sensor:
-    """Find a sensor by its name or an alias, or in a file of your own.
+    """Find a sensor by its name or an alias, or in a custom file.
 
     Parameters
     ----------
@@ -429,10 +429,10 @@ def auto_threshold(intensity: Array) -> Threshold:
 
 
 def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ...]:
-    """What to try where a threshold shows too few poles: the cloud's own, and the end of diffuse.
+    """What to try where a threshold shows too few poles: that of the cloud, and the end of diffuse.
 
     A sensor's figure is for fresh tape at about 5 m. Old or far tape returns less, and a glint may
-    hold the cloud's own threshold above it as well. What was given stays as it is.
+    have the cloud's threshold above it as well. What was given stays as it is.
 
     Parameters
     ----------
@@ -465,7 +465,7 @@ def _end_of_diffuse(intensity: Array) -> float:
 def threshold_for(
     intensity: Array, ranges: Array, sensor: Sensor | None, given: float | None
 ) -> Threshold:
-    """Choose the threshold: the one given, else the sensor's, else the cloud's own.
+    """Choose the threshold: the one given, else the sensor's, else the cloud's.
 
     A sensor's figure is used on the scale the cloud has it: a driver that divides by the full
     scale leaves no intensity above 1. It falls with the range where that leaves all diffuse returns

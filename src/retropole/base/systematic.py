@@ -12,8 +12,8 @@ true return lies at::
                + ring_elevation(ring),    k = 2, 3,
 
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
-A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show. What
-the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
+A constant error of the azimuth is a rotation of the LiDAR's frame, which no scan can show. What
+the rings' errors of it have in common is one too: it stays in, since with σ/√n for n rings it
 is as small as unmodelled errors.
 
 If a mast sways while its LiDAR records, the mean pose may be off the one where it rests
@@ -84,7 +84,7 @@ class Sizes:
     zero
         Range offset that all returns share, metres.
     scale
-        Error of the range as a part of it.
+        Relative error of the range.
     slant
         Range error by range and tangent of the incidence, rad: a wide beam on a slanted surface.
     encoder, wobble
@@ -100,7 +100,7 @@ class Sizes:
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
         or a separate delay.
     width
-        Of the beam, as a part of it: of its logarithm.
+        Of the beam, relative: of its logarithm.
     """
 
     zero: float = 0.010
@@ -306,7 +306,7 @@ class ErrorModel:
     left: tuple[Array, ...] = ()
 
     def sigmas(self, groups: Groups) -> Array:
-        """(G,) 1 σ of each group of errors, in its own unit."""
+        """(G,) 1 σ of each group of errors, in its unit."""
         known = np.array(
             [
                 self.radius_sigma if lidar is None else getattr(self.sizes[lidar], kind.field)
@@ -326,7 +326,7 @@ whose top bends by less. Where nothing measures the shift this is taken for it."
 
 
 class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):
-    """Motion of one LiDAR about its rest while it recorded, axes of its own frame.
+    """Motion of one LiDAR about its rest while it recorded, axes of its frame.
 
     Attributes
     ----------

@@ -126,7 +126,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     T
         (4, 4) the pose of the source in the target's frame, as it was.
     target, source
-        Recordings of both, each in its own frame.
+        Recordings of both, each in the frame of its LiDAR.
 
     Returns
     -------

@@ -70,7 +70,7 @@ def compare(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     methods
         Names from `methods.ALL_METHODS`.
     options

@@ -112,7 +112,7 @@ def rqe(xyz: Array, sigma: float = KERNEL_WIDTH, *, tolerance: float = RQE_TOLER
             total += (1.0 if a == b else 2.0) * float(np.exp(block, out=block).sum())
         return total
 
-    # Blocks are spread over threads here, so that BLAS needs none of its own.
+    # Blocks are spread over threads here, so that BLAS needs none.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(CORES) as pool:
         total = sum(pool.map(row, range(len(pairs.near))))
     argument = total / len(points) ** 2 / (4 * np.pi * sigma**2) ** 1.5
@@ -244,7 +244,7 @@ def evaluate(
     Parameters
     ----------
     target, source
-        The clouds, each in its own frame.
+        The clouds, each in the frame of its LiDAR.
     T
         (4, 4) target from source.
     rng

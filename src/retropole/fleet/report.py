@@ -110,7 +110,7 @@ EARTH = 6_371_009.0
 """Mean radius of the Earth, m (IUGG, Moritz 2000): a map of a city to 0.3 %."""
 
 WIDTH, HEIGHTS = 520, (200.0, 560.0)
-"""Of a picture in its own units; the least and the greatest height of the map."""
+"""Of a picture in its units; the least and the greatest height of the map."""
 
 MARGIN = 44
 """Around what is drawn."""

@@ -398,7 +398,7 @@ class LocalFiles:
         return [hash_of(path) for path in found]
 
     def renamed(self, text: str) -> str:
-        """Call what lies in our own folder as it was given."""
+        """Call what lies in our folder as it was given."""
         for path in sorted(self._given, key=len, reverse=True):
             text = text.replace(path, self._given[path])
         return text

@@ -42,7 +42,7 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
     Parameters
     ----------
     cloud
-        In the LiDAR's own frame.
+        In the frame of the LiDAR.
     T_frame_lidar
         (4, 4) pose of the LiDAR.
     lidar
@@ -104,7 +104,7 @@ HALF = 2**18
 """Cells that a grid has from its middle to either end, along each axis."""
 
 LIDARS = 2**5
-"""Number of LiDARs that may have cells of their own in a grid: as many as bits of a number in
+"""Number of LiDARs that may have separate cells in a grid: as many as bits of a number in
 PLY."""
 
 

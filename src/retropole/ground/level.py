@@ -3,7 +3,7 @@
 The plane of the ground is, by definition, the one that fits its surface best (least squares of the
 height, by area) within a disc about the foot of the LiDARs, and the surface is continued where
 none sees it: below a LiDAR there is always a blind cone. Heights z of the ground in cells, of each
-LiDAR its own, are one linear Gaussian model::
+LiDAR separately, are one linear Gaussian model::
 
     z = a + b x + c y + g(x, y) − D e − J δ + noise
 

@@ -208,7 +208,7 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
 
 
 def level_axes(up: Array) -> Array:
-    """(3, 3) rows x, y, z, in a frame: z up (3,), and x the frame's own x laid along the ground.
+    """(3, 3) rows x, y, z, in a frame: z up (3,), and x that of the frame projected to the ground.
 
     Where that is upright, what is at right angles to the frame's y is taken for it.
     """

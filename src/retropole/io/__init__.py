@@ -67,7 +67,7 @@ def open_recording(
         Of a bag, the topic to read; needed where several have point clouds. Of a capture, the
         ``IP:port`` of a LiDAR; needed where several sent.
     wanted
-        The field of the intensity, and of packets the unit's own angles.
+        The field of the intensity, and of packets the angles of the unit.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def read_cloud(
     Returns
     -------
     PointCloud
-        In the file's own frame, in metres; points that are not finite or at zero range are dropped
+        In the frame of the file, in metres; points that are not finite or at zero range are dropped
         and counted.
 
     Raises

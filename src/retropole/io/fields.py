@@ -82,7 +82,7 @@ class Wanted(NamedTuple):
         Field that the intensity is read from, in any spelling; None, or empty, takes the first of
         `INTENSITY`.
     angles
-        Of packets, the file of the unit's own angles; None takes those of the table.
+        Of packets, the file of the angles of the unit; None takes those of the table.
     if_any
         Those of both, by name, that are left out if a file has no use for them: they are known
         from an older recording, and were not given for this one.

@@ -33,7 +33,7 @@ ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 """Bytes of each kind of item, after LASzip's specification; extra bytes (0 and 14) have any."""
 
 ITEMS_AT, ITEM = 34, "<HHH"
-"""Byte of LAZ's own record at which the items of a point begin, after their number; and an item."""
+"""Byte of LAZ's record at which the items of a point begin, after their number; and an item."""
 
 FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the position of the table of chunks."""
@@ -168,7 +168,7 @@ def _check_items(size: int, record: bytes) -> None:
 
 
 def _items(record: bytes) -> list[tuple[int, int, int]]:
-    """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
+    """Kind, bytes and version of each item of a point, as LAZ's record has them."""
     if len(record) < ITEMS_AT:
         return []
     (count,) = struct.unpack_from("<H", record, ITEMS_AT - 2)

@@ -2,7 +2,7 @@
 
 Both are headers, a description of each LiDAR, and frames, each with the bytes that it takes; in a
 frame are packages of points as the LiDARs send them (LVX Specifications v1.1, LVX2 Specifications
-v1.0). Coordinates are each LiDAR's own: the pose that a description has is not applied.
+v1.0). Coordinates are in the frame of each LiDAR: the pose that a description has is not applied.
 """
 
 from __future__ import annotations

@@ -299,7 +299,7 @@ def pcd_of(cloud: PointCloud) -> bytes:
     """Give a cloud as the bytes of a binary PCD.
 
     Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT is the
-    origin of the beams, without rotation. The frame index has no field of its own, so it is left
+    origin of the beams, without rotation. The frame index has no separate field, so it is left
     out.
 
     Raises

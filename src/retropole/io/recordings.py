@@ -75,7 +75,7 @@ class FrameHeader(NamedTuple):
     frame_id
         Name of the coordinate frame; empty if the recording has none.
     clock
-        When the frame was made by the LiDAR's own clock, or by that of its driver, seconds; None
+        When the frame was made by the clock of the LiDAR, or by that of its driver, seconds; None
         where the recording does not have it next to the recorder's.
     """
 
@@ -200,7 +200,7 @@ class ReadRecording:
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
     cloud
-        All frames combined, in the sensor's own frame.
+        All frames combined, in the frame of the sensor.
     """
 
     recording: Recording
@@ -330,7 +330,7 @@ def is_unix(seconds: float) -> bool:
 def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
     """First and last time at which a cloud was recorded, Unix seconds; None if it is not known.
 
-    The points' own times go first, where they are Unix time, unless they are far from the
+    The times of the points go first, where they are Unix time, unless they are far from the
     recorder's: clocks that were never set count from a date of the maker's, which two LiDARs may
     share. When a file was written gives no information.
     """

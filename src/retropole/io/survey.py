@@ -193,7 +193,7 @@ def _places(names: Sequence[str]) -> dict[str, int]:
 
 
 def _meanings(name: str) -> list[tuple[str, int]]:
-    """What a column may be, and how many names come before its own."""
+    """What a column may be, and how many names come before it."""
     plain = _plain(name)
     if plain in IDS:
         return [("id", IDS.index(plain))]

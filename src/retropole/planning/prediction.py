@@ -56,7 +56,7 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
 def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
     """Give what a LiDAR would record of a pole that is in the frame of the scene.
 
-    The returns on it, in the LiDAR's own frame, and the cloud around them.
+    The returns on it, in the frame of the LiDAR, and the cloud around them.
     """
     (own,) = in_sensor_frame([pole], station.T)
     beams = station.beams

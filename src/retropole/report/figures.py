@@ -1,7 +1,7 @@
 """Pictures for notebooks: the clouds of a pair before and after, and those of a site in one frame.
 
 They are matplotlib's (the extra ``figures``), which is imported where a figure is made, on a canvas
-of their own: no window, no state of pyplot's. All other pictures are SVG.
+that are separate: no window, no state of pyplot's. All other pictures are SVG.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def result_figure(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     T_target_source
         (4, 4) the answer.
     poles

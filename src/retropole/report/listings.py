@@ -175,7 +175,7 @@ class PoseRow(NamedTuple):
 
 
 def pose_rows(site: SiteDoc) -> list[PoseRow]:
-    """Write each pose in the frame's own coordinates, degrees; none where refused."""
+    """Write each pose in the coordinates of the frame, degrees; none where refused."""
     rows = []
     for lidar in site.lidars:
         if lidar.T_site_lidar is not None:
@@ -187,7 +187,7 @@ def pose_rows(site: SiteDoc) -> list[PoseRow]:
 
 
 def poses(site: SiteDoc) -> Listing:
-    """List where the LiDARs are in the frame's own coordinates, each with its certainty."""
+    """List where the LiDARs are in the coordinates of the frame, each with its certainty."""
     requested = any(lidar.fitness is not None for lidar in site.lidars)
     rows = []
     for row, lidar in zip(pose_rows(site), site.lidars, strict=False):

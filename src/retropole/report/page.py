@@ -125,7 +125,7 @@ def plus_minus(sigma_m: float | None) -> str:
 
 
 def share_styles() -> str:
-    """Style the bars of every length, in percent: the page allows no style of an element's own."""
+    """Style the bars of every length, in percent: the page allows no style of a single element."""
     return "\n".join(f"td.share-{percent} {{ --share: {percent}%; }}" for percent in range(101))
 
 

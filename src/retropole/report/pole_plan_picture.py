@@ -18,7 +18,7 @@ from .subject import colour_class
 from .svg import Labels, short
 
 WIDTH = 520.0
-"""Of the picture, in its own units."""
+"""Of the picture, in its units."""
 
 HEIGHTS = 300.0, 620.0
 """Least and greatest height of the picture."""

@@ -27,7 +27,7 @@ UNFOLDED_CLUSTERS = 4
 """Up to this many rejected clusters of a pair are listed unfolded."""
 
 HALF_PICTURE = 110.0
-"""Half the side of a picture, in its own units; `pieces.html` has the same."""
+"""Half the side of a picture, in its units; `pieces.html` has the same."""
 
 RESIDUAL_SCALE = 0.01
 """Returns further than this from the surface, metres, have less and less weight in its position."""

@@ -65,7 +65,7 @@ def render_report(
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
         Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
-        ``target`` and ``source``, for the certificate; without, the document's own, or a line
+        ``target`` and ``source``, for the certificate; without, those of the document, or a line
         to fill in.
 
     Returns

@@ -14,7 +14,7 @@ from ..base.quantities import round_below
 from .page import Html, fill, join
 
 WIDTH = 520.0
-"""Of a picture, in its own units: the page scales it."""
+"""Of a picture, in its units: the page scales it."""
 
 LONGEST_LABEL = 18
 """Characters of a name in a picture; the tables have it whole."""
@@ -23,7 +23,7 @@ LETTER = 0.58
 """Width of a letter over the size of the font, on average (measured on sans-serif fonts)."""
 
 FONT = 17.0
-"""Size of the labels in a picture's own units, between those of a screen (15) and of a phone (18:
+"""Size of the labels in the units of a picture, between those of a screen (15) and of a phone (18:
 11 px where the picture is 330 px wide)."""
 
 STEP = 11.0
@@ -41,7 +41,7 @@ _AROUND: tuple[tuple[float, float, str], ...] = (
 
 
 Box = tuple[float, float, float, float]
-"""Left, top, right and bottom, in a picture's own units."""
+"""Left, top, right and bottom, in the units of a picture."""
 
 
 def picture(name: str, height: float, marks: Iterable[Html], said: object, kind: str = "") -> Html:

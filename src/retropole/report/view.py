@@ -105,7 +105,7 @@ class EllipsoidView(msgspec.Struct, frozen=True):
 
 
 class PageView(msgspec.Struct, frozen=True):
-    """All that the page's own code is given.
+    """All that the code of the page is given.
 
     Attributes
     ----------

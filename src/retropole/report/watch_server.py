@@ -26,7 +26,7 @@ from ..base.errors import MissingExtraError, UsageError
 from .page import asset, source_of
 
 MOST_CONNECTIONS, MOST_OF_ONE = 64, 16
-"""Connections at once, in all and of one address other than this machine's own."""
+"""Connections at once, in all and of one address other than that of this machine."""
 
 LONGEST_SECONDS = 5.0
 """From when a connection is accepted to when it is closed."""
@@ -37,8 +37,8 @@ REFUSED = b"Open the address as printed.\n"
 
 @cache
 def watch_page() -> tuple[str, str]:
-    """Put the page together; and its policy, which allows its own style and code, by their hashes,
-    and the state."""
+    """Put the page together; and its policy, which allows only this style and code, by their
+    hashes, and the state."""
     template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
     policy = (
         f"default-src 'none'; script-src {source_of(script)}; style-src {source_of(style)}; "
@@ -49,7 +49,7 @@ def watch_page() -> tuple[str, str]:
 
 
 class WatchServer(ThreadingMixIn, TCPServer):
-    """A page of a watch that is served by threads of its own, until it is stopped.
+    """A page of a watch that is served by separate threads, until it is stopped.
 
     Parameters
     ----------
@@ -246,5 +246,5 @@ def qr_code(url: str) -> str:
         "".join(" ▄▀█"[2 * upper + lower] for upper, lower in zip(*pair, strict=True))
         for pair in zip_longest(rows[::2], rows[1::2], fillvalue=light)
     )
-    # Black on white, whatever the terminal's own colours are.
+    # Black on white, whatever the colours of the terminal are.
     return "\n".join(f"\x1b[30;107m{line}\x1b[0m" for line in lines)

@@ -116,7 +116,7 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 class InputDoc(msgspec.Struct, frozen=True):
     """What was read, what was left out of too many, and in `notes` what was lost.
 
-    `frame_id` is the frame of its points by the recording's own words; empty if it has none, or
+    `frame_id` is the frame of its points by the words of the recording; empty if it has none, or
     several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the
     recorder's; null if the recording does not have both.
     """

@@ -119,7 +119,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
 
 
 def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
-    """Let every pole have a name of its own, point up, and be seen by LiDARs of the plan."""
+    """Let every pole have a unique name, point up, and be seen by LiDARs of the plan."""
     of_poles = [pole.name for placement in plan.placements for pole in placement.poles]
     if len(set(of_poles)) < len(of_poles):
         raise ReadError("placements: two poles have the same name")
@@ -179,7 +179,7 @@ def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | N
 
 
 def _check_names(document: SiteDoc) -> None:
-    """Let every LiDAR have a name of its own, which names its rows of the joint covariance."""
+    """Let every LiDAR have a unique name, which names its rows of the joint covariance."""
     names = [lidar.name for lidar in document.lidars]
     if len(set(names)) < len(names):
         raise ReadError("lidars: two have the same name")

@@ -111,7 +111,7 @@ class Reading(NamedTuple):
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     wanted
-        Field of the intensity, and of packets the unit's own angles.
+        Field of the intensity, and of packets the angles of the unit.
     """
 
     sensor: str = "auto"
@@ -126,8 +126,8 @@ class Reading(NamedTuple):
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None means not given: any number of poles, no prior, the scene's own choice,
-    the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
+    None means not given: any number of poles, no prior, the choice by the scene,
+    the threshold of the sensor or the cloud, the only topic, frames evenly spread, no accuracy
     that is needed, for the source the unit of the target. Frames are start, stop and step.
     """
 

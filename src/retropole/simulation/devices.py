@@ -1,4 +1,4 @@
-"""How simulated recordings differ from exact geometry: families of errors, each of its own size.
+"""How simulated recordings differ from exact geometry: families of errors, each of a separate size.
 
 Single LiDARs keep systematic errors in all their recordings. What the other families do is written
 in `footprint`, `intensity` and `environment`; a size of 0 (False, ``centre``) switches one off.
@@ -28,7 +28,7 @@ class NoiseModel:
     Attributes
     ----------
     range_noise
-        Scale of the sensor's own noise along the beam.
+        Scale of the noise of the sensor along the beam.
     isotropic_noise
         1 σ of additional noise in each coordinate, metres.
     dropout

@@ -41,7 +41,7 @@ DEFAULT_SENSORS = {
     "kerb": ("VLP-32C", "VLP-16"),
     "paper": ("VLP-16", "VLP-16"),
 }
-"""Target and source sensor of each scene; the paper's are its own, the others chosen."""
+"""Target and source sensor of each scene; those of the paper are given there, the others chosen."""
 
 MIN_POLE_ANGLE, MAX_POLE_ANGLE = float(np.radians(15.0)), float(np.radians(60.0))
 """Between any two poles, rad: nearly parallel poles determine no pose, and people do not lean poles
@@ -77,7 +77,7 @@ def simulate_pair(
     rng
         Source of everything random; equal generators give equal pairs.
     sensor_target, sensor_source
-        Names of sensors; None takes the scene's own.
+        Names of sensors; None takes those of the scene.
     poles
         How many taped poles. 0 omits those that 2 would put there: the same scene, recorded
         before the poles are set up.

@@ -1,6 +1,6 @@
 """What a beam returns: at edges, where pixels mix near and far, and with which intensity.
 
-Diffuse surfaces are on a sensor's own scale, tape above its threshold. The glow around tape is
+Diffuse surfaces are on the scale of a sensor, tape above its threshold. The glow around tape is
 false bright returns in beams that pass close next to it.
 """
 
@@ -267,7 +267,7 @@ def bloom(
     rays
         (N, 3) unit directions.
     on_tape
-        (N,) whether a beam's own return is of tape.
+        (N,) whether the return of a beam is of tape.
     half_width
         Of the glow, rad.
     rng

@@ -75,7 +75,7 @@ class Confirmation(
     trusted
         Whether the user does.
     together
-        Whether both LiDARs recorded every placement at the same time, by their own clocks.
+        Whether both LiDARs recorded every placement at the same time, by their clocks.
     deceiving
         Share of such recordings that deceive, which the next is stated for.
     along

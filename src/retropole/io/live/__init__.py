@@ -97,7 +97,7 @@ def source_of(
     senders
         Of packets, as `udp.PacketSource` takes them.
     wanted
-        Of packets by the tables, the unit's own angles; of clouds, the field of the intensity.
+        Of packets by the tables, the angles of the unit; of clouds, the field of the intensity.
 
     Raises
     ------

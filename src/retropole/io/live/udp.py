@@ -381,7 +381,7 @@ class TableSource(PacketSource):
         Port to which it sends its angles; None for that of its maker, where it has one and no other
         program listens there. They may also use the first port.
     angles
-        File of the unit's own angles.
+        File of the angles of the unit.
 
     Raises
     ------

@@ -86,7 +86,7 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     topic
         ``IP:port`` of the sender; needed where several LiDARs sent.
     wanted
-        The unit's own angles, and the field of the intensity.
+        The angles of the unit, and the field of the intensity.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _frame(
 
 
 def _clock_of(model: Model, frame: Frame) -> float | None:
-    """When a sweep began by the LiDAR's own clock; None if packets do not say which second."""
+    """When a sweep began by the clock of the LiDAR; None if packets do not say which second."""
     time, layout = frame.cloud.time, model.layout
     if time is None or not len(time) or getattr(layout, "clock", "") == "microseconds":
         return None

@@ -1,4 +1,4 @@
-"""Directions of the channels of a unit, by its own file or its packets."""
+"""Directions of the channels of a unit, by its file or its packets."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def read_angles(path: Path, model: Model) -> Angles:
 
 
 def reported_angles(model: Model, payload: bytes) -> Angles | None:
-    """Take a unit's own angles from a packet in which it has them; None of any other."""
+    """Take the angles of a unit from a packet in which it has them; None of any other."""
     if isinstance(model.layout, Interpolated):
         return interpolated.reported_angles(model, payload)
     return None

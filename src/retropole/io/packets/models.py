@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        Where the unit's own angles are in its DIFOP packet.
+        Where the angles of the unit are in its DIFOP packet.
     """
 
     count: int

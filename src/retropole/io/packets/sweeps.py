@@ -108,7 +108,7 @@ def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
     Parameters
     ----------
     model, positions, angles
-        Of the packets, (N, 2) where in their turns they are, and the unit's own angles.
+        Of the packets, (N, 2) where in their turns they are, and the angles of the unit.
     """
     if not len(positions):
         return Index(positions, np.zeros(0, np.int64), [])
