@@ -32,7 +32,7 @@ def test_shared_poles_are_those_that_stood_there(simulated: SimulatedSite, steps
     assert sum(len(pole.seen) for pole in steps.poles) == detected
 
 
-def test_numbers_and_names_are_told_by_placement(steps: Steps) -> None:
+def test_numbers_and_names_are_reported_by_placement(steps: Steps) -> None:
     names = [pole.name(steps.site) for pole in steps.poles]
     assert len(set(names)) == len(names)
     assert names[0] == "pole 1 of placement 1"

@@ -271,7 +271,7 @@ def test_every_observation_of_a_sound_site_is_tested_and_fits(surveyed: Steps) -
     assert of_poles == {k for k, pole in enumerate(poles) if len(pole.seen) > 1}
 
 
-def test_what_lies_beside_its_pole_is_told_of_the_lidar_and_the_pole(surveyed: Steps) -> None:
+def test_what_lies_next_to_its_pole_is_reported_of_the_lidar_and_the_pole(surveyed: Steps) -> None:
     site, poles = surveyed.site, surveyed.datum.poles
     k = next(k for k, pole in enumerate(poles) if len(pole.seen) > 1)
     lidar = min(poles[k].seen)

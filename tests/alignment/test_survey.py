@@ -94,7 +94,7 @@ def test_an_end_says_nothing_of_where_it_lies_along_the_axis() -> None:
         np.testing.assert_allclose(term.residual, 0.0, atol=1e-12)
 
 
-def test_each_coordinate_counts_by_its_own_sigma_beside_the_axis() -> None:
+def test_each_coordinate_counts_by_its_own_sigma_next_to_the_axis() -> None:
     state, sigma = drawn(), np.array([0.004, 0.01, 0.03])
     tangents = state.of(0, np.arange(len(state.points))).tangents
     for k, along in ((0, 0.7), (3, -1.2)):

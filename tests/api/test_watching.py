@@ -188,7 +188,7 @@ def test_a_need_that_is_not_met_asks_for_another_placement(
 
 
 @pytest.mark.full
-def test_what_is_wrong_is_said_and_it_goes_on(
+def test_what_is_wrong_is_reported_and_it_goes_on(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
     watch, (front, rear), clock = watch_of(sweeps, WISH, tmp_path)

@@ -186,7 +186,7 @@ def test_a_movement_is_above_its_upper_limit_as_rarely_as_stated(part: slice) ->
         assert below >= missed / 3
 
 
-def test_same_is_said_within_as_little_as_the_data_tell() -> None:
+def test_same_is_reported_within_as_little_as_the_data_tell() -> None:
     rng = np.random.default_rng(7)
     T, spread = se3.random(rng), covariance(rng, 2e-4, 8e-3)
     for seed in range(40):
@@ -267,7 +267,7 @@ def test_the_weaker_of_both_poses_is_named() -> None:
     assert [r.code for r in answer.reasons] == ["size_unsure"]
 
 
-def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
+def test_a_movement_below_the_tolerance_is_reported_as_such() -> None:
     rng = np.random.default_rng(8)
     T, spread = se3.random(rng), covariance(rng, 1e-6, 1e-5)
     near = PoseEstimate(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)

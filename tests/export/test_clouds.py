@@ -147,7 +147,7 @@ def test_mcap_has_a_message_for_each_sweep_in_one_frame(tmp_path: Path) -> None:
     assert "verdict of the calibration: warn, not_confirmed" in note.metadata.values()
 
 
-def test_topics_are_told_apart() -> None:
+def test_topics_are_distinguished() -> None:
     assert topics_of_lidars(["a-b", "a b", "7"]) == [
         "/a_b/points",
         "/a_b_1/points",

@@ -109,7 +109,7 @@ def test_limits_of_the_shape(name: str) -> None:
     assert words in reason
 
 
-def test_rules_are_asked_in_order() -> None:
+def test_rules_are_requested_in_order() -> None:
     everything_wrong = line_with(4, length=0.2, rms=0.2, rings=1)
     assert failed(everything_wrong)[0] == "too_few_points"
     assert failed(replace(everything_wrong, index=np.arange(20)))[0] == "too_short"

@@ -173,7 +173,7 @@ def test_each_guess_gives_what_it_gives_alone() -> None:
     assert [len(line.index) for line in together[:3]] == [42, 29, 0]
 
 
-def test_fit_leaves_out_what_lies_beside() -> None:
+def test_fit_leaves_out_what_lies_next_to() -> None:
     beside = offset(0, 0.1, np.array([-0.3, -0.2, 0.1]))
     assert fitted(np.concatenate([on_pole(), beside]))[0] == 32
 

@@ -51,7 +51,7 @@ def never(tasks: Iterator[Task]) -> Iterator[Outcome]:
 
 
 @pytest.mark.parametrize("at_url", [False, True])
-def test_a_second_run_into_a_dataset_is_told_of_the_first(
+def test_a_second_run_into_a_dataset_is_informed_of_the_first(
     at_url: bool, fleet: Path, tmp_path: Path
 ) -> None:
     if os.name == "nt" and not at_url:
@@ -131,7 +131,7 @@ def test_what_was_done_is_not_done_again(fleet: Path, out: Path, tmp_path: Path)
     assert {path: path.stat().st_mtime_ns for path in again.rglob("*.parquet")} == times
 
 
-def test_errors_are_tried_again_when_asked(fleet: Path, out: Path, tmp_path: Path) -> None:
+def test_errors_are_tried_again_when_requested(fleet: Path, out: Path, tmp_path: Path) -> None:
     again = copied(out, tmp_path)
     sites = find_sites([str(fleet)])
     assert calibrate_fleet(sites, str(again), here, retry=True).done == 2
@@ -156,7 +156,7 @@ def test_another_file_is_another_site(fleet: Path, out: Path, tmp_path: Path) ->
     assert calibrate_fleet(wider, str(again), here).done == 0
 
 
-def test_sites_that_are_not_named_are_kept_unless_told(
+def test_sites_that_are_not_named_are_kept_unless_requested(
     fleet: Path, out: Path, tmp_path: Path
 ) -> None:
     again = copied(out, tmp_path)

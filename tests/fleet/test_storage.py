@@ -101,7 +101,7 @@ def test_a_url_is_followed_only_where_its_protocol_is_allowed(url: str, tmp_path
     assert not second.fault
 
 
-def test_another_protocol_is_followed_where_it_is_asked_for() -> None:
+def test_another_protocol_is_followed_where_it_is_requested() -> None:
     site = FleetSite(id="a", kind="pair", target="github://a/b", source="github://a/c")
     with storage.also_following(["github"]):
         task = task_of(site, 9.0)
@@ -151,7 +151,7 @@ def out() -> str:
     return f"memory://{uuid.uuid4().hex}/fleet"
 
 
-def test_a_second_run_is_told_of_the_first_until_that_is_over(out: str) -> None:
+def test_a_second_run_is_informed_of_the_first_until_that_is_over(out: str) -> None:
     for _ in range(2):
         with alone_in(out):
             note = read_bytes(below(out, RUNNING))

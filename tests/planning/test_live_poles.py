@@ -125,7 +125,7 @@ def test_what_stands_before_a_pole_hides_it(make_pole: PoleMaker) -> None:
     assert same == pytest.approx(found)
 
 
-def test_the_same_two_poles_are_told_from_any_place(make_pole: PoleMaker) -> None:
+def test_the_same_two_poles_are_reported_from_any_place(make_pole: PoleMaker) -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
         T = se3.from_rt(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3) * 5)
@@ -193,7 +193,7 @@ def test_memory_is_bounded() -> None:
     assert capture.is_full(10**6, 0.0)
 
 
-def test_another_placement_is_told_by_its_poles(make_pole: PoleMaker) -> None:
+def test_another_placement_is_reported_by_its_poles(make_pole: PoleMaker) -> None:
     here = tuple(
         Tracked(k, pole, pole, 0.0, 1.0)
         for k, pole in enumerate([make_pole([5, 0, 0], UP), make_pole([5, 2, 0], UP)])

@@ -146,7 +146,7 @@ def test_lidars_above_each_other_have_no_line() -> None:
     assert leaning_words(np.ones(3), np.array([0.0, 0.0, 1.0]), own) == (0.0, "")
 
 
-def test_what_one_pole_more_brings_is_said_once() -> None:
+def test_what_one_pole_more_brings_is_reported_once() -> None:
     """Where the verdict is better with it, it is worth it, however small the gain is."""
     found = planned()
     more = More("pole", found.chosen, 0.01, 0.02, 0.01, "ok", True)

@@ -29,7 +29,7 @@ def test_a_pose_that_is_off_shows_in_the_surfaces() -> None:
     assert f"{1000 * at_truth['walls'].median_m:.1f}" in page
 
 
-def test_nothing_is_said_where_there_is_no_pose_or_no_cloud() -> None:
+def test_nothing_is_reported_where_there_is_no_pose_or_no_cloud() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(100))
     assert apart(as_subject(result_of("ok", [], np.eye(4)))) == ""
     subject = subject_of(pair, np.eye(4))

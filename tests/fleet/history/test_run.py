@@ -219,7 +219,7 @@ def test_a_site_that_moved_stays_changed_until_it_is_calibrated_anew() -> None:
     assert not changes_of([*rows, *again]).changes
 
 
-def test_a_failure_of_this_run_is_told(tmp_path: Path) -> None:
+def test_a_failure_of_this_run_is_reported(tmp_path: Path) -> None:
     fine, failed = row(0), row(1, status="error", step=None, covariance=None, random=None)
     append(str(tmp_path), [fine, failed])
     ((_, rows),) = read(str(tmp_path))

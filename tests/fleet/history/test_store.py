@@ -85,7 +85,7 @@ def test_there_is_no_history_before_the_first(tmp_path: Path) -> None:
     assert read(tmp_path / "none") == {}
 
 
-def test_what_is_damaged_is_said(tmp_path: Path) -> None:
+def test_what_is_damaged_is_reported(tmp_path: Path) -> None:
     append(str(tmp_path), [row()])
     (path,) = files(tmp_path)
     whole = path.read_bytes()
@@ -153,7 +153,7 @@ def test_a_file_that_is_damaged_is_named_and_left_out(tmp_path: Path) -> None:
     assert [str(first) in str(each) for each in told] == [True, True]
 
 
-def test_a_time_beyond_the_calendar_is_told(tmp_path: Path) -> None:
+def test_a_time_beyond_the_calendar_is_reported(tmp_path: Path) -> None:
     append(str(tmp_path), [row(k) for k in range(3)])
     (path,) = files(tmp_path)
     table = pq.ParquetFile(path).read()

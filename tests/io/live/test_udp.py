@@ -192,7 +192,7 @@ def test_sweeps_that_nobody_took_are_left_out_and_counted(
         assert source.newest(0) is None
 
 
-def test_other_packets_are_counted_and_said(velodyne: tuple[VelodyneSource, int]) -> None:
+def test_other_packets_are_counted_and_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
     assert source.waits_for == f"port {port}: no packet came"
     with sender(port) as send:
@@ -206,7 +206,7 @@ def test_other_packets_are_counted_and_said(velodyne: tuple[VelodyneSource, int]
         assert source.newest(0) is None
 
 
-def test_packets_of_no_known_velodyne_are_said(velodyne: tuple[VelodyneSource, int]) -> None:
+def test_packets_of_no_known_velodyne_are_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
     with sender(port) as send:
         # It tries when a sweep is whole, or takes too long.
@@ -419,7 +419,7 @@ def test_sweeps_of_a_model_of_the_tables_are_those_of_its_recording(
         assert any(np.array_equal(own.cloud.xyz, frame.cloud.xyz) for own in same)
 
 
-def test_what_is_of_another_maker_is_said() -> None:
+def test_what_is_of_another_maker_is_reported() -> None:
     port = free_port()
     with closing(source_of(f"hesai:{HOME}:{port}")) as source, sender(port) as send:
         send([bytes(1206)] * 3)

@@ -135,7 +135,7 @@ def test_an_ouster_without_metadata_says_what_to_supply(
 
 
 @pytest.mark.parametrize("name", [f"{OUSTER}.json", "only.json"])
-def test_metadata_of_an_ouster_are_found_beside_it(tmp_path: Path, name: str) -> None:
+def test_metadata_of_an_ouster_are_found_next_to_it(tmp_path: Path, name: str) -> None:
     needs_ouster()
     path = shared(f"ouster/{OUSTER}.pcap")
     shutil.copy(path, tmp_path)
@@ -272,7 +272,7 @@ def cut_in_a_header(data: bytes) -> bytes:
         (cut_in_a_header, 7, 5),
     ],
 )
-def test_the_rest_is_read_and_the_loss_is_said(
+def test_the_rest_is_read_and_the_loss_is_reported(
     tmp_path: Path, damage: object, left: int, lost: int
 ) -> None:
     pytest.importorskip("velodyne_decoder")
@@ -299,7 +299,7 @@ def test_a_packet_that_the_decoder_passes_over_is_counted(
     assert "1 of 10 packets cannot be read" in cloud.notes[0]
 
 
-def test_a_loss_is_said_on_the_console_and_in_the_result(tmp_path: Path) -> None:
+def test_a_loss_is_reported_on_the_console_and_in_the_result(tmp_path: Path) -> None:
     pytest.importorskip("velodyne_decoder")
     path = tmp_path / "a.pcap"
     path.write_bytes(cut(velodyne()))
@@ -355,7 +355,7 @@ def test_damage_of_a_pcapng_costs_the_packet(tmp_path: Path) -> None:
     assert "at 2 places" in cloud.notes[0]
 
 
-def test_lidars_of_one_capture_are_told_apart(tmp_path: Path) -> None:
+def test_lidars_of_one_capture_are_distinguished(tmp_path: Path) -> None:
     first, second = turning("XT16"), turning("XT32M")
     mixed = [
         packet

@@ -95,7 +95,7 @@ def test_sweeps_that_come_are_those_of_a_recording(step: int) -> None:
     assert came[0].notes == ("angles of Hesai Pandar40P: the table of the model",)
 
 
-def test_a_lidar_that_stands_still_does_not_fill_the_memory(
+def test_a_lidar_that_does_not_move_does_not_fill_the_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("retropole.io.packets.sweeps.MOST_KEPT", 500)
