@@ -159,7 +159,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     end = minimise(problem, few=few)
     parts = parts_of(problem, end, POLES_AND_SURVEY)
     covariance = joint_covariance(parts)
-    check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
+    check_determined(site, covariance, is_surveyed=bool(site.poles or site.points))
     check_dependent(site, datum.dependent, end.T, covariance)
     return tested(site, datum, aligned, end, parts, few=few)
 
@@ -188,8 +188,8 @@ def tested(
     """
     groups = factor_of(aligned.network).unknowns.groups()
     at = solve_all(aligned.network, end, groups, parts)
-    beside_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
-    near_poles = {(i, k): chi2 for i, k, chi2 in beside_pole}
+    next_to_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
+    near_poles = {(i, k): chi2 for i, k, chi2 in next_to_pole}
     tests = () if few else tuple(all_tests(at, site, datum.poles, near_poles))
     converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
@@ -217,7 +217,7 @@ def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
     return most
 
 
-def check_held(site: Site, covariance: Array, *, is_surveyed: bool) -> None:
+def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> None:
     """Refuse poses that poles, survey and scenes leave all but free.
 
     Raises

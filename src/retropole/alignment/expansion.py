@@ -237,13 +237,13 @@ def find_view(
         step = BLEND * np.einsum("kij,kj->ki", covariance, slope)
         grown = np.einsum("kij,kji->k", covariance, now) / 4 - 1
         wrong = np.sqrt(np.einsum("ki,kij,kj->k", step, blended, step)).max()
-        settled = precision is not None and max(wrong, np.abs(grown).max()) < CONVERGED
+        has_converged = precision is not None and max(wrong, np.abs(grown).max()) < CONVERGED
         shift = view.shift + step
         far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
         shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
         view = View(shift, covariance, _noise(view.noise, on))
         precision = blended
-        if settled:
+        if has_converged:
             break
     return view
 

@@ -175,7 +175,7 @@ class Watch:
             self._take(k)
         now = self._clock()
         self._collect()
-        return self._said(self._next(now), now)
+        return self._document_of(self._next(now), now)
 
     def finish(self) -> list[Path]:
         """Keep what was not kept yet, certify the LiDARs where that can be, let go of the sources.
@@ -461,7 +461,7 @@ class Watch:
     def _note(self, words: str) -> None:
         self._words.append(f"{datetime.now():%H:%M:%S} {quoting(words)}")
 
-    def _said(self, advice: Advice, now: float) -> WatchDoc:
+    def _document_of(self, advice: Advice, now: float) -> WatchDoc:
         """Write what is seen and said as a document."""
         outcome, expected, capture = self._outcome, self._expected, self._capture
         angles = [angle_between([each.pole for each in present(own, now)]) for own in self._tracks]

@@ -428,8 +428,8 @@ class WalkWatch(Watch):
         words = f"{step.words} 1 σ at {at:g} m: {falls}.{warned}"
         return Advice(step.code, words, is_good=True)
 
-    def _said(self, advice: Advice, now: float) -> WatchDoc:
-        said, found = super()._said(advice, now), self._solution
+    def _document_of(self, advice: Advice, now: float) -> WatchDoc:
+        said, found = super()._document_of(advice, now), self._solution
         lidars = [
             with_fields(each, poles=[_pole(own.last, now)] if own.last else [])
             for each, own in zip(said.lidars, self._walked, strict=True)

@@ -239,8 +239,8 @@ def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
     """
     low, high = sensor.elevation_span
     upright = (elevation < low - BEYOND_VIEW) | (elevation > high + BEYOND_VIEW)
-    hanging = (-elevation < low - BEYOND_VIEW) | (-elevation > high + BEYOND_VIEW)
-    return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
+    downward = (-elevation < low - BEYOND_VIEW) | (-elevation > high + BEYOND_VIEW)
+    return upright if np.count_nonzero(upright) <= np.count_nonzero(downward) else downward
 
 
 def _refusal(cloud: PointCloud, what: str, values: dict[str, Any]) -> Refusal:

@@ -248,16 +248,16 @@ def plan(
     _check_linked(stations, design, chosen)
     progress("predict")
 
-    def ask(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
+    def predict_for(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
         at = np.array([k for each in numbers for k in each])
         placement_of = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
         return predict(stations, surfaces, candidates.select(at), seen[at], placement_of)
 
-    predicted, alone = ask(chosen)
+    predicted, alone = predict_for(chosen)
     now = worst_at(predicted, reach)
     more = []
     for what, other in _more(design, chosen):
-        error, by_poles = (worst_at(each, reach) for each in ask(other))
+        error, by_poles = (worst_at(each, reach) for each in predict_for(other))
         more.append(More(what, other, error, by_poles, 1.0 - error / now))
     progress("rehearse")
 

@@ -285,7 +285,7 @@ def predict(
     factor = factor_of(network, ridge=1e-6)
     names = [each.name for each in stations] if len(stations) > 2 else None
 
-    def ask(asked: Surfaces) -> Prediction:
+    def predicted_by(asked: Surfaces) -> Prediction:
         problem = problem_of(factor, stations, asked, poles.radius)
         end = minimise(problem)
         parts = parts_of(problem, end)
@@ -298,4 +298,4 @@ def predict(
             tuple(budget_of(parts, i, names) for i in others),
         )
 
-    return ask(surfaces), ask(Surfaces((), surfaces.bands))
+    return predicted_by(surfaces), predicted_by(Surfaces((), surfaces.bands))
