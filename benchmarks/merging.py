@@ -41,7 +41,7 @@ from retropole.fusion.surfels import (
     KINDS,
     distances,
     moments_of,
-    surfaces_apart,
+    surface_distances,
     surfels_of,
 )
 from retropole.simulation import NOISE_MODELS, simulate_pair, simulate_site, write_site
@@ -86,7 +86,7 @@ def run(case: tuple[str, int], *, cell: float, sweeps: int, noise: str) -> Run:
         T[:3, :3] = se3.exp_so3(np.radians(angle) * axis) @ T[:3, :3]
         parts = [*sweeps_of(pair.target, np.eye(4), 0), *sweeps_of(pair.source, T, 1)]
         origins = np.stack([np.zeros(3), T[:3, 3]])
-        apart = list(surfaces_apart(moments_of(parts, cell), origins, UP))
+        apart = list(surface_distances(moments_of(parts, cell), origins, UP))
         off = np.concatenate([np.zeros(0), *(each.distances for each in apart)])
         every.append(float(np.median(np.abs(off))) if len(off) >= ENOUGH else np.nan)
         found = {each.kind: each for each in distances(apart) if each.surfels >= ENOUGH}
@@ -135,7 +135,7 @@ def speed() -> Iterator[str]:
         start.append(time.process_time())
         surfels_of(moments, origins)
         start.append(time.process_time())
-        list(surfaces_apart(moments, origins, UP))
+        list(surface_distances(moments, origins, UP))
         start.append(time.process_time())
         steps = {name: t for name, t in zip(steps, np.diff(start), strict=True)}
     for name, taken in steps.items():

@@ -53,7 +53,7 @@ from retropole.planning.choice import error_of, errors_of, rules_of
 from retropole.planning.place import Candidates, leaning, survey, who_sees
 from retropole.planning.planner import Planned, design_of, plan, worst_at
 from retropole.planning.prediction import Surfaces, divergences_of, network_of
-from retropole.planning.stations import bare_scan, stand, stand_drawn
+from retropole.planning.stations import bare_scan, place_drawn_lidars, place_lidars
 from retropole.simulation import (
     FIELD,
     Cylinder,
@@ -64,7 +64,7 @@ from retropole.simulation import (
 )
 from retropole.simulation.pairs import Arrangement, Recorders, poles_in_view, record
 from retropole.simulation.scanning import scan
-from retropole.simulation.site_places import stands_free
+from retropole.simulation.site_places import is_clear
 from retropole.simulation.sites import DrawnSite, draw_site
 
 KINDS = ("street", "harbor", "square", "camber", "kerb", "bare")
@@ -196,7 +196,9 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
             for cloud, sensor in zip((bare.target, bare.source), pair.sensors, strict=True)
         ]
         try:
-            stations = stand(("target", "source"), scans, (np.eye(4), pair.T_target_source @ off))
+            stations = place_lidars(
+                ("target", "source"), scans, (np.eye(4), pair.T_target_source @ off)
+            )
             planned = plan(stations, poles=count)
         except Refusal as refusal:
             return Found(kind, refused=refusal.code)
@@ -228,7 +230,7 @@ def run(job: tuple[str, int, int, int]) -> Found | None:
             verdict=planned.rehearsal.status,
             poles=len(poles),
             hidden=sum(not (a and b) for a, b in zip(*views, strict=True)),
-            in_the_way=sum(not stands_free(p, list(pair.surroundings[1:])) for p in lifted)
+            in_the_way=sum(not is_clear(p, list(pair.surroundings[1:])) for p in lifted)
             if known
             else 0,
             off_ground=sum(abs(foot[2] - ground.centre[2]) > OFF_GROUND for foot in feet)
@@ -307,7 +309,7 @@ def run_site(job: tuple[str, int, int, int]) -> Found | None:
             )
             rough.append(se3.inverse(poses[0]) @ T @ off if k else np.eye(4))
         try:
-            stations = stand([f"lidar {k}" for k in range(LIDARS)], scans, rough)
+            stations = place_lidars([f"lidar {k}" for k in range(LIDARS)], scans, rough)
             planned = plan(stations, poles=SITE_POLES, placements=PLACEMENTS)
         except Refusal as refusal:
             return Found(kind, refused=refusal.code)
@@ -335,7 +337,7 @@ def run_site(job: tuple[str, int, int, int]) -> Found | None:
             verdict=planned.rehearsal.status,
             poles=len(poles),
             hidden=hidden,
-            in_the_way=sum(not stands_free(pole, surroundings[1:]) for pole in lifted),
+            in_the_way=sum(not is_clear(pole, surroundings[1:]) for pole in lifted),
             answered=len(own_errors),
             runs=runs,
             ratio=worst_at(planned.predicted, AT) / middle,
@@ -365,7 +367,7 @@ def spacing(job: tuple[str, str]) -> str:
     ]
     with threadpool_limits(1, user_api="blas"):
         rng = np.random.default_rng(0)
-        stations = stand_drawn(("a", "b"), [find_sensor(model)] * 2, poses)
+        stations = place_drawn_lidars(("a", "b"), [find_sensor(model)] * 2, poses)
         feet = survey(stations).feet
         away = np.stack([np.linalg.norm(feet[:, :2] - each.at[:2], axis=1) for each in stations])
         feet = rng.permutation(feet[((away >= 3.0) & (away <= 7.0)).all(axis=0)])[:FEET]

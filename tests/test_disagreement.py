@@ -26,7 +26,7 @@ def small(scene: str, seed: int) -> SimulatedPair:
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
 @pytest.mark.full
-def test_a_diameter_given_for_the_radius_is_told_and_does_no_harm(scene: str) -> None:
+def test_a_diameter_given_for_the_radius_is_reported_and_does_no_harm(scene: str) -> None:
     pair = small(scene, 0)
     wrong = calibrate(pair.target, pair.source, options=Options(sensors=pair.sensors, radius=0.04))
     assert "radius_differs" in [reason.code for reason in wrong.reasons]

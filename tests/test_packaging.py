@@ -125,7 +125,7 @@ def test_the_container_is_made_of_what_there_is() -> None:
     assert re.findall(r"^USER (\S+)$", text, flags=re.M)[-1:] == ["retropole"]
 
 
-def test_the_licence_is_an_expression_and_the_versions_of_python_are_told() -> None:
+def test_the_licence_is_an_expression_and_the_versions_of_python_are_reported() -> None:
     assert PROJECT["license"] == "Apache-2.0"
     assert not [c for c in PROJECT["classifiers"] if c.startswith("License ::")]
     told = [c.rsplit(" ", 1)[-1] for c in PROJECT["classifiers"] if "Python :: 3." in c]

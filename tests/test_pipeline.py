@@ -80,7 +80,7 @@ def test_an_answer_carries_what_the_scene_says(corridor: SimulatedPair) -> None:
 
 
 @pytest.mark.full
-def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
+def test_a_refusal_carries_what_the_scene_says_once_it_was_requested() -> None:
     pair = simulate_pair("harbor", np.random.default_rng(1))
     on_poles = pair.labels[1] >= len(pair.surfaces) - len(pair.poles)
     xyz = pair.source.xyz.copy()
@@ -212,7 +212,7 @@ def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
 
 @pytest.mark.parametrize("which", [(0,), pytest.param((0, 1), marks=pytest.mark.full)])
 @pytest.mark.full
-def test_a_hidden_pole_is_refused_where_two_are_asked_for(
+def test_a_hidden_pole_is_refused_where_two_are_requested(
     corridor: SimulatedPair, which: tuple[int, ...]
 ) -> None:
     source = without_poles(corridor, which)

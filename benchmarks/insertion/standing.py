@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from retropole.base.datatypes import Array
 from retropole.simulation.pairs import MIN_POLE_ANGLE, MIN_RINGS, SimulationError
 from retropole.simulation.raycast import Cylinder
-from retropole.simulation.recorded import RecordedBeams, met_by
+from retropole.simulation.recorded import RecordedBeams, hits_on
 from retropole.simulation.scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
 
 MIN_RETURNS = 8
@@ -128,7 +128,7 @@ def _seen(
 ) -> bool:
     """Whether all LiDARs have `MIN_RETURNS` on each pole, on `MIN_RINGS` where rings are known."""
     for each, width in zip(beams, widths, strict=True):
-        hits, met = met_by(each, poles, width)
+        hits, met = hits_on(each, poles, width)
         for k in range(len(poles)):
             on_pole = met[hits.surface[met] == k]
             if len(on_pole) < MIN_RETURNS:

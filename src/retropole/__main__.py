@@ -40,7 +40,7 @@ def _end(number: int, frame: object) -> None:
 def _open_standard_streams() -> None:
     """Give each standard stream that is closed a place, which no other file may take.
 
-    Reading finds nothing there, what is said goes nowhere, and printing an answer is an error.
+    Reading finds nothing there, output goes nowhere, and printing an answer is an error.
     """
     for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
         try:

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from .adjustment.agreement import check_contradiction, without_misplaced
 from .adjustment.answer import SiteCalibration
-from .adjustment.blunders import check_poles_of_hanging, without_blunders, worst_test
-from .adjustment.datum import Hanging, find_datum, find_hanging
+from .adjustment.blunders import check_poles_of_dependent, without_blunders, worst_test
+from .adjustment.datum import Dependent, find_datum, find_dependent
 from .adjustment.descent import scene_pairs
 from .adjustment.masts import align_on_one_mast, with_masts
 from .adjustment.refinement import refine_by_scene
@@ -113,14 +113,14 @@ class Options:
     mast_sway: float | None = None
 
 
-NOTHING_KNOWN = Options()
+NO_OPTIONS = Options()
 
 
 def calibrate(
     target: PointCloud | Sequence[PointCloud],
     source: PointCloud | Sequence[PointCloud],
     *,
-    options: Options = NOTHING_KNOWN,
+    options: Options = NO_OPTIONS,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -329,28 +329,28 @@ def calibrate_site(
             with step("adjust"):
                 scans = with_masts(scans, choices.best.poses)
                 poles = shared_poles(scans, choices.best.poses, site.radius)
-                hanging = find_hanging(pairs, choices.best.poses)
-                datum = find_datum(site, scans.origins, choices.best.poses, poles, hanging)
+                dependent = find_dependent(pairs, choices.best.poses)
+                datum = find_datum(site, scans.origins, choices.best.poses, poles, dependent)
                 patches = patches_of(scans)
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns differ, and returns
                 # that lie next to a pole under them pull no more; what of a survey they did not
-                # meet may be met now.
+                # encounter may occur now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
-                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles, hanging)
+                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles, dependent)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
                 if misfit or adjusted.datum.unmet or not same_poles(again, poles):
-                    datum = find_datum(site, scans.origins, poses, again, hanging)
+                    datum = find_datum(site, scans.origins, poses, again, dependent)
                     adjusted = adjust(recorded, datum)
             with step("test"):
                 # Whatever is refused from here on, a radius that the returns contradict may be why.
                 blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
-                unchecked = list(check_poles_of_hanging(recorded, adjusted))
+                unchecked = list(check_poles_of_dependent(recorded, adjusted))
             with step("confirm"):
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
@@ -417,11 +417,11 @@ def adjust_without_survey(
     recorded: Recorded,
     poses: dict[int, Array],
     poles: Sequence[SharedPole],
-    hanging: Sequence[Hanging],
+    dependent: Sequence[Dependent],
 ) -> Adjusted:
     """Adjust all poses by poles and scenes alone, in the frame of a LiDAR."""
     bare = replace(recorded.site, poles=(), points=())
-    datum = find_datum(bare, recorded.scans.origins, poses, poles, hanging)
+    datum = find_datum(bare, recorded.scans.origins, poses, poles, dependent)
     return adjust(replace(recorded, site=bare), datum)
 
 

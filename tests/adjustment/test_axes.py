@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.adjustment.axes import OwnAxes, find_axes
+from retropole.adjustment.axes import LidarAxes, find_axes
 from retropole.base import se3
 from retropole.base.datatypes import Scan
 from retropole.simulation import SimulatedPair
@@ -25,12 +25,12 @@ def scan(pair: SimulatedPair) -> Scan:
 
 
 @pytest.fixture(scope="module")
-def axes(scan: Scan) -> OwnAxes:
+def axes(scan: Scan) -> LidarAxes:
     seen = [(pole, scan.cloud) for pole in scan.poles]
     return find_axes(seen, sensor=scan.sensor, radius=RADIUS, radius_sigma=0.0)
 
 
-def test_the_truth_lies_within_what_is_stated(pair: SimulatedPair, axes: OwnAxes) -> None:
+def test_the_truth_lies_within_what_is_stated(pair: SimulatedPair, axes: LidarAxes) -> None:
     back = se3.inverse(pair.T_world_target)
     true = [(se3.apply(back, pole.centre), back[:3, :3] @ pole.axis) for pole in pair.poles]
     whole = axes.random + axes.systematic @ axes.systematic.T
@@ -45,7 +45,7 @@ def test_the_truth_lies_within_what_is_stated(pair: SimulatedPair, axes: OwnAxes
         assert np.linalg.norm(off[:2]) < 0.02
 
 
-def test_an_axis_lies_behind_the_line_of_its_returns(scan: Scan, axes: OwnAxes) -> None:
+def test_an_axis_lies_behind_the_line_of_its_returns(scan: Scan, axes: LidarAxes) -> None:
     for pole, q, n in zip(scan.poles, axes.state.points, axes.state.directions, strict=True):
         away = q - scan.cloud.origin
         away -= (away @ n) * n
@@ -55,7 +55,7 @@ def test_an_axis_lies_behind_the_line_of_its_returns(scan: Scan, axes: OwnAxes) 
 
 
 def test_more_returns_leave_less_to_scatter_and_as_much_to_the_instrument(
-    scan: Scan, axes: OwnAxes
+    scan: Scan, axes: LidarAxes
 ) -> None:
     frame = scan.cloud.frame
     assert frame is not None

@@ -221,7 +221,7 @@ def test_where_nothing_alone_leaves_what_fits_the_worst_of_equals_is_it(steps: S
     assert _likeliest([*tried, (0.0, steps.adjusted, third)])[1] is third
 
 
-def test_poles_that_nothing_tells_apart_are_both_named(steps: Steps) -> None:
+def test_poles_that_nothing_distinguishes_are_both_named(steps: Steps) -> None:
     """Without either all fits, no surface coincides, and the poses are others."""
     rest = replace(steps.adjusted, end=replace(steps.adjusted.end, scene=()))
     step = np.zeros(6)

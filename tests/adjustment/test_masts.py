@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from retropole.adjustment.masts import on_one_mast, together, with_masts
+from retropole.adjustment.masts import common_motion, on_one_mast, with_masts
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
 from retropole.hypotheses.scans import SiteScans
@@ -109,8 +109,8 @@ def test_it_does_not_matter_which_is_the_target_and_what_was_done_before() -> No
     for again, close in ((twice, 1e-5), (Placement(swapped.source, swapped.target), 1e-4)):
         step = error_of(again, T) - error_of(once, T)
         assert np.abs(step[:3]).max() < close
-    back = together((alone.source, alone.target), (np.eye(4), se3.inverse(T)))
-    assert back.odds == pytest.approx(together(alone.scans, (np.eye(4), T)).odds, abs=3.0)
+    back = common_motion((alone.source, alone.target), (np.eye(4), se3.inverse(T)))
+    assert back.odds == pytest.approx(common_motion(alone.scans, (np.eye(4), T)).odds, abs=3.0)
 
 
 def test_recordings_of_other_times_do_not_sway_as_one() -> None:

@@ -111,7 +111,7 @@ def test_a_scene_with_nothing_in_it_says_nothing() -> None:
     assert refine(few, few, off_pose(np.eye(4))) is None
 
 
-def test_surfaces_beside_each_other_say_nothing() -> None:
+def test_surfaces_next_to_each_other_say_nothing() -> None:
     """As near as neighbouring patches of one cloud, and none on the other's surface."""
     x, y = np.mgrid[-4:4:0.06, 2:8:0.06]
     plane = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -1.5)])
@@ -295,7 +295,7 @@ def test_the_covariance_is_neither_too_small_nor_too_wide() -> None:
 
 
 @pytest.mark.full
-def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refinement_that_still_moves_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = simulate_pair("street", np.random.default_rng(21))
     start = off_pose(pair.T_target_source)
     whole = refine(pair.target, pair.source, start)

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.full
 
 def test_shared_poles_are_those_that_stood_there(simulated: SimulatedSite, steps: Steps) -> None:
     T = se3.inverse(simulated.T_world_lidar[0])
-    met = set()
+    matched = set()
     for pole in steps.poles:
         near = []
         for k, true in enumerate(simulated.poles[pole.placement]):
@@ -23,16 +23,16 @@ def test_shared_poles_are_those_that_stood_there(simulated: SimulatedSite, steps
                 near.append(k)
                 assert pole.length < true.length + 0.1
         assert len(near) == 1, pole.name(steps.site)
-        met.add((pole.placement, near[0]))
+        matched.add((pole.placement, near[0]))
         for lidar in pole.seen:
             assert simulated.seen[pole.placement][lidar][near[0]]
     # No pole is two.
-    assert len(met) == len(steps.poles)
+    assert len(matched) == len(steps.poles)
     detected = sum(len(scan.poles) for i in range(3) for scan in steps.scans.used(i))
     assert sum(len(pole.seen) for pole in steps.poles) == detected
 
 
-def test_numbers_and_names_are_told_by_placement(steps: Steps) -> None:
+def test_numbers_and_names_are_reported_by_placement(steps: Steps) -> None:
     names = [pole.name(steps.site) for pole in steps.poles]
     assert len(set(names)) == len(names)
     assert names[0] == "pole 1 of placement 1"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.datum import without_poles
-from retropole.adjustment.site import check_held, find_links, without_observations
+from retropole.adjustment.site import check_determined, find_links, without_observations
 from retropole.base import se3
 from retropole.base.errors import Refusal
 from retropole.base.se3 import joint_of, relative
@@ -71,15 +71,15 @@ def test_leaving_out_what_one_lidar_saw_leaves_what_the_others_saw(steps: Steps)
 
 def test_poses_that_are_all_but_free_are_refused(steps: Steps) -> None:
     good = steps.adjusted.covariance
-    check_held(steps.site, good, is_surveyed=False)
+    check_determined(steps.site, good, is_surveyed=False)
     wide = good.copy()
     wide[15, 15] = 0.6**2
     with pytest.raises(Refusal) as refused:
-        check_held(steps.site, wide, is_surveyed=True)
+        check_determined(steps.site, wide, is_surveyed=True)
     assert refused.value.code == "degenerate_poles"
     assert refused.value.values["lidar"] == "posts-3"
     with pytest.raises(Refusal) as refused:
-        check_held(steps.site, good + 0.2 * np.eye(18), is_surveyed=True)
+        check_determined(steps.site, good + 0.2 * np.eye(18), is_surveyed=True)
     assert refused.value.code == "survey_too_weak"
 
 

@@ -15,11 +15,11 @@ from retropole.adjustment.snooping import (
     Bias,
     Outcome,
     all_tests,
-    lidar_apart,
+    lidar_displaced,
     outcomes,
     placement_moved,
+    pole_displaced_for,
     pole_moved,
-    pole_seen_elsewhere,
     splits,
     value_wrong,
 )
@@ -125,10 +125,10 @@ def cases(at: Solved) -> list[tuple[Bias, Frees]]:
         assert moved is not None
         found.append((moved, own))
         k = next(iter(own))
-        found.append((pole_seen_elsewhere(at, [returns[k]], pole), {k: own[k]}))
+        found.append((pole_displaced_for(at, [returns[k]], pole), {k: own[k]}))
     for k in list(returns)[1:3]:
         found.append((placement_moved(at, returns[k]), {k: range(6)}))
-    apart = lidar_apart(at, 1)
+    apart = lidar_displaced(at, 1)
     assert apart is not None
     own = {
         k: np.concatenate([of_pole(one, pole) for pole in poles_of(one)])
@@ -271,7 +271,7 @@ def test_every_observation_of_a_sound_site_is_tested_and_fits(surveyed: Steps) -
     assert of_poles == {k for k, pole in enumerate(poles) if len(pole.seen) > 1}
 
 
-def test_what_lies_beside_its_pole_is_told_of_the_lidar_and_the_pole(surveyed: Steps) -> None:
+def test_what_lies_next_to_its_pole_is_reported_of_the_lidar_and_the_pole(surveyed: Steps) -> None:
     site, poles = surveyed.site, surveyed.datum.poles
     k = next(k for k, pole in enumerate(poles) if len(pole.seen) > 1)
     lidar = min(poles[k].seen)
@@ -296,7 +296,7 @@ def test_errors_that_are_considered_make_no_blunder_of_themselves(steps: Steps) 
     at = steps.adjusted.solved
     errors: list[Callable[[Solved], Bias | None]] = [
         lambda at: pole_moved(at, 0),
-        lambda at: lidar_apart(at, 1),
+        lambda at: lidar_displaced(at, 1),
     ]
     for make in errors:
         wide, narrow = make(at), make(plain(at))

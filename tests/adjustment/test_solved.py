@@ -53,7 +53,7 @@ def test_a_site_with_one_placement_has_none_to_leave_out(pair_steps: Steps) -> N
 
 
 @pytest.mark.full
-def test_what_rests_on_one_placement_alone_is_told(steps: Steps) -> None:
+def test_what_rests_on_one_placement_alone_is_reported(steps: Steps) -> None:
     """Without it there is no pose: neither scenes nor other poles hold it."""
     poles = [k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1]
     alone = without_poles(steps.datum, set(poles))

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from retropole.adjustment.shared import SharedPole
 from retropole.adjustment.survey import (
     Fit,
-    lay_on_survey,
+    align_to_survey,
     list_unmet,
     order,
     pole_at,
@@ -59,7 +59,7 @@ def site(known: list[SurveyedPole], points: tuple[ControlPoint, ...] = ()) -> Si
 
 def laid(known: Site, found: list[SharedPole], poses: dict[int, Array] | None = None) -> Array:
     own = {0: np.eye(4), 1: np.eye(4)} if poses is None else poses
-    return lay_on_survey(known, np.zeros((2, 3)), own, found).T
+    return align_to_survey(known, np.zeros((2, 3)), own, found).T
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -181,7 +181,7 @@ def points(T: Array) -> list[ControlPoint]:
 
 def told(known: Site, there: list[SharedPole]) -> tuple[Array, list[Reason]]:
     origins = np.zeros((2, 3))
-    fit = lay_on_survey(known, origins, POSES, there)
+    fit = align_to_survey(known, origins, POSES, there)
     return fit.T, list(list_unmet(known, origins, POSES, there, fit))
 
 

@@ -90,7 +90,7 @@ def test_recordings_in_their_own_place_show_poles_where_others_see_them(steps: S
     assert not _share_poles(changed, best, radius, one, other)
 
 
-def test_a_placement_that_shows_another_place_is_told(steps: Steps) -> None:
+def test_a_placement_that_shows_another_place_is_reported(steps: Steps) -> None:
     rows = [list(row) for row in steps.views.every]
     rows[0][1] = steps.views.every[2][1]
     with pytest.raises(Refusal) as refused:

@@ -228,7 +228,7 @@ def test_the_covariance_counts_range_errors_of_single_rings() -> None:
 
 
 @pytest.mark.full
-def test_an_alignment_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_alignment_that_still_moves_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = paper(8)
     whole = align(pair)
     assert whole.converged

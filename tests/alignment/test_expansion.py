@@ -16,7 +16,7 @@ from retropole.alignment.expansion import (
 )
 from retropole.alignment.likelihood import arc_likelihood, passed_beam_likelihood
 from retropole.alignment.observations import Beams
-from retropole.alignment.posterior import SHARED, State, beam_geometry, own_geometry
+from retropole.alignment.posterior import SHARED, State, beam_geometry, lidar_geometry
 from retropole.alignment.unknowns import POSE
 from retropole.base.datatypes import Array
 from retropole.base.systematic import RADIUS, RING, WIDTH, Layout, band_of
@@ -185,7 +185,7 @@ def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: floa
 
 def test_an_exact_view_is_the_likelihood_at_the_state() -> None:
     beams = beams_at_pole(np.random.default_rng(0), 8, 0.01, 0.008)
-    seen, _ = own_geometry(STATE, 0, beams)
+    seen, _ = lidar_geometry(STATE, 0, beams)
     found = average_returns(seen, beams, THICK, exact_view(1, NOISE))
     sigma = np.hypot(NOISE[0] * seen.sine, NOISE[1] * np.sqrt(1 - seen.sine**2))
     lateral = np.full_like(sigma, NOISE[1])
@@ -205,7 +205,7 @@ def own_information(beams: Beams, view: View) -> Array:
     """Information (4, 4) of the axis that averages over a view have."""
     total = np.zeros((4, 4))
     for seen, average, rows in zip(
-        own_geometry(STATE, 0, beams),
+        lidar_geometry(STATE, 0, beams),
         (average_returns, average_passed),
         (slice(0, 2), slice(1, 2)),
         strict=True,

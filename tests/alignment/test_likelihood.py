@@ -164,7 +164,7 @@ def bias_of_radius(noise: float, beside: float, *, passed: bool) -> float:
 
 
 @pytest.mark.parametrize("noise", [0.0, SIGMA_MISS])
-def test_returns_and_beams_beside_them_have_the_radius_right_together(noise: float) -> None:
+def test_returns_and_beams_next_to_them_have_the_radius_right_together(noise: float) -> None:
     """To 0.3 mm, also where there is less noise than is assumed."""
     assert abs(bias_of_radius(noise, 1.0, passed=True)) < 3e-4
     # Shared out over the pole as if nothing were known beside it, it would be too slim; and too

@@ -87,7 +87,7 @@ def test_the_scatter_and_the_depth_make_all_that_the_poles_err(steps: Steps) -> 
     assert np.all((shares > 0.01) & (shares < 0.99))
 
 
-def test_what_was_surveyed_is_said_of_its_own_axis_or_point(surveyed: Steps) -> None:
+def test_what_was_surveyed_is_reported_of_its_own_axis_or_point(surveyed: Steps) -> None:
     network = surveyed.adjusted.network
     unknowns, known = network.unknowns, surveyed.datum.surveyed
     by_name = {one.name: one for one in network.observations if one.poles is None}
@@ -135,7 +135,7 @@ def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
     np.testing.assert_allclose(by, gradient, atol=1e-6 * np.abs(gradient).max())
 
 
-def test_axes_of_which_nothing_is_said_need_a_ridge(steps: Steps) -> None:
+def test_axes_of_which_nothing_is_reported_need_a_ridge(steps: Steps) -> None:
     network = steps.adjusted.network
     left = network.without({k for k, one in enumerate(network.observations) if one.placement == 0})
     factor = factor_of(left, ridge=1.0)

@@ -32,7 +32,7 @@ def beams_before(wall: tuple[float, float]) -> Beams:
 @pytest.mark.parametrize(
     ("wall", "beside"), [((-1.0, 1.0), 1.0), ((0.0, 1.0), 0.5), ((0.0, 0.0), 0.0)]
 )
-def test_beams_beside_a_pole_are_known_where_something_stands_behind(
+def test_beams_next_to_a_pole_are_known_where_something_stands_behind(
     wall: tuple[float, float], beside: float
 ) -> None:
     beams = beams_before(wall)
@@ -40,7 +40,7 @@ def test_beams_beside_a_pole_are_known_where_something_stands_behind(
     assert (len(beams.passed_pole) > 0) == (beside > 0)
 
 
-def test_of_an_unknown_sensor_nothing_is_known_beside_a_pole() -> None:
+def test_of_an_unknown_sensor_nothing_is_known_next_to_a_pole() -> None:
     rng = np.random.default_rng(0)
     xyz = np.array([RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (50, 3)) * [0.005, 0.015, 0.5]
     pole = Pole(xyz.mean(axis=0), np.array([0.0, 0.0, 1.0]), xyz, 1.0, 0.01, 9, np.arange(len(xyz)))
@@ -83,7 +83,7 @@ def test_of_very_many_returns_a_part_is_taken_evenly_whatever_their_order(
 
 
 @pytest.mark.parametrize(("part", "left_out"), [(1, 0), (2, 100_000), (10, 180_000)])
-def test_as_many_beams_are_left_out_on_a_pole_as_beside_it(
+def test_as_many_beams_are_left_out_on_a_pole_as_next_to_it(
     many: tuple[Array, Array], part: int, left_out: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where a cloud was downsampled, which leaves the returns on poles: they are bright."""

@@ -5,9 +5,9 @@ import pytest
 
 from retropole.alignment.posterior import JointState
 from retropole.alignment.survey import (
-    KnownPoint,
-    KnownPose,
+    ControlPoint,
     MeasuredUp,
+    PriorPose,
     SeenPoint,
     Surveyed,
     SurveyedEnd,
@@ -32,7 +32,7 @@ def everything(state: JointState, *, off: float, ends: bool = True) -> Surveyed:
         if ends
     )
     points = range(len(state.control))
-    known = tuple(KnownPoint(f"point {q}", state.control[q] + by(), 0.004) for q in points)
+    known = tuple(ControlPoint(f"point {q}", state.control[q] + by(), 0.004) for q in points)
     seen = tuple(
         SeenPoint(
             f"point {q} by {i}",
@@ -49,7 +49,7 @@ def everything(state: JointState, *, off: float, ends: bool = True) -> Surveyed:
     ups = (MeasuredUp("up of 1", 1, up / np.linalg.norm(up), 0.002),)
     near = se3.retract(state.T[2], np.concatenate([by(), by()]))
     sigma = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
-    return Surveyed(found, known, seen, ups, (KnownPose("pose of 2", 2, near, sigma),))
+    return Surveyed(found, known, seen, ups, (PriorPose("pose of 2", 2, near, sigma),))
 
 
 def test_a_true_survey_leaves_no_residual() -> None:
@@ -94,7 +94,7 @@ def test_an_end_says_nothing_of_where_it_lies_along_the_axis() -> None:
         np.testing.assert_allclose(term.residual, 0.0, atol=1e-12)
 
 
-def test_each_coordinate_counts_by_its_own_sigma_beside_the_axis() -> None:
+def test_each_coordinate_counts_by_its_own_sigma_next_to_the_axis() -> None:
     state, sigma = drawn(), np.array([0.004, 0.01, 0.03])
     tangents = state.of(0, np.arange(len(state.points))).tangents
     for k, along in ((0, 0.7), (3, -1.2)):
@@ -117,7 +117,7 @@ def test_the_side_that_was_measured_is_an_error_of_all_ends() -> None:
     state = drawn(control=1)
     at = state.points[0] + 0.6 * state.directions[0] + state.control[0]
     ends = (SurveyedEnd("end", 0, at, 0.005, 0.02, side=0),)
-    side = KnownPoint("side", np.zeros(3), 0.014, is_side=True)
+    side = ControlPoint("side", np.zeros(3), 0.014, is_side=True)
     surveyed = Surveyed(ends, (side,))
     end, prior = survey_terms(state, surveyed)
     np.testing.assert_allclose(end.residual, 0.0, atol=1e-12)

@@ -164,7 +164,7 @@ def test_without_intensity_it_is_refused_and_says_what_to_give() -> None:
 
 
 @pytest.mark.full
-def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> None:
+def test_of_a_file_without_intensity_no_array_is_requested(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", tables().target[:, :3])
     (reason,) = rp.calibrate(tmp_path / "a.npy", tables().source).reasons
     assert reason.code == "no_intensity"
@@ -304,7 +304,7 @@ def test_the_file_of_a_sensor_is_found_from_elsewhere_too(
 
 
 @pytest.mark.full
-def test_a_stated_sway_widens_what_is_stated_and_is_told() -> None:
+def test_a_stated_sway_widens_what_is_stated_and_is_reported() -> None:
     both = tables()
     still = rp.calibrate(both.target, both.source)
     swaying = rp.calibrate(both.target, both.source, options=rp.RunConfig(mast_sway_deg=0.1))

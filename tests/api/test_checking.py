@@ -104,7 +104,7 @@ def test_new_recordings_are_read_as_those_of_the_run_where_that_is_of_use(tmp_pa
         ("angles of Hesai XT16: other.csv",),
     )
     # What is given must be of use.
-    with pytest.raises(UsageError, match="holds no packets"):
+    with pytest.raises(UsageError, match="has no packets"):
         read(plain, packets, angles=str(unit))
     with pytest.raises(ReadError, match=r"range: no such field; the fields are: .*echo"):
         read(both, both, intensity="range")

@@ -51,6 +51,6 @@ def test_pairs_that_are_the_same_join_lidars_and_the_largest_group_stands(
         assert answer.untold == tuple(untold)
 
 
-def test_a_lidar_in_no_pair_is_not_told() -> None:
+def test_a_lidar_in_no_pair_is_not_reported() -> None:
     answer = verdict("a=b", "abc")
     assert (answer.status, answer.untold) == ("cannot_tell", ("c",))

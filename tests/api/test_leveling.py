@@ -44,6 +44,6 @@ def test_its_covariance_is_that_of_drawn_measurements() -> None:
     assert np.allclose(np.cov(np.array(steps).T), covariance, atol=8e-5)
 
 
-def test_what_is_no_result_is_told(tmp_path: Path) -> None:
+def test_what_is_no_result_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RetropoleError):
         level_result(tmp_path)

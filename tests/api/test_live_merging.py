@@ -97,7 +97,7 @@ def test_a_cloud_has_one_sweep_of_each_lidar_in_the_frame_of_all() -> None:
     assert max(pace.ages) < 1.0
 
 
-def test_one_that_stops_is_said_and_the_others_go_on() -> None:
+def test_one_that_stops_is_reported_and_the_others_go_on() -> None:
     lidars = [
         LiveLidar("a", Turning("a"), np.eye(4)),
         LiveLidar("b", Turning("b", until=1.0), np.eye(4)),
@@ -120,7 +120,7 @@ def test_one_that_comes_late_is_taken_in() -> None:
 
 
 @pytest.mark.parametrize("ahead", [37.0, -3600.0])
-def test_a_clock_that_is_ahead_is_said_and_sweeps_are_joined_all_the_same(ahead: float) -> None:
+def test_a_clock_that_is_ahead_is_reported_and_sweeps_are_joined_all_the_same(ahead: float) -> None:
     lidars = [
         LiveLidar("a", Turning("a"), np.eye(4)),
         LiveLidar("b", Turning("b", ahead=ahead), np.eye(4)),

@@ -85,7 +85,7 @@ def test_a_refused_result_merges_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "a.ply").exists()
 
 
-def test_all_sweeps_are_merged_and_some_where_asked(tmp_path: Path) -> None:
+def test_all_sweeps_are_merged_and_some_where_requested(tmp_path: Path) -> None:
     write_pair(tmp_path, sweeps=4)
     out = tmp_path / "a.ply"
     merged = merge(tmp_path, out=out)
@@ -94,7 +94,7 @@ def test_all_sweeps_are_merged_and_some_where_asked(tmp_path: Path) -> None:
     assert merge(tmp_path, out=out, frames=(1, 3, None)).sweeps == [2, 2]
 
 
-def test_new_recordings_of_the_lidars_are_said_to_be_new(tmp_path: Path) -> None:
+def test_new_recordings_of_the_lidars_are_reported_to_be_new(tmp_path: Path) -> None:
     write_pair(tmp_path)
     paths = [tmp_path / "a.pcd", tmp_path / "b.pcd"]
     for k, path in enumerate(paths):

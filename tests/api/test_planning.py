@@ -47,7 +47,7 @@ def test_arrays_are_planned() -> None:
     assert "PolePlan:" in repr(made())
 
 
-def test_slips_are_told() -> None:
+def test_slips_are_reported() -> None:
     both = tables()
     with pytest.raises(rp.UsageError, match="at is the distance"):
         rp.plan(both.target, both.source, rough=np.eye(4), at=30.0)

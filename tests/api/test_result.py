@@ -158,7 +158,7 @@ def test_a_report_is_the_one_that_was_saved(recordings: Path, tmp_path: Path) ->
     assert result.report(tmp_path / "own.html").stat().st_size > 100_000
 
 
-def test_a_report_of_what_never_was_a_file_says_so(tmp_path: Path) -> None:
+def test_a_report_of_what_never_was_a_file_reports_it(tmp_path: Path) -> None:
     calibrated().save(tmp_path / "r")
     with pytest.raises(rp.ReadError, match="array"):
         rp.load_result(tmp_path / "r").report(tmp_path / "page.html")

@@ -43,7 +43,7 @@ def test_the_place_before_its_poles_are_set_up() -> None:
         rp.simulate("paper", poles=0)
 
 
-def test_nuisances_that_there_are_not_are_said() -> None:
+def test_nuisances_that_there_are_not_are_reported() -> None:
     with pytest.raises(rp.UsageError, match="no nuisances 'rain'; there are field"):
         rp.simulate("bare", nuisances="rain")
     with pytest.raises(rp.UsageError, match="no nuisances 'rain'; there are field"):

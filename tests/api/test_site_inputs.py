@@ -94,7 +94,7 @@ def test_packets_and_fields_are_read_as_calibrate_reads_them(tmp_path: Path) -> 
     with pytest.raises(ReadError, match=r"lidar gate, .*range: no such field; .*intensity, echo"):
         read_site(path)
     path.write_text(path.read_text() + 'angles = "unit.csv"\n')
-    with pytest.raises(ReadError, match=r"lidar gate, placement 1: .*holds no packets"):
+    with pytest.raises(ReadError, match=r"lidar gate, placement 1: .*has no packets"):
         read_site(path)
 
 

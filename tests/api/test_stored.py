@@ -64,7 +64,7 @@ def test_page_of_the_stored_result_is_that_of_the_run(stored: Stored) -> None:
     assert page == render_report(stored.result, stored.placements)
 
 
-def test_recordings_are_found_from_here_beside_the_result_and_by_name(
+def test_recordings_are_found_from_here_next_to_the_result_and_by_name(
     stored: Stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert find_inputs(stored.result, stored.folder) == [stored.folder / path for path in FILES]
@@ -75,7 +75,7 @@ def test_recordings_are_found_from_here_beside_the_result_and_by_name(
     assert found == [stored.folder / path for path in FILES]
 
 
-def test_what_is_given_is_taken_and_what_differs_is_said(stored: Stored) -> None:
+def test_what_is_given_is_taken_and_what_differs_is_reported(stored: Stored) -> None:
     swapped = [stored.folder / path for path in reversed(FILES)]
     found = scans_of(stored.result, stored.folder, swapped)
     assert len(found.notes) == 2
@@ -152,7 +152,7 @@ def test_an_array_is_not_looked_for_among_the_files(stored: Stored, path: str) -
     assert find_inputs(result, stored.folder, given) == given
 
 
-def test_topics_are_asked_of_bags_alone(stored: Stored) -> None:
+def test_topics_apply_to_bags_alone(stored: Stored) -> None:
     config = RunConfig(target_topic="/front")
     with pytest.raises(UsageError, match="has no topics"):
         scans_of(replace(stored.result, config=config), stored.folder)

@@ -59,7 +59,7 @@ def test_a_remade_page_is_that_of_the_run(run: Path, own: Path) -> None:
     assert scans_of(document, written[0].parent).notes == ()
 
 
-def test_recordings_are_found_beside_the_result_and_from_here(
+def test_recordings_are_found_next_to_the_result_and_from_here(
     own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = rp.load_site_result(own / "out").document
@@ -70,7 +70,7 @@ def test_recordings_are_found_beside_the_result_and_from_here(
     assert scans_of(document, tmp_path).notes == ()
 
 
-def test_moved_recordings_are_told_by_their_hashes(run: Path, own: Path) -> None:
+def test_moved_recordings_are_recognized_by_their_hashes(run: Path, own: Path) -> None:
     (own / "s").rename(own / "moved")
     moved = [(own / "moved" / name).rename(own / f"{k}.pcd") for k, name in enumerate(FILES)]
     loaded = rp.load_site_result(own / "out")
@@ -89,7 +89,7 @@ def test_what_is_given_and_not_of_the_run_is_refused(own: Path) -> None:
     assert not (own / "again.html").exists()
 
 
-def test_a_page_without_a_cloud_that_is_gone_or_another_says_so(own: Path) -> None:
+def test_a_page_without_a_cloud_that_is_gone_or_another_reports_it(own: Path) -> None:
     loaded = rp.load_site_result(own / "out")
     (own / "s" / FILES[0]).unlink()
     shutil.copy(own / "s" / FILES[2], own / "s" / FILES[1])
@@ -123,7 +123,7 @@ def test_a_pipe_is_not_opened(own: Path) -> None:
     assert "is a named pipe, expected a file" in note
 
 
-def test_clouds_that_were_never_files_are_told_once(tmp_path: Path) -> None:
+def test_clouds_that_were_never_files_are_reported_once(tmp_path: Path) -> None:
     result = rp.calibrate_site(made(placements=1).as_site())
     result.save(tmp_path / "out")
     (note,) = scans_of(rp.load_site_result(tmp_path / "out").document, tmp_path / "out").notes

@@ -98,7 +98,7 @@ def test_older_results_with_absolute_paths_are_read(run: Path, tmp_path: Path) -
     assert read_stored(tmp_path).config.sensor_target == str(run / "mine.toml")
 
 
-def test_paths_are_kept_where_that_is_asked_for(run: Path, tmp_path: Path) -> None:
+def test_paths_are_kept_where_that_is_requested(run: Path, tmp_path: Path) -> None:
     result = rp.load_result(run / "out")
     before = result.document.inputs
     result.save(tmp_path / "kept", relative=False)

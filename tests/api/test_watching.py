@@ -188,7 +188,7 @@ def test_a_need_that_is_not_met_asks_for_another_placement(
 
 
 @pytest.mark.full
-def test_what_is_wrong_is_said_and_it_goes_on(
+def test_what_is_wrong_is_reported_and_it_goes_on(
     sweeps: list[list[PointCloud]], tmp_path: Path
 ) -> None:
     watch, (front, rear), clock = watch_of(sweeps, WISH, tmp_path)
@@ -390,7 +390,7 @@ def test_sources_read_the_field_and_the_angles_that_are_wanted(tmp_path: Path) -
     np.testing.assert_array_equal(read, [[0, 1, 2], [1, 1, 1]])
     unit = Wanted(angles="unit.csv")
     for named, wanted, fault in (
-        (texts, unit, "holds no packets"),
+        (texts, unit, "has no packets"),
         ([f"folder:{tmp_path}", "hesai:2368"], unit, "angles are of packets of hesai, robosense"),
         (["hesai:2368", f"folder:{tmp_path}"], Wanted("echo"), "packets have one intensity"),
     ):

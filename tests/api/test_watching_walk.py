@@ -119,7 +119,7 @@ def small(out: Path, *, times: bool = True, count: int = 60) -> list[WatchDoc]:
 
 
 @pytest.mark.full
-def test_without_a_pole_it_is_said_who_sees_none(tmp_path: Path) -> None:
+def test_without_a_pole_it_is_reported_who_sees_none(tmp_path: Path) -> None:
     said = small(tmp_path)
     assert said[40].code == "unseen"
     assert said[40].next.startswith("front sees no pole")
@@ -127,7 +127,7 @@ def test_without_a_pole_it_is_said_who_sees_none(tmp_path: Path) -> None:
     assert (tmp_path / "walk1.mcap").exists()
 
 
-def test_without_times_it_is_said_at_once(tmp_path: Path) -> None:
+def test_without_times_it_is_reported_at_once(tmp_path: Path) -> None:
     said = small(tmp_path, times=False, count=30)
     assert said[25].code == "unreadable"
     assert "have no times" in said[25].next
@@ -135,7 +135,7 @@ def test_without_times_it_is_said_at_once(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_where_there_is_no_room_it_is_said_and_the_walk_begins_again(
+def test_where_there_is_no_room_it_is_reported_and_the_walk_begins_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path) -> None:

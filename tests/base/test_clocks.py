@@ -28,5 +28,5 @@ def test_a_known_difference_is_named_and_no_other(apart: float, words: str) -> N
     assert re.search(words, words_of(apart))
 
 
-def test_what_the_other_clock_is_of_is_said() -> None:
+def test_what_the_other_clock_is_of_is_reported() -> None:
     assert words_of(37.0, "that of front").startswith("is 37.0 s ahead of that of front, as TAI")

@@ -167,7 +167,7 @@ def test_a_path_of_any_bytes_is_text_and_found_again(
 
 
 @posix
-def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
+def test_an_error_names_the_file_that_was_requested(tmp_path: Path) -> None:
     full = Path("/dev/full")
     if not full.exists():
         pytest.skip("this system has no full device")
@@ -246,7 +246,7 @@ def test_a_run_that_ends_while_another_begins_leaves_it_alone(
 
 
 @posix
-def test_what_is_no_file_is_said_and_not_opened(tmp_path: Path) -> None:
+def test_what_is_no_file_is_reported_and_not_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "null").symlink_to(os.devnull)
     for name, kind in (("pipe", "a named pipe"), ("null", "a device"), (".", "a folder")):

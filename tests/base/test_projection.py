@@ -71,7 +71,7 @@ def test_a_compound_system_gives_its_horizontal_part() -> None:
     assert projection.projected(7415).name == "EPSG:7415, Amersfoort / RD New"
 
 
-def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
+def test_a_system_that_bends_angles_reports_it_and_by_how_much() -> None:
     at = np.radians([50.0, 20.0, 0.0])
     grid = projection.grid_at(3035, at)
     assert "it is not conformal" in grid.words
@@ -83,7 +83,7 @@ def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
     assert (lengths.max() - lengths.min()) / 2 == pytest.approx(grid.distortion / 2, rel=0.01)
 
 
-def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
+def test_a_place_that_a_system_is_not_meant_for_is_reported() -> None:
     # Norway uses zone 33 as far as Bergen.
     assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
     assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
@@ -106,7 +106,7 @@ def test_an_area_may_lie_across_180_degrees() -> None:
         assert grid.in_area == is_inside
 
 
-def test_gauss_krueger_with_north_first_is_told() -> None:
+def test_gauss_krueger_with_north_first_is_reported() -> None:
     """As the register orders it: taken for east, it lies within 20° of where the system is used."""
     system = projection.projected(31467)
     right = np.array([[3_500_000.0, 5_600_000.0, 100.0], [3_520_000.0, 5_610_000.0, 100.0]])

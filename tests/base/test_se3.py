@@ -195,7 +195,7 @@ def test_in_the_frame_of_the_first_the_pose_of_the_second_is_as_it_stands() -> N
     np.testing.assert_allclose(found.covariance, joint[6:, 6:], atol=1e-18)
 
 
-def test_two_of_many_are_cut_out_in_the_order_asked_for() -> None:
+def test_two_of_many_are_cut_out_in_the_order_requested() -> None:
     whole = np.arange(18.0 * 18.0).reshape(18, 18)
     joint = joint_of(whole, 2, 0)
     np.testing.assert_array_equal(joint[:6, :6], whole[12:, 12:])

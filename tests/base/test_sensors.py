@@ -222,7 +222,7 @@ def test_a_file_may_describe_a_model_that_is_not_known(tmp_path: Path) -> None:
         (LIKE + "[errors]\nzero = 0.001", "zero"),
     ],
 )
-def test_what_describes_no_sensor_is_told(tmp_path: Path, text: str, told: str) -> None:
+def test_what_describes_no_sensor_is_reported(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(UsageError, match=re.escape(told)):
         find_sensor(a_file(tmp_path, text))
 
@@ -253,6 +253,6 @@ def test_how_long_to_record_is_known_of_patterns_that_do_not_repeat() -> None:
     assert asked == {"Mid-360": 1.5, "Avia": 0.5}
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.toml"):
         find_sensor(str(tmp_path / "none.toml"))

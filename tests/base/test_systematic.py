@@ -26,7 +26,7 @@ from retropole.base.systematic import (
     Sway,
     band_of,
     by_error,
-    left_of,
+    remaining_sway,
     sizes_of,
     spinning,
     stated_sway,
@@ -139,11 +139,11 @@ def test_no_constant_error_of_the_azimuth() -> None:
 
 def test_what_is_left_averages_over_the_recordings() -> None:
     one = stated_sway(0.001)
-    assert left_of([one]) == pytest.approx(np.asarray(one.covariance))
-    assert left_of([one, one]) == pytest.approx(np.asarray(one.covariance) / 2)
+    assert remaining_sway([one]) == pytest.approx(np.asarray(one.covariance))
+    assert remaining_sway([one, one]) == pytest.approx(np.asarray(one.covariance) / 2)
     # One that stood has nothing left, and half of the say.
-    assert left_of([one, None]) == pytest.approx(np.asarray(one.covariance) / 4)
-    assert not left_of([None]).any()
+    assert remaining_sway([one, None]) == pytest.approx(np.asarray(one.covariance) / 4)
+    assert not remaining_sway([None]).any()
 
 
 def test_a_stated_sway_is_no_less_than_that_of_a_mast_whichever_way_is_up() -> None:

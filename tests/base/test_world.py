@@ -176,7 +176,7 @@ def test_poses_in_the_grid_are_exact_and_turn_to_grid_north() -> None:
     np.testing.assert_allclose(rigid[:3, 3], np.round(POLES.mean(axis=0)), rtol=0, atol=1e-6)
 
 
-def test_another_datum_is_moved_to_wgs84_and_said() -> None:
+def test_another_datum_is_moved_to_wgs84_and_reported() -> None:
     with_pyproj()
     # Potsdam datum and WGS 84 are some 150 m apart in Bavaria.
     origin = Geodetic(*np.radians([48.14, 11.57, 0.0]))

@@ -44,7 +44,7 @@ def shift(x: float, y: float, z: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 3, 4, 6])
-def test_the_least_that_is_found_is_found_with_the_power_asked_for(freedom: int) -> None:
+def test_the_least_that_is_found_is_found_with_the_power_requested(freedom: int) -> None:
     limit = max(PER_FREEDOM * freedom, float(chi2.isf(2.0 * norm.sf(LEVEL), freedom)))
     size = least_found(freedom)
     if freedom == 1:

@@ -54,7 +54,7 @@ def test_poles_are_put_into_recordings(folder: Path, street: SimulatedPair, tmp_
             assert np.count_nonzero(changed) + added == pole[f"returns_{name}"] >= 8
 
 
-def test_what_is_missing_or_wrong_is_said(folder: Path) -> None:
+def test_what_is_missing_or_wrong_is_reported(folder: Path) -> None:
     recordings = folder / "lidar0.pcd", folder / "lidar1.pcd"
     truth = folder / "truth.json"
     for words, message in (

@@ -66,7 +66,7 @@ def test_the_clouds_are_brought_to_one_moment() -> None:
     source = in_hall(velocity, 0.08, T, 4, 2)
     found = carrier_motion(T, target, source)
     assert found is not None
-    clouds = found.taken_out(T, target, source)
+    clouds = found.without_motion(T, target, source)
     middle = velocity * 1.5 * SWEEP
     at = se3.from_rt(se3.exp_so3(middle[:3]), middle[3:])
     for cloud, pose in zip(clouds, (np.eye(4), T), strict=True):

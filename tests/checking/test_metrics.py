@@ -65,7 +65,7 @@ def test_errors_of_a_known_step() -> None:
 
 
 @pytest.mark.full
-def test_the_truth_is_sharper_than_anything_beside_it() -> None:
+def test_the_truth_is_sharper_than_anything_next_to_it() -> None:
     rng = np.random.default_rng(8)
     T = se3.random(rng)
     target = PointCloud(floor_and_wall(20_000, 8))

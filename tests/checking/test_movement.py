@@ -19,7 +19,7 @@ from retropole.checking.movement import (
     step_covariance,
     upper_limit,
 )
-from retropole.checking.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, Asked
+from retropole.checking.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, RequestedTolerance
 from retropole.export.transform import Transform, inverted
 
 
@@ -59,7 +59,9 @@ def test_the_false_alarm_rate_holds_for_errors_that_repeat() -> None:
             PoseEstimate(se3.retract(T, repeated + own), parts.covariance, 0.0)
             for own in rng.multivariate_normal(nothing, random + (1 - REPEATED) * systematic, 2)
         )
-        answer = compare_poses(one, other, "poles", Asked(1e-9, 1e-9), uncertainties=(parts, parts))
+        answer = compare_poses(
+            one, other, "poles", RequestedTolerance(1e-9, 1e-9), uncertainties=(parts, parts)
+        )
         assert answer.chi2 is not None
         squares.append(answer.chi2)
         alarms += answer.status == "moved"
@@ -122,7 +124,9 @@ def test_the_false_alarm_rate_is_as_stated() -> None:
     runs = 2000
     # Of a tolerance of nothing, no movement is below it.
     alarms = sum(
-        compare_poses(drawn(T, C, rng), drawn(T, D, rng), "poles", Asked(1e-9, 1e-9)).status
+        compare_poses(
+            drawn(T, C, rng), drawn(T, D, rng), "poles", RequestedTolerance(1e-9, 1e-9)
+        ).status
         == "moved"
         for _ in range(runs)
     )
@@ -182,7 +186,7 @@ def test_a_movement_is_above_its_upper_limit_as_rarely_as_stated(part: slice) ->
         assert below >= missed / 3
 
 
-def test_same_is_said_within_as_little_as_the_data_tell() -> None:
+def test_same_is_reported_within_as_little_as_the_data_tell() -> None:
     rng = np.random.default_rng(7)
     T, spread = se3.random(rng), covariance(rng, 2e-4, 8e-3)
     for seed in range(40):
@@ -205,7 +209,7 @@ def test_same_is_said_within_as_little_as_the_data_tell() -> None:
             assert (answer.status, codes) == ("cannot_tell", ["too_weak"])
         # Of what is asked for, the same data confirm all that is no narrower than that.
         for factor in (0.9, 1.1):
-            asked = Asked(factor * limit.rotation, factor * limit.translation)
+            asked = RequestedTolerance(factor * limit.rotation, factor * limit.translation)
             held = compare_poses(one, other, "poles", asked)
             assert held.status == ("same" if factor > 1 else "cannot_tell")
             assert [r.code for r in held.reasons] == ([] if factor > 1 else ["too_weak"])
@@ -216,8 +220,14 @@ def test_each_part_of_the_tolerance_is_held_to_by_itself() -> None:
     rng = np.random.default_rng(8)
     T, weak = se3.random(rng), covariance(rng, 1e-4, 1e-2)
     pose = PoseEstimate(T, weak, 0.0)
-    assert compare_poses(pose, pose, "poles", Asked(rotation=np.radians(0.3))).status == "same"
-    assert compare_poses(pose, pose, "poles", Asked(translation=0.01)).status == "cannot_tell"
+    assert (
+        compare_poses(pose, pose, "poles", RequestedTolerance(rotation=np.radians(0.3))).status
+        == "same"
+    )
+    assert (
+        compare_poses(pose, pose, "poles", RequestedTolerance(translation=0.01)).status
+        == "cannot_tell"
+    )
 
 
 def test_what_no_surface_holds_is_not_confirmed_by_the_search_for_it() -> None:
@@ -225,17 +235,17 @@ def test_what_no_surface_holds_is_not_confirmed_by_the_search_for_it() -> None:
     T, spread = se3.random(rng), covariance(rng)
     along = spread + np.diag([0, 0, 0, WIDEST_TOLERANCE.translation**2, 0, 0])
     one, other = PoseEstimate(T, spread, 0.0), PoseEstimate(T, along, 0.0)
-    for asked in (Asked(), Asked(1.0, 1.0)):
+    for asked in (RequestedTolerance(), RequestedTolerance(1.0, 1.0)):
         answer = compare_poses(one, other, "scene", asked)
         assert (answer.status, [r.code for r in answer.reasons]) == ("cannot_tell", ["too_weak"])
-    assert compare_poses(one, other, "poles", Asked(1.0, 1.0)).status == "same"
+    assert compare_poses(one, other, "poles", RequestedTolerance(1.0, 1.0)).status == "same"
 
 
 def test_what_was_taken_back_confirms_nothing() -> None:
     T, spread = se3.random(np.random.default_rng(0)), covariance(np.random.default_rng(1))
     answer = compare_poses(PoseEstimate(T, spread, 0.0), PoseEstimate(T, spread, 0.0), "poles")
     assert answer.status == "same"
-    back = answer.untold()
+    back = answer.withdrawn()
     assert (back.status, back.tolerance, back.chi2) == ("cannot_tell", None, answer.chi2)
 
 
@@ -257,7 +267,7 @@ def test_the_weaker_of_both_poses_is_named() -> None:
     assert [r.code for r in answer.reasons] == ["size_unsure"]
 
 
-def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
+def test_a_movement_below_the_tolerance_is_reported_as_such() -> None:
     rng = np.random.default_rng(8)
     T, spread = se3.random(rng), covariance(rng, 1e-6, 1e-5)
     near = PoseEstimate(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)
@@ -267,7 +277,9 @@ def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
     assert answer.p_value is not None
     assert answer.p_value < FALSE_ALARM
     assert (
-        compare_poses(PoseEstimate(T, spread, 0.0), near, "poles", Asked(1e-5, 1e-3)).status
+        compare_poses(
+            PoseEstimate(T, spread, 0.0), near, "poles", RequestedTolerance(1e-5, 1e-3)
+        ).status
         == "moved"
     )
 

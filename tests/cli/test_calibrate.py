@@ -216,7 +216,7 @@ def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
     assert "those that do are a, b, c, d" in done.stderr
 
 
-def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
+def test_topics_that_cannot_be_distinguished(bag: Path, tmp_path: Path) -> None:
     done = retropole_here("calibrate", bag, bag, cwd=tmp_path)
     assert done.returncode == 2
     assert "/front (1 message), /rear (1 message)" in done.stderr

@@ -79,7 +79,7 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
 
 
 @pytest.mark.full
-def test_a_tolerance_that_was_asked_for_is_held_to(site: Path) -> None:
+def test_a_tolerance_that_was_requested_is_held_to(site: Path) -> None:
     weak = ("r.json", "same", "--sigma-deg", "0.02", "--sigma-m", "0.02")
     words = ("--to", "json", "--out", "r.json")
     assert retropole_here("export", "r", *words, cwd=site).returncode == 0
@@ -134,7 +134,7 @@ def test_a_refused_result_cannot_tell(site: Path) -> None:
 
 
 @pytest.mark.full
-def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
+def test_the_stored_run_reports_its_options_and_warnings(site: Path) -> None:
     result = json.loads((site / "r" / "result.json").read_text())
     # A topic is of bags: it is left alone where the new recordings are files.
     result["config"]["target_topic"] = "/front"

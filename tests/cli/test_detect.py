@@ -37,7 +37,7 @@ def test_detect_and_info_take_a_topic(
     assert [cloud["topic"] for cloud in document["clouds"]] == ["/rear"]
 
 
-def test_what_is_left_out_of_a_long_recording_is_said(dense: Path, tmp_path: Path) -> None:
+def test_what_is_left_out_of_a_long_recording_is_reported(dense: Path, tmp_path: Path) -> None:
     cloud = read_cloud(dense / "lidar0.pcd")
     for k in range(24):
         write_pcd(tmp_path / "many" / f"{k}.pcd", cloud)

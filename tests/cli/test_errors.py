@@ -112,7 +112,7 @@ def test_a_refusal_gives_the_advice_of_its_code() -> None:
     ("words", "asked"),
     [(["info", "a", "--json"], True), (["info", "a"], False), (["info", "--", "--json"], False)],
 )
-def test_json_is_asked_for_before_the_arguments_end(words: list[str], asked: bool) -> None:
+def test_json_is_requested_before_the_arguments_end(words: list[str], asked: bool) -> None:
     assert asks_for_json(words) is asked
 
 

@@ -44,7 +44,7 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     )
 
 
-def test_files_of_the_result_the_other_way_round_are_told(scene: Path, tmp_path: Path) -> None:
+def test_files_of_the_result_the_other_way_round_are_reported(scene: Path, tmp_path: Path) -> None:
     clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
     assert retropole_here("calibrate", *clouds, "--out", tmp_path, "-q").returncode == 0
     for result in (tmp_path, tmp_path / "result.json"):
@@ -63,7 +63,7 @@ def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) 
     assert "scaled.txt" in done.stderr
 
 
-def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) -> None:
+def test_all_methods_in_one_table_next_to_the_truth(scene: Path, tmp_path: Path) -> None:
     done = retropole_here(
         *("evaluate", scene / "lidar0.pcd", scene / "lidar1.pcd"),
         *("--truth", scene / "truth.json", "--methods", ",".join(ALL_METHODS)),

@@ -73,7 +73,7 @@ def test_a_refused_result_exits_with_3_and_writes_nothing(tmp_path: Path) -> Non
     assert not (tmp_path / "out.json").exists()
 
 
-def test_a_warning_is_said_on_stderr_alone(tmp_path: Path) -> None:
+def test_a_warning_is_reported_on_stderr_alone(tmp_path: Path) -> None:
     path = write_result(tmp_path, "warn", T)
     done = export(path, "--to", "json")
     assert done.returncode == 0

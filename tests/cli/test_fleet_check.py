@@ -88,7 +88,7 @@ def test_pairs_are_not_called_sites() -> None:
     assert (told["sites"], told["pairs"]) == (10, 15)
 
 
-def test_two_that_say_moved_and_what_is_damaged_are_said(
+def test_two_that_say_moved_and_what_is_damaged_are_reported(
     fleet: Path, answers: Path, tmp_path: Path
 ) -> None:
     words = ("fleet", "check", fleet.parent / "good", "--answers", answers, "--history", tmp_path)
@@ -114,7 +114,7 @@ def test_two_that_say_moved_and_what_is_damaged_are_said(
     assert str(bad) in told["damaged"][0]
 
 
-def test_nothing_told_is_not_nothing_found(fleet: Path, answers: Path, tmp_path: Path) -> None:
+def test_nothing_reported_is_not_nothing_found(fleet: Path, answers: Path, tmp_path: Path) -> None:
     words = ("fleet", "check", fleet.parent / "small", "--answers", answers)
     done = retropole_here(*words, "--history", tmp_path)
     assert done.returncode == 3

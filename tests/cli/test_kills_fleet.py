@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retropole.api.site_file import read_site_file
-from retropole.fleet.dataset import known_in, partitions_in, read_rows, read_runs
+from retropole.fleet.dataset import known_answers, partitions_in, read_rows, read_runs
 from retropole.fleet.history import store
 from retropole.result.decoding import decode, decode_site
 from tests.cli.test_kills import kill, start
@@ -58,7 +58,7 @@ def assert_whole(folder: Path) -> None:
     for out in (str(folder / "known"), str(folder / "new")):
         for part in partitions_in(out):
             assert read_rows(out, part).keys() == read_runs(out, part).keys() <= IDS
-    assert known_in(str(folder / "known")).keys() == IDS
+    assert known_answers(str(folder / "known")).keys() == IDS
     assert (folder / "network.parquet").read_bytes()[-4:] == b"PAR1"
     for name, rows in store.read(str(folder / "history")):
         # A check that found no answer is tried again, and has another row.
@@ -70,7 +70,7 @@ def hold(seed: int, whole: Path, folder: Path) -> None:
     """End one command at a random moment; the next run does what is left, all of it."""
     name = kill(whole, folder, seed, COMMANDS, assert_whole, ends=(0, 4))
     if name == "fleet":
-        assert known_in(str(folder / "new")).keys() == IDS
+        assert known_answers(str(folder / "new")).keys() == IDS
         assert len(list((folder / "reports").rglob("*report.html"))) == 5
     if name == "check":
         assert {each for each, _ in store.read(str(folder / "history"))} == IDS

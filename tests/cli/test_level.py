@@ -40,7 +40,7 @@ def test_a_result_is_levelled(tmp_path: Path) -> None:
     assert base[2, 3] == pytest.approx(document["lidars"][0]["height_m"])
 
 
-def test_what_cannot_be_is_told(tmp_path: Path) -> None:
+def test_what_cannot_be_is_reported(tmp_path: Path) -> None:
     assert retropole_here("level", tmp_path / "none.json").returncode == 2
     done = retropole_here("level", tmp_path, "--base-link", "1,2")
     assert done.returncode == 2

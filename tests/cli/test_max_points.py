@@ -49,7 +49,9 @@ def test_a_thinned_cloud_gives_the_same_pose(clouds: Clouds, part: float) -> Non
 
 
 @pytest.mark.full
-def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_path: Path) -> None:
+def test_what_is_thinned_is_reported_and_recorded(
+    scene: Path, clouds: Clouds, tmp_path: Path
+) -> None:
     words = ["calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path]
     done = retropole_here(*words, "--max-points", 20_000, "-v")
     assert done.returncode == 0, done.stderr
@@ -70,7 +72,7 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
 
 
 @pytest.mark.full
-def test_frames_that_are_left_out_are_said(clouds: Clouds, tmp_path: Path) -> None:
+def test_frames_that_are_left_out_are_reported(clouds: Clouds, tmp_path: Path) -> None:
     few = clouds[0].select(np.arange(0, len(clouds[0]), 50))
     for k in range(30):
         write_pcd(tmp_path / "many" / f"{k}.pcd", few)

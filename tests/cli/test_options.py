@@ -148,7 +148,7 @@ def test_an_option_of_both_is_given_once_or_twice_or_as_before(
         (("--unit", "m,mm"), "'m,mm'"),
     ],
 )
-def test_what_an_option_of_both_cannot_be_is_said(words: tuple[str, ...], said: str) -> None:
+def test_what_an_option_of_both_cannot_be_is_reported(words: tuple[str, ...], said: str) -> None:
     done = retropole_here("calibrate", "a", "b", *words, "--out", "none")
     assert done.returncode == 2
     assert said in done.stderr

@@ -111,7 +111,7 @@ def test_recordings_are_planned_with_a_rough_pose(
         (("a.pcd", "b.pcd"), "a.pcd"),
     ],
 )
-def test_slips_are_told(
+def test_slips_are_reported(
     words: tuple[object, ...],
     said: str,
     tmp_path: Path,

@@ -53,7 +53,7 @@ def test_takes_the_folder_of_a_result(own: Path) -> None:
     assert (own / "r" / "report.html").read_text() == before
 
 
-def test_finds_the_clouds_beside_the_result(own: Path, tmp_path: Path) -> None:
+def test_finds_the_clouds_next_to_the_result(own: Path, tmp_path: Path) -> None:
     shutil.copy(own / "r" / "result.json", own / "result.json")
     done = retropole_here("report", own / "result.json", "--out", tmp_path / "a.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -110,7 +110,7 @@ class TestUnits:
         assert "look like" not in right
         assert "median 10.82 m" in right
 
-    def test_feet_are_told_by_the_poles(self, dense: Path, tmp_path: Path) -> None:
+    def test_feet_are_recognized_by_the_poles(self, dense: Path, tmp_path: Path) -> None:
         for k in (0, 1):
             cloud = read_cloud(dense / f"lidar{k}.pcd")
             write_pcd(tmp_path / f"{k}.pcd", scaled(cloud, 1 / 0.3048))

@@ -147,7 +147,7 @@ def test_mcap_has_a_message_for_each_sweep_in_one_frame(tmp_path: Path) -> None:
     assert "verdict of the calibration: warn, not_confirmed" in note.metadata.values()
 
 
-def test_topics_are_told_apart() -> None:
+def test_topics_are_distinguished() -> None:
     assert topics_of_lidars(["a-b", "a b", "7"]) == [
         "/a_b/points",
         "/a_b_1/points",
@@ -209,14 +209,14 @@ def test_surfels_are_ply_with_normals(lidars: int, tmp_path: Path) -> None:
     normals = np.tile([0.0, 0.6, 0.8], (4, 1))
     count, bits = np.arange(4), np.full(4, lidars)
     made = Surfels(xyz, normals, 0.5 * one, 0.01 * one, 7 * one, count, bits)
-    apart = np.array([np.nan, 0.0, 0.02, -0.02])
+    difference = np.array([np.nan, 0.0, 0.02, -0.02])
     path = tmp_path / "a.ply"
-    path.write_bytes(surfel_file(made, apart, ["verdict: ok"]))
+    path.write_bytes(surfel_file(made, difference, ["verdict: ok"]))
     rows = records(path)
     np.testing.assert_array_equal(np.column_stack([rows[n] for n in "xyz"]), xyz)
     np.testing.assert_allclose(np.column_stack([rows[n] for n in ("nx", "ny", "nz")]), normals)
     assert rows["lidars"].tolist() == [lidars] * 4
-    np.testing.assert_allclose(rows["distance"], apart.astype(np.float32))
+    np.testing.assert_allclose(rows["distance"], difference.astype(np.float32))
     # Dark, grey, orange in front, blue behind.
     assert rows["red"].tolist() == [90, 230, 213, 0]
     np.testing.assert_allclose(rows["radius"], 0.5)

@@ -105,7 +105,9 @@ def test_every_export_reads_back_in_both_directions(
 
 @pytest.mark.parametrize("suffixed", [True, False])
 @pytest.mark.parametrize("fmt", FORMATS)
-def test_the_format_is_told_by_suffix_or_content(fmt: str, suffixed: bool, tmp_path: Path) -> None:
+def test_the_format_is_recognized_by_suffix_or_content(
+    fmt: str, suffixed: bool, tmp_path: Path
+) -> None:
     suffix = {"json": ".json", "yaml": ".yaml", "urdf": ".urdf", "launch": ".py"}.get(fmt, ".txt")
     path = tmp_path / f"x{suffix if suffixed else ''}"
     T = se3.random(np.random.default_rng(1))

@@ -67,7 +67,7 @@ def test_one_who_comes_late_reads_the_transform() -> None:
     assert taken_by(late_reader(), 1.0) == []
 
 
-def test_what_dds_lacks_is_said_before_anything_is_published() -> None:
+def test_what_dds_lacks_is_reported_before_anything_is_published() -> None:
     with pytest.raises(UsageError, match="no network interface"):
         check_publishing(domain=DOMAIN, interface="nowhere0")
     with pytest.raises(UsageError, match="domain"):

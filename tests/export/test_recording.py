@@ -109,7 +109,7 @@ def test_times_that_are_not_known_of_both_start_at_zero(tmp_path: Path) -> None:
     assert read_cloud(path, topic=target).recorded is None
 
 
-def test_late_listeners_are_told_the_transform() -> None:
+def test_late_listeners_receive_the_transform() -> None:
     from mcap.reader import make_reader
 
     data = write_mcap(Transform(T, "a", "b"), [Frame(0, cloud_of(1))], [Frame(0, cloud_of(2))])
@@ -169,7 +169,7 @@ def test_a_bare_transform_needs_the_clouds(saved: Path, tmp_path: Path) -> None:
     assert len(messages(out)) == 3
 
 
-def test_what_the_copy_cannot_say_is_said(saved: Path, tmp_path: Path) -> None:
+def test_what_the_copy_cannot_say_is_reported(saved: Path, tmp_path: Path) -> None:
     moved = read_cloud(saved / "front.pcd").transformed(se3.from_rt(np.eye(3), np.ones(3)))
     write_pcd(tmp_path / "moved.pcd", moved)
     words = (tmp_path / "moved.pcd", saved / "rear.pcd", "--to", "mcap", "--out", tmp_path / "a")

@@ -66,7 +66,7 @@ def test_a_launch_file_in_xml_has_its_publishers(what: str, name: str, tmp_path:
         ('pkg="rviz" type="rviz"', "0 transforms fit"),
     ],
 )
-def test_what_a_launch_file_leaves_open_is_said(node: str, said: str, tmp_path: Path) -> None:
+def test_what_a_launch_file_leaves_open_is_reported(node: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(ReadError) as refused:
         read(f'<launch><node {node} name="n"/></launch>', tmp_path)
     assert said in str(refused.value)
@@ -131,7 +131,7 @@ def test_both_lidars_on_a_base_are_read_over_it(tmp_path: Path) -> None:
         ("child_frame_id: a\nheader: 5\n", "expected the YAML"),
     ],
 )
-def test_half_a_message_is_said(text: str, said: str, tmp_path: Path) -> None:
+def test_half_a_message_is_reported(text: str, said: str, tmp_path: Path) -> None:
     pytest.importorskip("yaml")
     with pytest.raises(ReadError, match=said):
         read(text, tmp_path, "echo.yaml")
@@ -160,7 +160,7 @@ def test_a_yaml_of_another_kind_is_named_once(
         read(text, Path(), "fastlio.yaml", **names)
 
 
-def test_beside_a_transform_other_keys_do_not_matter(tmp_path: Path) -> None:
+def test_next_to_a_transform_other_keys_do_not_matter(tmp_path: Path) -> None:
     pytest.importorskip("yaml")
     text = f"{FAST_LIO}front:\n  rear: {{x: 1, y: 2, z: 3, roll: 0, pitch: 0, yaw: 0}}\n"
     assert read(text, tmp_path, "t.yaml").parent == "front"

@@ -147,9 +147,9 @@ def echoed(T: Array, of: str = "humble", decimals: int = 3) -> str:
 def test_what_tf2_echo_prints_is_read_to_its_rounding(of: str, seed: int, tmp_path: Path) -> None:
     true = se3.random(np.random.default_rng(seed))
     back = read(3 * echoed(true, of), tmp_path).T_parent_child
-    apart = se3.difference(back, true)
-    assert apart.rotation < np.radians(0.002)
-    assert apart.translation < 0.001
+    difference = se3.difference(back, true)
+    assert difference.rotation < np.radians(0.002)
+    assert difference.translation < 0.001
 
 
 def test_of_tf2_echo_the_quaternion_is_taken_where_tf2_loses_an_angle(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_a_plan_keeps_every_digit() -> None:
     np.testing.assert_array_equal(tree.edges[0].T_parent_child[:3, :3], np.eye(3))
 
 
-def test_the_grid_is_said_and_its_coordinates_are_exact_in_json() -> None:
+def test_the_grid_is_reported_and_its_coordinates_are_exact_in_json() -> None:
     document = sites.in_utm()
     tree = tree_of(document)
     written = json.loads(TREE_FORMATS["json"].write(tree))

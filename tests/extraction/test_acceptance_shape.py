@@ -86,14 +86,14 @@ LIMITS: dict[str, tuple[Line, Line, str, str]] = {
         "more than any post",
     ),
     "points of what is thick": (
-        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),
     "thickness of few points": (
-        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_SURE_RMS, rings=9),
-        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_SURE_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=rules.MAX_CONFIRMED_RMS, rings=9),
+        line_with(rules.FEW_POLE_POINTS - 1, rms=1.001 * rules.MAX_CONFIRMED_RMS, rings=9),
         "too_wide",
         "a post as thick as that needs",
     ),
@@ -109,7 +109,7 @@ def test_limits_of_the_shape(name: str) -> None:
     assert words in reason
 
 
-def test_rules_are_asked_in_order() -> None:
+def test_rules_are_requested_in_order() -> None:
     everything_wrong = line_with(4, length=0.2, rms=0.2, rings=1)
     assert failed(everything_wrong)[0] == "too_few_points"
     assert failed(replace(everything_wrong, index=np.arange(20)))[0] == "too_short"

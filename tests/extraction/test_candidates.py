@@ -47,7 +47,7 @@ def test_a_short_pole_near_a_wall_is_doubtful(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("aside", [0.4, 0.6])
-def test_a_pole_beside_a_bright_plate_is_found(aside: float) -> None:
+def test_a_pole_next_to_a_bright_plate_is_found(aside: float) -> None:
     plate = Rectangle(np.array([4, 0.2 + aside, -0.2]), Y, Z, (0.2, 0.9), TAPE)
     sure, doubtful = looked_at(*seen([pole((4, 0)), plate], "XT32"))
     assert [*sure, *doubtful] == [0]
@@ -124,7 +124,7 @@ def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
 
 @pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
 @pytest.mark.parametrize(("gap", "turn"), [(0.06, 0.0), (0.07, 0.5)])
-def test_a_wall_close_behind_a_pole_is_not_beside_it(gap: float, turn: float, sensor: str) -> None:
+def test_a_wall_close_behind_a_pole_is_not_next_to_it(gap: float, turn: float, sensor: str) -> None:
     wall = Rectangle(np.array([4 + gap, 0, 0]), across(np.pi / 2 - turn), Z, (3, 2), PAINT)
     cloud, labels = seen([pole((4, 0)), wall], sensor)
     assert looked_at(cloud, labels, find_sensor(sensor)) == ([], [0])

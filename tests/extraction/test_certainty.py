@@ -17,7 +17,7 @@ from tests.extraction.synthetic import FOOT, UP, code_of, on_pole, scene, uprigh
 @pytest.mark.parametrize(("radius", "given", "is_sure"), [
     (0.02, 0.02, True), (0.06, 0.02, False), (0.06, 0.06, True), (0.05, 0.05, True),
 ])  # fmt: skip
-def test_a_pole_is_sure_where_it_is_as_thick_as_was_said(
+def test_a_pole_is_sure_where_it_is_as_thick_as_was_stated(
     radius: float, given: float, is_sure: bool
 ) -> None:
     cloud, _ = seen([pole((4, 0), length=1.4, radius=radius)], "OS1")

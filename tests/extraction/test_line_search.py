@@ -29,7 +29,7 @@ def test_few_points_left_by_several_poles_are_too_few(apart: bool) -> None:
     left = np.zeros(9, dtype=bool)
     left[[0, 1, 2, 5, 6, 7]] = True
     parts = [np.arange(4), np.arange(4, 9)] if apart else [np.arange(9)]
-    failure = line_search.left_over(left, parts)
+    failure = line_search.why_left(left, parts)
     assert failure.code == "too_few_points"
     assert failure.reason.startswith("no 6 points together" if apart else "6 points left")
 

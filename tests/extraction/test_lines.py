@@ -19,10 +19,10 @@ from retropole.extraction.lines import (
     RING_GAP,
     TUBE,
     clusters,
-    distance_and_place,
     fit_line,
     fit_lines,
     in_canonical_order,
+    line_coordinates,
     on_surface,
     principal_line,
     propose_lines,
@@ -59,7 +59,7 @@ def test_distance_and_place_are_those_of_the_definition(seed: int) -> None:
     rng = np.random.default_rng(seed)
     xyz, point, direction = rng.normal(size=(20, 3)), rng.normal(size=3), rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    distance, along = distance_and_place(xyz, point, direction)
+    distance, along = line_coordinates(xyz, point, direction)
     foot = point + along[:, None] * direction
     np.testing.assert_allclose((xyz - foot) @ direction, 0, atol=1e-9)
     np.testing.assert_allclose(distance, np.linalg.norm(xyz - foot, axis=1), atol=1e-7)
@@ -69,11 +69,11 @@ def test_principal_line_is_the_nearest() -> None:
     rng = np.random.default_rng(3)
     xyz = on_pole() + 0.01 * rng.normal(size=(32, 3))
     point, direction = principal_line(xyz)
-    least = np.sum(distance_and_place(xyz, point, direction)[0] ** 2)
+    least = np.sum(line_coordinates(xyz, point, direction)[0] ** 2)
     for _ in range(50):
         other = direction + 0.02 * rng.normal(size=3)
         other /= np.linalg.norm(other)
-        assert np.sum(distance_and_place(xyz, point, other)[0] ** 2) >= least
+        assert np.sum(line_coordinates(xyz, point, other)[0] ** 2) >= least
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -167,13 +167,13 @@ def test_each_guess_gives_what_it_gives_alone() -> None:
         np.testing.assert_array_equal(line.index, alone.index)
         np.testing.assert_allclose(line.along, alone.along, atol=1e-12)
         assert line.rms == pytest.approx(alone.rms, abs=1e-12)
-        distance, _ = distance_and_place(xyz[line.index], line.point, line.direction)
+        distance, _ = line_coordinates(xyz[line.index], line.point, line.direction)
         assert np.all(distance <= line.tube)
     # The first has what touches it, the second ends at a gap, and by the third is nothing.
     assert [len(line.index) for line in together[:3]] == [42, 29, 0]
 
 
-def test_fit_leaves_out_what_lies_beside() -> None:
+def test_fit_leaves_out_what_lies_next_to() -> None:
     beside = offset(0, 0.1, np.array([-0.3, -0.2, 0.1]))
     assert fitted(np.concatenate([on_pole(), beside]))[0] == 32
 

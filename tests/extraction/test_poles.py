@@ -132,7 +132,7 @@ def test_half_hidden_pole_is_one() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["XT32", "OS1", "Pandar64"])
-def test_half_hidden_pole_beside_a_sign_is_one(sensor: str) -> None:
+def test_half_hidden_pole_next_to_a_sign_is_one(sensor: str) -> None:
     """The sign is most of the cluster, and without it the pole is two groups."""
     bar = Box(np.array([3.5, 0, -0.1]), np.eye(3), np.array([0.02, 0.5, 0.25]), PAINT)
     sign = Rectangle(np.array([4.6, 1.0, 0]), Y, Z, (0.4, 0.6), TAPE)

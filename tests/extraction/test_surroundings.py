@@ -13,7 +13,7 @@ from retropole.extraction import surroundings
 from retropole.extraction import surroundings as rules
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
-from retropole.extraction.lines import HALF, LITTLE, MAX_BESIDE, MOST, SEARCH_ROOM, Line
+from retropole.extraction.lines import HALF, LITTLE, MAX_NEIGHBOUR_DISTANCE, MOST, SEARCH_ROOM, Line
 from retropole.extraction.poles import extract_poles
 from retropole.extraction.surroundings import (
     Surroundings,
@@ -76,23 +76,23 @@ def test_few_is_fewer_than_the_limit(rings: int, few: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "limit"),
     [
-        (0.5 * MAX_BESIDE, MAX_BESIDE),
-        (1.2 * MAX_BESIDE, 1.2 * MAX_BESIDE),
+        (0.5 * MAX_NEIGHBOUR_DISTANCE, MAX_NEIGHBOUR_DISTANCE),
+        (1.2 * MAX_NEIGHBOUR_DISTANCE, 1.2 * MAX_NEIGHBOUR_DISTANCE),
     ],
 )
-def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
+def test_next_to_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
     rings = 3
     seen = about(on_pole(step * (rings - 1), rings, 4))
-    assert seen.beside_limit == pytest.approx(limit)
+    assert seen.neighbour_limit == pytest.approx(limit)
 
 
-def test_beside_is_outside_the_tube_and_between_the_ends() -> None:
+def test_neighbours_are_outside_the_tube_and_between_the_ends() -> None:
     pole = on_pole()
     own = about(pole).line
-    limit = MAX_BESIDE
+    limit = MAX_NEIGHBOUR_DISTANCE
     away = np.array([0.99 * own.tube, 1.01 * own.tube, 0.99 * limit, 1.01 * limit, 0.2])
     seen = about(pole, (offset(away, 0.0, np.array([0, 0, 0, 0, 0.81])), DIM))
-    assert seen.beside[-5:].tolist() == [False, True, True, False, False]
+    assert seen.nearby[-5:].tolist() == [False, True, True, False, False]
 
 
 @pytest.mark.parametrize(("factor", "is_untaped"), [(0.99, True), (1.01, False)])
@@ -116,22 +116,22 @@ def leaning(angle: float, count: int = 60) -> Array:
     return offset(0.1, 0.15 + along * np.sin(angle), along * np.cos(angle))
 
 
-def test_a_pole_that_crosses_is_not_beside() -> None:
+def test_a_pole_that_crosses_is_no_neighbour() -> None:
     seen = about(on_pole(), (leaning(0.25), BRIGHT))
-    assert np.count_nonzero(seen.beside & seen.is_retro) > 40
-    assert not seen.retro_beside.any()
+    assert np.count_nonzero(seen.nearby & seen.is_retro) > 40
+    assert not seen.retro_neighbours.any()
 
 
-def test_a_parallel_stripe_is_beside() -> None:
+def test_a_parallel_stripe_is_a_neighbour() -> None:
     seen = about(on_pole(), (leaning(0.0), BRIGHT))
-    np.testing.assert_array_equal(seen.retro_beside, seen.beside & seen.is_retro)
-    assert seen.retro_beside.any()
+    np.testing.assert_array_equal(seen.retro_neighbours, seen.nearby & seen.is_retro)
+    assert seen.retro_neighbours.any()
 
 
-def test_a_pole_that_crosses_a_suspect_line_is_beside() -> None:
+def test_a_pole_that_crosses_a_suspect_line_is_a_neighbour() -> None:
     seen = about(on_pole(width=2.1 * THICK_RMS), (leaning(0.4), BRIGHT))
     assert seen.is_thick
-    assert seen.retro_beside.any()
+    assert seen.retro_neighbours.any()
 
 
 def test_cluttered_share_counts_pieces_by_what_lies_on_the_line() -> None:
@@ -163,8 +163,8 @@ def crossing(angle: float, count: int = 30) -> Array:
     ("factor", "is_crossing"), [(0.98, False), (1.02, True), (3.0, True), (8.0, True)]
 )
 def test_another_line_is_one_at_an_angle(factor: float, is_crossing: bool) -> None:
-    beside = crossing(factor * surroundings.MIN_CROSSING_ANGLE)
-    assert on_crossing_line(beside, line_with()).tolist() == [is_crossing] * len(beside)
+    nearby = crossing(factor * surroundings.MIN_CROSSING_ANGLE)
+    assert on_crossing_line(nearby, line_with()).tolist() == [is_crossing] * len(nearby)
 
 
 def test_what_lies_off_the_other_line_is_not_on_it() -> None:
@@ -207,7 +207,7 @@ def test_a_pole_that_leans_on_a_wall_leaves_it_in_part(share: float) -> None:
 
 
 @pytest.mark.parametrize(("extra", "is_wall"), [(0.95, True), (1.05, False)])
-def test_a_wall_is_most_of_what_lies_beside(extra: float, is_wall: bool) -> None:
+def test_a_wall_is_most_of_the_neighbours(extra: float, is_wall: bool) -> None:
     plane = wall(0.2)
     count = int(extra / 2 * len(plane) * (1 / MOST - 1))
     # In pairs, as far before the plane as behind it, so that they do not draw it away.
@@ -303,7 +303,7 @@ def test_a_band_alone_is_sure() -> None:
 
 
 @pytest.mark.parametrize("aside", [-0.45, 0.45])
-def test_a_pole_with_a_person_beside_it_is_sure(aside: float) -> None:
+def test_a_pole_with_a_person_next_to_it_is_sure(aside: float) -> None:
     assert not is_worn(found([pole((4, 0)), person(-0.1, aside=aside)]))
 
 
@@ -376,7 +376,7 @@ def test_a_pole_by_itself_stands_free() -> None:
         (shared.PIECES, int(np.ceil(LITTLE * EACH)), "part_of_a_surface"),
     ],
 )
-def test_retro_reflective_clutter_is_beside_no_more_than_half(
+def test_retro_reflective_clutter_is_next_to_no_more_than_half(
     pieces: int, each: int, code: str
 ) -> None:
     found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), BRIGHT)))
@@ -385,7 +385,7 @@ def test_retro_reflective_clutter_is_beside_no_more_than_half(
 
 
 @pytest.mark.parametrize(("others", "code"), [(1, ""), (2, "part_of_a_surface")])
-def test_beside_few_points_each_retro_reflective_return_counts(others: int, code: str) -> None:
+def test_next_to_few_points_each_retro_reflective_return_counts(others: int, code: str) -> None:
     """Of seven points a quarter is less than two."""
     pole = on_pole(LENGTH, 7, 1)
     scened = scene(pole, (around(others, 0.0, 0.2), BRIGHT), rings=np.arange(7))
@@ -429,8 +429,8 @@ def test_few_returns_without_tape_lie_between(extra: int, code: str) -> None:
     found, reason = failed(pole_among((between, DIM)))
     assert found == code
     assert not code or f"{count} returns without tape" in reason
-    beside = upright_places(np.resize(rings[1:-1], count))
-    assert failed(pole_among((beside, DIM))) == ("", "")
+    nearby = upright_places(np.resize(rings[1:-1], count))
+    assert failed(pole_among((nearby, DIM))) == ("", "")
 
 
 def test_tape_seen_badly_may_lie_between() -> None:
@@ -447,7 +447,7 @@ def test_tape_seen_badly_may_lie_between() -> None:
         (shared.PIECES, int(np.ceil(MOST * EACH)), "part_of_a_surface"),
     ],
 )
-def test_other_clutter_is_beside_no_more_than_half(pieces: int, each: int, code: str) -> None:
+def test_other_clutter_is_next_to_no_more_than_half(pieces: int, each: int, code: str) -> None:
     found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), DIM)))
     assert found == code
     assert not code or "along" in reason
@@ -460,7 +460,7 @@ def test_other_clutter_is_beside_no_more_than_half(pieces: int, each: int, code:
         (int(LITTLE * 7) + 1, "part_of_a_surface"),
     ],
 )
-def test_a_suspect_line_may_have_clutter_beside_a_quarter(pieces: int, code: str) -> None:
+def test_a_suspect_line_may_have_clutter_next_to_a_quarter(pieces: int, code: str) -> None:
     """Of the eight pieces, one has no point of the seven."""
     heights = np.linspace(-LENGTH / 2, LENGTH / 2, 7)[:pieces]
     others = np.concatenate([around(4, height, 0.2) for height in heights])
@@ -482,7 +482,7 @@ def test_no_wall_excuses_a_short_line() -> None:
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.99, "part_of_a_surface"), (1.01, "")])
-def test_no_wall_excuses_what_is_close_beside_the_line(factor: float, code: str) -> None:
+def test_no_wall_excuses_what_is_close_next_to_the_line(factor: float, code: str) -> None:
     near = in_pieces(shared.PIECES, 8, factor * rules.MAX_CLOSE)
     assert failed(pole_among((wall_acceptance_surroundings(0.2), DIM), (near, DIM)))[0] == code
 

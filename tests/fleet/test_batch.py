@@ -15,7 +15,7 @@ import pytest
 from retropole.base.files import write_atomically
 from retropole.fleet import batch, storage
 from retropole.fleet.batch import calibrate_fleet, whole_groups
-from retropole.fleet.dataset import Row, known_in, partitions_in, read_rows, read_runs
+from retropole.fleet.dataset import Row, known_answers, partitions_in, read_rows, read_runs
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, answer
 from retropole.result.decoding import decode
@@ -51,7 +51,7 @@ def never(tasks: Iterator[Task]) -> Iterator[Outcome]:
 
 
 @pytest.mark.parametrize("at_url", [False, True])
-def test_a_second_run_into_a_dataset_is_told_of_the_first(
+def test_a_second_run_into_a_dataset_is_informed_of_the_first(
     at_url: bool, fleet: Path, tmp_path: Path
 ) -> None:
     if os.name == "nt" and not at_url:
@@ -131,7 +131,7 @@ def test_what_was_done_is_not_done_again(fleet: Path, out: Path, tmp_path: Path)
     assert {path: path.stat().st_mtime_ns for path in again.rglob("*.parquet")} == times
 
 
-def test_errors_are_tried_again_when_asked(fleet: Path, out: Path, tmp_path: Path) -> None:
+def test_errors_are_tried_again_when_requested(fleet: Path, out: Path, tmp_path: Path) -> None:
     again = copied(out, tmp_path)
     sites = find_sites([str(fleet)])
     assert calibrate_fleet(sites, str(again), here, retry=True).done == 2
@@ -156,7 +156,7 @@ def test_another_file_is_another_site(fleet: Path, out: Path, tmp_path: Path) ->
     assert calibrate_fleet(wider, str(again), here).done == 0
 
 
-def test_sites_that_are_not_named_are_kept_unless_told(
+def test_sites_that_are_not_named_are_kept_unless_requested(
     fleet: Path, out: Path, tmp_path: Path
 ) -> None:
     again = copied(out, tmp_path)
@@ -221,7 +221,9 @@ def test_a_dataset_may_be_a_url(fleet: Path, out: Path) -> None:
         for path in memory.find("/city/fleet/answers")
     }
     assert found == bytes_of(out)
-    assert set(known_in("memory://city/fleet")) == {name for ids in ENDS.values() for name in ids}
+    assert set(known_answers("memory://city/fleet")) == {
+        name for ids in ENDS.values() for name in ids
+    }
 
 
 def test_reports_are_made_where_they_are_not(fleet: Path, tmp_path: Path) -> None:

@@ -13,12 +13,12 @@ from pyarrow import parquet as pq
 from retropole.base.errors import NewerError, ReadError
 from retropole.fleet.dataset import (
     InputEntry,
-    Known,
+    KnownAnswer,
     LidarEntry,
     Row,
     Run,
     Step,
-    known_in,
+    known_answers,
     partition_of,
     read_rows,
     read_runs,
@@ -74,14 +74,14 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     write_partition(out, "part-00.parquet", rows, [RUN])
     assert read_rows(out, "part-00.parquet") == {row.id: row for row in rows}
     assert read_runs(out, "part-00.parquet") == {A: RUN}
-    assert known_in(out) == {A: Known(None, "error"), B: Known("k", "warn")}
+    assert known_answers(out) == {A: KnownAnswer(None, "error"), B: KnownAnswer("k", "warn")}
     assert read_rows(out, "part-01.parquet") == {}
     first = (tmp_path / "answers/part-00.parquet").read_bytes()
     write_partition(out, "part-00.parquet", rows[::-1], [])
     assert (tmp_path / "answers/part-00.parquet").read_bytes() == first
     assert not (tmp_path / "runs/part-00.parquet").exists()
     write_partition(out, "part-00.parquet", [], [])
-    assert known_in(out) == {}
+    assert known_answers(out) == {}
 
 
 def test_steps_come_back(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
     for rows in ([EMPTY, EMPTY], [msgspec.structs.replace(EMPTY, id="elsewhere")]):
         write_partition(str(tmp_path), "part-00.parquet", rows, [])
         with pytest.raises(ReadError, match="a site is there twice, or in another's"):
-            known_in(str(tmp_path))
+            known_answers(str(tmp_path))
 
 
 def test_an_answer_has_a_pose_and_nothing_else_has(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_page_whose_bytes_changed_is_named(tmp_path: Path) -> None:
     data[column.data_page_offset + column.total_compressed_size // 2] ^= 1
     path.write_bytes(data)
     with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):
-        known_in(str(tmp_path))
+        known_answers(str(tmp_path))
 
 
 def test_a_partition_of_a_newer_version_is_kept(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_partition_of_a_newer_version_is_kept(tmp_path: Path) -> None:
     with pytest.raises(
         NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is of a newer"
     ):
-        known_in(str(tmp_path))
+        known_answers(str(tmp_path))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
@@ -142,7 +142,7 @@ def test_a_pipe_in_the_place_of_a_partition_is_neither_read_nor_written(tmp_path
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(ReadError, match="is a named pipe, expected a file"):
-        known_in(str(tmp_path))
+        known_answers(str(tmp_path))
     with pytest.raises(ReadError, match="is a named pipe, expected a file"):
         write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [])
 
@@ -156,7 +156,7 @@ def test_a_damaged_partition_is_named(tmp_path: Path, damage: str) -> None:
     else:
         path.write_bytes(path.read_bytes()[:-100] if damage == "cut" else b"PAR1")
     with pytest.raises(ReadError, match=r"part-00\.parquet: .*; remove it"):
-        known_in(str(tmp_path))
+        known_answers(str(tmp_path))
 
 
 def test_other_programs_read_it(tmp_path: Path) -> None:

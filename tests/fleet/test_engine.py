@@ -24,7 +24,7 @@ from retropole.fleet import engine
 from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.engine import connected, mapped, outcomes, run_task
 from retropole.fleet.sites import FleetSite, find_sites
-from retropole.fleet.work import Task, environment, lost
+from retropole.fleet.work import Task, environment, unanswered
 from tests.fleet.fleets import bytes_of, here, shuffled
 
 
@@ -193,7 +193,7 @@ class Cluster:
         task = msgspec.msgpack.decode(data, type=Task)
         self.given[task.site.id] += 1
         left = self.ends.get(task.site.id, [])
-        done = msgspec.msgpack.encode(lost(task.site, "made_up", "done"))
+        done = msgspec.msgpack.encode(unanswered(task.site, "made_up", "done"))
         return Future(left.pop(0) if left else done)
 
 

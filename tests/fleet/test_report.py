@@ -303,7 +303,7 @@ def test_what_others_wrote_stays_text() -> None:
     assert page.text.count("</script><script>window.injected=1</script>") > 5
 
 
-def test_without_answers_or_places_it_says_so() -> None:
+def test_without_answers_or_places_it_reports_it() -> None:
     page = Page(render_fleet(of_sites(seen("a", status="refused", sigma_30m_m=None))))
     assert "No site says where it is" in page.text
     assert "No site has an answer" in page.text
@@ -409,7 +409,7 @@ def test_statuses_differ_in_shape_and_the_worst_lie_on_top() -> None:
     assert "s0: error, 12 mm at 30 m" in Page(html).text
 
 
-def test_what_is_not_drawn_or_named_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_drawn_or_named_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "MOST_NAMED", 2)
     nowhere = msgspec.structs.replace(at("x", 1, 1), latitude_rad=None, longitude_rad=None)
     html = fleet_map([at("a", 1, 1), at("b", 1, 1.1, "error"), at("c", 1.1, 1.1), nowhere])

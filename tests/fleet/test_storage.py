@@ -16,7 +16,7 @@ from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 from retropole.base.errors import ReadError, UsageError
 from retropole.base.files import RUNNING, leaving
 from retropole.fleet import storage
-from retropole.fleet.dataset import known_in, partition_of, read_rows, write_partition
+from retropole.fleet.dataset import known_answers, partition_of, read_rows, write_partition
 from retropole.fleet.process import done
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.storage import alone_in, below, exists, read_bytes, remove, write_bytes
@@ -101,7 +101,7 @@ def test_a_url_is_followed_only_where_its_protocol_is_allowed(url: str, tmp_path
     assert not second.fault
 
 
-def test_another_protocol_is_followed_where_it_is_asked_for() -> None:
+def test_another_protocol_is_followed_where_it_is_requested() -> None:
     site = FleetSite(id="a", kind="pair", target="github://a/b", source="github://a/c")
     with storage.also_following(["github"]):
         task = task_of(site, 9.0)
@@ -139,7 +139,7 @@ def test_columns_are_read_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         return data
 
     monkeypatch.setattr(MemoryFile, "read", read, raising=False)
-    assert known_in(out).keys() == {row.id for row in rows}
+    assert known_answers(out).keys() == {row.id for row in rows}
     assert 0 < taken < 0.1 * sum(len(row.document or "") for row in long)
 
 
@@ -151,7 +151,7 @@ def out() -> str:
     return f"memory://{uuid.uuid4().hex}/fleet"
 
 
-def test_a_second_run_is_told_of_the_first_until_that_is_over(out: str) -> None:
+def test_a_second_run_is_informed_of_the_first_until_that_is_over(out: str) -> None:
     for _ in range(2):
         with alone_in(out):
             note = read_bytes(below(out, RUNNING))

@@ -39,7 +39,7 @@ def far(fleet: Path) -> dict[str, FleetSite]:
     return {site.id: site for site in find_sites(["memory://far/sites.csv"])}
 
 
-def test_the_hashes_are_told_before_anything_is_read(sites: dict[str, FleetSite]) -> None:
+def test_the_hashes_are_reported_before_anything_is_read(sites: dict[str, FleetSite]) -> None:
     told: list[Hashed] = []
     outcome = answer(task_of(sites["small/1"]), told.append)
     assert outcome.row is not None

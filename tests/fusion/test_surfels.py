@@ -8,12 +8,12 @@ from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import UsageError
 from retropole.fusion.merging import Points, fused
 from retropole.fusion.surfels import (
-    Apart,
+    SurfaceDistance,
     distance_at,
     distances,
     in_words,
     moments_of,
-    surfaces_apart,
+    surface_distances,
     surfels_of,
     up_by_ground,
 )
@@ -34,8 +34,8 @@ def plane(rng: np.random.Generator, height: float, lidar: int, noise: float = 0.
     return points_of(np.c_[xy, height + rng.normal(0, noise, len(xy))], lidar)
 
 
-def apart_of(parts: list[Points], origins: Array = ORIGINS, cell: float = CELL) -> Apart:
-    (found,) = surfaces_apart(moments_of(parts, cell), origins, UP)
+def apart_of(parts: list[Points], origins: Array = ORIGINS, cell: float = CELL) -> SurfaceDistance:
+    (found,) = surface_distances(moments_of(parts, cell), origins, UP)
     return found
 
 
@@ -64,7 +64,7 @@ def test_the_distance_does_not_depend_on_where_both_clouds_are() -> None:
         moved = [part.copy() for part in parts]
         for part in moved:
             part["xyz"] = se3.apply(T, part["xyz"])
-        (there,) = surfaces_apart(moments_of(moved, CELL), se3.apply(T, ORIGINS), T[:3, :3] @ UP)
+        (there,) = surface_distances(moments_of(moved, CELL), se3.apply(T, ORIGINS), T[:3, :3] @ UP)
         assert np.median(there.distances) == pytest.approx(np.median(here.distances), abs=within)
         assert {*there.kinds} == {0}
         assert there.areas.sum() == pytest.approx(here.areas.sum(), rel=0.1)
@@ -103,7 +103,7 @@ def test_a_thin_wall_has_a_surfel_on_either_side_and_is_not_compared() -> None:
     origins = np.array([[-4.0, 1.5, 1.5], [4.0, 1.5, 1.5]])
     parts = [points_of(np.c_[np.full(6000, 0.04 * k), yz[k]], k, 5.0 + k) for k in (0, 1)]
     moments = moments_of(parts, CELL)
-    assert list(surfaces_apart(moments, origins, UP)) == []
+    assert list(surface_distances(moments, origins, UP)) == []
     found = surfels_of(moments, origins)
     assert {*found.lidars} == {1, 2}
     for k, x in ((0, -1.0), (1, 1.0)):
@@ -125,7 +125,7 @@ def test_lidars_on_one_side_have_a_surfel_together() -> None:
     # A disc with the variance of a square of three cells: 2 (0.9² / 12 · 2) under the root.
     assert np.median(found.radius) == pytest.approx(0.9 / np.sqrt(3), rel=0.05)
     assert np.median(found.thickness) == pytest.approx(0.01, rel=0.1)
-    apart = list(surfaces_apart(moments, ORIGINS, UP))
+    apart = list(surface_distances(moments, ORIGINS, UP))
     assert np.isfinite(distance_at(found, apart, CELL)[middle]).all()
 
 
@@ -155,7 +155,7 @@ def test_more_lidars_than_bits_are_refused() -> None:
 def test_no_points_have_no_surfels() -> None:
     moments = moments_of([], CELL)
     assert len(surfels_of(moments, ORIGINS).centres) == 0
-    assert list(surfaces_apart(moments, ORIGINS, UP)) == []
+    assert list(surface_distances(moments, ORIGINS, UP)) == []
 
 
 def test_the_distance_grows_as_a_pose_is_turned() -> None:

@@ -134,7 +134,7 @@ def test_cells_without_errors_give_their_plane() -> None:
     assert np.allclose(plane.mean[:3], [0.05, 0.001, 0], atol=1e-4)
 
 
-def test_a_road_beside_a_pavement_is_levelled_alone() -> None:
+def test_a_road_next_to_a_pavement_is_levelled_alone() -> None:
     on_road = np.abs(AT[:, 1]) < 3.5
     z = np.where(on_road, 0.02 * AT[:, 1], 0.2)
     (found,) = level([viewer(AT, z, pose(2.0))]).lidars

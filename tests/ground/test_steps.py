@@ -3,7 +3,7 @@
 import numpy as np
 
 from retropole.base.datatypes import Array
-from retropole.ground.steps import CELL, _below, _is_step, _parted, at_steps, is_around
+from retropole.ground.steps import CELL, _below, _is_step, _split, at_steps, is_around
 
 ROWS = np.stack(np.meshgrid(np.arange(-20, 20), np.arange(-20, 20)), axis=-1).reshape(-1, 2)
 AT: Array = np.asarray((ROWS + 0.5) * CELL, dtype=np.float64)
@@ -14,12 +14,12 @@ def test_two_levels_are_parted_and_what_is_between_is_of_none() -> None:
     z = np.where(upper, 0.12, 0.0) + 0.02 * AT[:, 0]
     z[:20] += 0.06
     guess = np.random.default_rng(1).uniform(size=len(z)) < np.where(upper, 0.8, 0.2)
-    parted = _parted(np.c_[AT, z], np.ones(len(z), dtype=bool), [guess])
+    parted = _split(np.c_[AT, z], np.ones(len(z), dtype=bool), [guess])
     assert parted is not None
     assert not parted[0][:20].any()
     assert (parted[0][20:] == ~upper[20:]).all()
     assert (parted[1] == upper).all()
-    assert _parted(np.c_[AT, 0.1 * AT[:, 1]], np.ones(len(z), dtype=bool), [upper]) is None
+    assert _split(np.c_[AT, 0.1 * AT[:, 1]], np.ones(len(z), dtype=bool), [upper]) is None
 
 
 def test_a_slope_between_two_levels_is_no_step() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retropole.adjustment.refinement import refine
-from retropole.alignment.adjustment import PLACE_SIGMA
+from retropole.alignment.adjustment import SURROUNDINGS_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import (
     Calibration,
@@ -143,17 +143,17 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
         check_held(paired, None)
     assert refused.value.code == "degenerate_poles"
     T = hypothesis.match.T_target_source
-    refined = refine(*scans, PoseEstimate(T, np.diag(PLACE_SIGMA**2), 0.01))
+    refined = refine(*scans, PoseEstimate(T, np.diag(SURROUNDINGS_SIGMA**2), 0.01))
     assert refined is not None
     check_held(paired, refined.pose)
     assert refined.pose.covariance is not None
     for k in range(6):
         variance = np.diag(refined.pose.covariance).copy()
-        variance[k] = (1.1 * HELD * PLACE_SIGMA[k]) ** 2
+        variance[k] = (1.1 * HELD * SURROUNDINGS_SIGMA[k]) ** 2
         loose = PoseEstimate(T, np.diag(variance), 0.01)
         with pytest.raises(Refusal, match="hold the pose to"):
             check_held(paired, loose)
-    doubted = np.diag((2 * HELD * PLACE_SIGMA) ** 2)
+    doubted = np.diag((2 * HELD * SURROUNDINGS_SIGMA) ** 2)
     check_held(paired, PoseEstimate(T, doubted, 0.01), refined.held)
     with pytest.raises(Refusal, match="hold the pose to"):
         check_held(paired, PoseEstimate(T, 400 * doubted, 0.01), refined.held)

@@ -9,18 +9,18 @@ import pytest
 
 from retropole.adjustment import blunders
 from retropole.adjustment.answer import SiteCalibration
-from retropole.adjustment.blunders import check_poles_of_hanging
+from retropole.adjustment.blunders import check_poles_of_dependent
 from retropole.adjustment.datum import (
-    Hanging,
-    check_hanging,
+    Dependent,
+    check_dependent,
     check_poles_left,
     find_datum,
-    find_hanging,
-    hanging_off,
-    known_poses,
+    find_dependent,
+    orient_links,
+    prior_poses,
     without_poles,
 )
-from retropole.alignment.adjustment import PLACE_SIGMA
+from retropole.alignment.adjustment import SURROUNDINGS_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
@@ -154,22 +154,22 @@ def test_a_pole_that_was_pushed_a_little_is_told(hidden: SimulatedSite) -> None:
 def test_what_the_surroundings_alone_do_not_hold_is_not_checked(
     steps: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hanging = (Hanging(0, 2, steps.adjusted.end.T[2], frozenset({2})),)
-    adjusted = replace(steps.adjusted, datum=replace(steps.datum, hanging=hanging))
-    assert list(check_poles_of_hanging(steps.recorded, adjusted)) == []
+    dependent = (Dependent(0, 2, steps.adjusted.end.T[2], frozenset({2})),)
+    adjusted = replace(steps.adjusted, datum=replace(steps.datum, dependent=dependent))
+    assert list(check_poles_of_dependent(steps.recorded, adjusted)) == []
     monkeypatch.setattr(blunders, "is_held", lambda covariance: False)
-    (reason,) = check_poles_of_hanging(steps.recorded, adjusted)
+    (reason,) = check_poles_of_dependent(steps.recorded, adjusted)
     assert reason.code == "not_checked"
     assert reason.values["lidar"] == steps.site.lidars[2].name
 
 
 def test_a_parted_pole_is_seen_by_one_side_each(steps: Steps) -> None:
-    hanging = Hanging(0, 2, np.eye(4), frozenset({2}))
+    dependent = Dependent(0, 2, np.eye(4), frozenset({2}))
     poles = steps.datum.poles
-    across = hanging.across(poles)
-    parted = hanging.parted(poles)
+    across = dependent.across(poles)
+    parted = dependent.split_across(poles)
     assert len(parted) == len(poles) + len(across)
-    assert not hanging.across(parted)
+    assert not dependent.across(parted)
     for k, other in zip(across, parted[len(poles) :], strict=True):
         assert {**parted[k].seen, **other.seen} == poles[k].seen
 
@@ -225,10 +225,10 @@ def test_where_poles_link_all_the_place_is_not_asked(
     scans, pairs = link_by_place(steps.scans, steps.pairs, 0.02)
     assert scans is steps.scans
     assert pairs == steps.pairs
-    hanging = find_hanging(pairs, steps.choices.best.poses)
-    assert hanging == ()
+    dependent = find_dependent(pairs, steps.choices.best.poses)
+    assert dependent == ()
     datum = find_datum(
-        steps.site, steps.scans.origins, steps.choices.best.poses, steps.poles, hanging
+        steps.site, steps.scans.origins, steps.choices.best.poses, steps.poles, dependent
     )
     assert datum.surveyed.poses == ()
 
@@ -272,37 +272,37 @@ def test_a_chain_hangs_link_by_link() -> None:
         linked(2, 3, at(2.0), by_place=False),
         linked(3, 4, at(2.0), by_place=True),
     )
-    hanging = find_hanging(pairs, poses)
-    assert [(one.near, one.far) for one in hanging] == [(1, 2), (3, 4)]
-    assert [one.lidars for one in hanging] == [{2, 3, 4}, {4}]
-    turned = list(hanging_off(hanging, 2, frozenset(poses)))
+    dependent = find_dependent(pairs, poses)
+    assert [(one.near, one.far) for one in dependent] == [(1, 2), (3, 4)]
+    assert [one.lidars for one in dependent] == [{2, 3, 4}, {4}]
+    turned = list(orient_links(dependent, 2, frozenset(poses)))
     assert [(one.near, one.far) for one in turned] == [(2, 1), (3, 4)]
     assert turned[0].lidars == {0, 1}
-    for each in (*known_poses(hanging, poses), *known_poses(turned, poses)):
+    for each in (*prior_poses(dependent, poses), *prior_poses(turned, poses)):
         np.testing.assert_allclose(each.T, poses[each.lidar], atol=1e-12)
 
 
 def test_without_the_pole_of_its_link_a_lidar_is_refused(steps: Steps) -> None:
     site, poles = steps.site, steps.datum.poles
-    hanging = (Hanging(0, 2, np.eye(4), frozenset({2})),)
-    check_poles_left(site, hanging, poles)
-    gone = set(hanging[0].across(poles))
+    dependent = (Dependent(0, 2, np.eye(4), frozenset({2})),)
+    check_poles_left(site, dependent, poles)
+    gone = set(dependent[0].across(poles))
     left = without_poles(steps.datum, gone)
     with pytest.raises(Refusal) as refusal:
-        steps.again(replace(left, hanging=hanging))
+        steps.again(replace(left, dependent=dependent))
     assert refusal.value.code == "degenerate_poles"
 
 
 def test_a_pose_that_the_scene_holds_little_better_than_the_place_is_refused(steps: Steps) -> None:
-    hanging = (Hanging(0, 1, np.eye(4), frozenset({1})),)
+    dependent = (Dependent(0, 1, np.eye(4), frozenset({1})),)
     T = np.stack([np.eye(4)] * 3)
     for share, is_held in ((0.9 * HELD, True), (1.1 * HELD, False)):
         covariance = np.zeros((18, 18))
-        covariance[6:12, 6:12] = np.diag((share * PLACE_SIGMA) ** 2)
+        covariance[6:12, 6:12] = np.diag((share * SURROUNDINGS_SIGMA) ** 2)
         if is_held:
-            check_hanging(steps.site, hanging, T, covariance)
+            check_dependent(steps.site, dependent, T, covariance)
             continue
         with pytest.raises(Refusal) as refusal:
-            check_hanging(steps.site, hanging, T, covariance)
+            check_dependent(steps.site, dependent, T, covariance)
         assert refusal.value.code == "degenerate_poles"
         assert steps.site.lidars[1].name in refusal.value.message

@@ -39,7 +39,7 @@ def test_a_small_map_needs_no_place_and_a_large_one_does() -> None:
         as_map(cloud(), MapPlace())
 
 
-def test_a_place_beside_the_map_is_refused_with_where_the_map_is() -> None:
+def test_a_place_next_to_the_map_is_refused_with_where_the_map_is() -> None:
     with pytest.raises(ReadError, match=r"0 points .* x 411,85\d"):
         as_map(cloud(), MapPlace((0.0, 0.0, 0.0)))
 

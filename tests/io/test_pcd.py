@@ -170,7 +170,7 @@ def test_viewpoint_is_the_origin_and_no_return(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("shape", [(0, 0), (0, 1), (60, 0)])
-def test_points_are_read_where_width_and_height_are_not_said(
+def test_points_are_read_where_width_and_height_are_not_reported(
     tmp_path: Path, encoding: str, shape: tuple[int, int]
 ) -> None:
     width, height = (f"{n}".encode() for n in shape)
@@ -321,7 +321,9 @@ class TestWrite:
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_points_that_the_header_does_not_promise_are_said(tmp_path: Path, encoding: str) -> None:
+def test_points_that_the_header_does_not_promise_are_reported(
+    tmp_path: Path, encoding: str
+) -> None:
     header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\n"
     header += f"POINTS 2\nDATA {encoding}\n"
     row = b"1 2 3\n" if encoding == "ascii" else np.array([1, 2, 3], "<f4").tobytes()

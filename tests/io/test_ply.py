@@ -146,7 +146,9 @@ def test_no_ply(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_vertices_that_the_header_does_not_promise_are_said(tmp_path: Path, encoding: str) -> None:
+def test_vertices_that_the_header_does_not_promise_are_reported(
+    tmp_path: Path, encoding: str
+) -> None:
     body = pack(encoding, VERTEX_KINDS, [*VERTICES, *VERTICES[:2]])
     write(tmp_path / "a.ply", encoding, VERTEX, body)
     (note,) = read_cloud(tmp_path / "a.ply").notes

@@ -40,7 +40,7 @@ def test_below_the_limit_a_cloud_is_itself() -> None:
 
 
 @pytest.mark.parametrize("part", [0.999, 0.5, 0.1, 0.003])
-def test_as_many_points_are_kept_as_asked(part: float) -> None:
+def test_as_many_points_are_kept_as_requested(part: float) -> None:
     cloud = cloud_of(100_003)
     most = int(part * len(cloud))
     kept = downsample(cloud, most)

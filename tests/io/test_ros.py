@@ -271,7 +271,7 @@ def test_no_returns_are_dropped_and_counted_in_every_frame(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_topic_is_chosen_or_asked_for(tmp_path: Path, kind: str) -> None:
+def test_a_topic_is_chosen_or_requested(tmp_path: Path, kind: str) -> None:
     front, rear = random_cloud(1), random_cloud(2)
     path = write_bag(
         tmp_path, kind, {"/front": [points_of(front)] * 2, "/rear": [points_of(rear)], "/mute": []}

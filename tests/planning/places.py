@@ -9,7 +9,7 @@ from retropole.base.datatypes import Array
 from retropole.base.sensors import find_sensor
 from retropole.planning.place import Area, Station
 from retropole.planning.planner import Planned, plan
-from retropole.planning.stations import stand_drawn
+from retropole.planning.stations import place_drawn_lidars
 from retropole.simulation.raycast import Box, Material
 from retropole.simulation.scenes import box
 
@@ -38,7 +38,7 @@ AREAS = (
 @cache
 def stations(sensor: str = "VLP-16") -> tuple[Station, ...]:
     sensors = [find_sensor(sensor)] * 2
-    return tuple(stand_drawn(("front", "rear"), sensors, POSES, BOXES))
+    return tuple(place_drawn_lidars(("front", "rear"), sensors, POSES, BOXES))
 
 
 @cache

@@ -10,10 +10,10 @@ from retropole.planning.choice import (
     Rules,
     carried,
     choose,
+    constrained_twice,
+    count_dependent,
     error_of,
     errors_of,
-    hanging,
-    held_twice,
     rules_of,
 )
 from retropole.planning.place import Candidates
@@ -47,8 +47,8 @@ def test_exchange_finds_the_best_set(seed: int) -> None:
     chosen = choose(design, 3)
     assert chosen is not None
     # Of those that hang on one pole as little.
-    most = hanging(design, chosen)
-    sets = [each for each in combinations(range(9), 3) if hanging(design, [each]) <= most]
+    most = count_dependent(design, chosen)
+    sets = [each for each in combinations(range(9), 3) if count_dependent(design, [each]) <= most]
     best = min(error_of(design, [each]) for each in sets)
     assert error_of(design, chosen) <= 1.05 * best
     assert chosen == choose(design, 3)
@@ -74,11 +74,11 @@ def test_a_lidar_that_hangs_on_one_pole_is_counted_and_gets_another() -> None:
     held = 1e3 * np.eye(6)[:, :3], 1e3 * np.eye(6)[:, 3:], 1e3 * np.eye(6)
     roots = [(place, each) for each in (*held, *[1e-3 * np.eye(6)] * 6)]
     design = replace(design, roots=roots)
-    assert hanging(design, [[0, 1]]) == 2
-    assert hanging(design, [[2, 3]]) == 1
-    assert hanging(design, [[0, 1, 2]]) == 0
-    again = held_twice(design, [[2, 3], [1]])
-    assert hanging(design, again) == 0
+    assert count_dependent(design, [[0, 1]]) == 2
+    assert count_dependent(design, [[2, 3]]) == 1
+    assert count_dependent(design, [[0, 1, 2]]) == 0
+    again = constrained_twice(design, [[2, 3], [1]])
+    assert count_dependent(design, again) == 0
     assert sum(map(len, again)) == 3
 
 

@@ -56,7 +56,7 @@ def test_a_pole_that_was_put_elsewhere_is_named_with_the_way_back(plan: PolePlan
     assert "move it 0.7 m to the right" in first.words
 
 
-def test_a_pole_that_is_missing_and_one_that_is_not_planned_are_told(plan: PolePlanDoc) -> None:
+def test_a_pole_that_is_missing_and_one_that_is_not_planned_are_reported(plan: PolePlanDoc) -> None:
     poles = as_seen(plan, 0)
     stood = against_plan(plan, poles[1:], "front")
     assert stood.deviations[0].offset is None

@@ -21,7 +21,7 @@ from retropole.planning.live_advice import (
     keep_still,
     outcome_of,
 )
-from retropole.planning.live_poles import Looked, Tracked, View, word_on
+from retropole.planning.live_poles import Looked, Tracked, View, fault_of
 from retropole.result import ReasonDoc, ResultDoc, SwayDoc
 from tests.conftest import PoleMaker
 from tests.report.made_up import made_up
@@ -67,7 +67,7 @@ def test_a_silent_lidar_goes_first(poles: list[Pole]) -> None:
     assert said(view("front", poles), old).code == "silent"
 
 
-def test_what_cannot_be_read_is_said(poles: list[Pole]) -> None:
+def test_what_cannot_be_read_is_reported(poles: list[Pole]) -> None:
     advice = said(view("front", poles), replace(view("rear", poles), fault="point_step is 3"))
     assert advice.code == "unreadable"
     assert "point_step is 3" in advice.words
@@ -109,7 +109,7 @@ def test_what_fits_to_the_others_poles_is_named(poles: list[Pole], make_pole: Po
     assert said(view("front", poles), clutter).code == "hidden"
 
 
-def test_who_stands_before_a_lidar_is_asked_to_step_aside(poles: list[Pole]) -> None:
+def test_who_stands_before_a_lidar_is_requested_to_step_aside(poles: list[Pole]) -> None:
     rear = view("rear", poles)
     gone = replace(rear.tracks[1], seen=NOW - 5.0)
     body = poles[1].point * 0.3 + np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
@@ -125,7 +125,7 @@ def test_moving_and_new_poles(poles: list[Pole]) -> None:
     assert said(view("front", poles), view("rear", poles, NOW - 0.2)).code == "settling"
 
 
-def test_where_a_lidar_sees_that_does_not_see_all_around_is_said(
+def test_where_a_lidar_sees_that_does_not_see_all_around_is_reported(
     poles: list[Pole], make_pole: PoleMaker
 ) -> None:
     at128 = find_sensor("AT128")
@@ -162,11 +162,11 @@ def test_a_check_needs_no_poles() -> None:
 
 def test_words_on_a_pole(poles: list[Pole]) -> None:
     (track, _) = view("front", poles).tracks
-    assert word_on(track, NOW) == ""
-    assert word_on(track, NOW + 5) == "lost"
-    assert word_on(replace(track, since=NOW - 0.1, has_moved=True), NOW) == "moving"
-    assert word_on(replace(track, since=NOW - 0.1), NOW) == "new"
-    assert word_on(replace(track, pole=replace(track.pole, rings=2)), NOW) == "few rings"
+    assert fault_of(track, NOW) == ""
+    assert fault_of(track, NOW + 5) == "lost"
+    assert fault_of(replace(track, since=NOW - 0.1, has_moved=True), NOW) == "moving"
+    assert fault_of(replace(track, since=NOW - 0.1), NOW) == "new"
+    assert fault_of(replace(track, pole=replace(track.pole, rings=2)), NOW) == "few rings"
 
 
 # --- after an answer ----------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from retropole.planning.live_poles import (
     begun,
     follow,
     hidden_by,
-    is_elsewhere,
+    is_new_placement,
     is_same_pair,
     look,
     present,
@@ -125,7 +125,7 @@ def test_what_stands_before_a_pole_hides_it(make_pole: PoleMaker) -> None:
     assert same == pytest.approx(found)
 
 
-def test_the_same_two_poles_are_told_from_any_place(make_pole: PoleMaker) -> None:
+def test_the_same_two_poles_are_reported_from_any_place(make_pole: PoleMaker) -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
         T = se3.from_rt(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3) * 5)
@@ -193,29 +193,29 @@ def test_memory_is_bounded() -> None:
     assert capture.is_full(10**6, 0.0)
 
 
-def test_another_placement_is_told_by_its_poles(make_pole: PoleMaker) -> None:
+def test_another_placement_is_reported_by_its_poles(make_pole: PoleMaker) -> None:
     here = tuple(
         Tracked(k, pole, pole, 0.0, 1.0)
         for k, pole in enumerate([make_pole([5, 0, 0], UP), make_pole([5, 2, 0], UP)])
     )
     capture = begun([here, here], 1.0)
-    assert not is_elsewhere(capture, [here, here], 1.0)
+    assert not is_new_placement(capture, [here, here], 1.0)
     # Rings meet it elsewhere.
     other = replace(here[0], pole=make_pole([5, 0, 0.2], UP))
-    assert not is_elsewhere(capture, [here, (other, here[1])], 1.0)
+    assert not is_new_placement(capture, [here, (other, here[1])], 1.0)
     moved = replace(here[0], pole=make_pole([5, 0.5, 0], UP))
-    assert is_elsewhere(capture, [here, (moved, here[1])], 1.0)
-    assert is_elsewhere(capture, [(moved, here[1]), here], 1.0)
+    assert is_new_placement(capture, [here, (moved, here[1])], 1.0)
+    assert is_new_placement(capture, [(moved, here[1]), here], 1.0)
     # One that is not seen now says nothing.
     gone = replace(moved, seen=-10.0)
-    assert not is_elsewhere(capture, [here, (gone, here[1])], 1.0)
+    assert not is_new_placement(capture, [here, (gone, here[1])], 1.0)
 
 
 def test_sweeps_that_do_not_repeat_are_searched_together() -> None:
     def sizes(sensor: str) -> list[int]:
         watched = Watched(cast(Source, None), View("front", sensor=find_sensor(sensor)), None)
         sweeps = (PointCloud(np.full((5, 3), float(k)), np.arange(5.0)) for k in range(4))
-        return [len(watched.together(sweep)) for sweep in sweeps]
+        return [len(watched.accumulated(sweep)) for sweep in sweeps]
 
     assert sizes("Avia") == [5, 10, 10, 10]
     assert sizes("XT32") == [5, 5, 5, 5]

@@ -12,15 +12,15 @@ from retropole.planning.place import (
     MIN_RETURNS,
     Area,
     Candidates,
-    beams_met,
+    beams_hit,
     field_of,
+    is_in_view,
     is_seen,
-    stands_inside,
     survey,
     thinned,
 )
 from retropole.planning.prediction import divergences_of
-from retropole.planning.stations import stand_drawn
+from retropole.planning.stations import place_drawn_lidars
 from retropole.simulation.raycast import cast
 from tests.planning.places import AREAS, BOXES, planned, pose, stations
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.full
 
 
 def in_areas(feet: Array) -> BoolArray:
-    return np.asarray(np.any([area.holds(feet[:, :2]) for area in AREAS], axis=0))
+    return np.asarray(np.any([area.contains(feet[:, :2]) for area in AREAS], axis=0))
 
 
 def test_feet_stand_on_the_ground_and_on_nothing_else() -> None:
@@ -59,7 +59,7 @@ def test_areas_allow_and_forbid() -> None:
     half = Area(np.array([4.0, -3.0]), np.array([6.0, -1.0]))
     left = survey(stations(), allowed=AREAS, forbidden=[half]).feet
     assert 0 < len(left) < len(feet)
-    assert not half.holds(left[:, :2]).any()
+    assert not half.contains(left[:, :2]).any()
 
 
 def test_no_ground_is_refused() -> None:
@@ -80,7 +80,7 @@ def test_a_plan_does_not_move_with_the_drawing() -> None:
     from tests.planning.places import POSES
 
     sensors = [find_sensor("VLP-16")] * 2
-    moved = stand_drawn(("front", "rear"), sensors, [away @ T for T in POSES], boxes)
+    moved = place_drawn_lidars(("front", "rear"), sensors, [away @ T for T in POSES], boxes)
     for one, other in zip(stations(), moved, strict=True):
         np.testing.assert_allclose(one.T, other.T, atol=5e-3)
 
@@ -98,15 +98,15 @@ def test_what_stands_before_a_pole_hides_it() -> None:
     behind, before = (np.r_[k * away, 0.0] for k in (np.linalg.norm(box[:2]) + 1.5, 2.5))
     up = np.array([0.0, 0.0, 1.0])
     low = Candidates(np.stack([behind, before]), np.stack([up, up]), 1.0, 0.02)
-    assert not is_seen(beams_met(low.pole(0), beams, width), beams)
-    assert is_seen(beams_met(low.pole(1), beams, width), beams)
+    assert not is_seen(beams_hit(low.pole(0), beams, width), beams)
+    assert is_seen(beams_hit(low.pole(1), beams, width), beams)
 
 
 def test_beams_meet_poles_where_the_ray_caster_has_them() -> None:
     station, width = stations()[0], divergences_of(stations())[0]
     beams = station.seen_from_place()
     pole = planned().candidates.pole(3)
-    met = beams_met(pole, beams, width)
+    met = beams_hit(pole, beams, width)
     hits = cast(beams.origin, beams.directions, [pole], width)
     expected = np.flatnonzero(hits.ranges < beams.ranges)
     np.testing.assert_array_equal(np.sort(met.beam), expected)
@@ -120,12 +120,12 @@ def test_every_candidate_is_seen_by_two_and_stands_on_the_ground() -> None:
     for i, station in enumerate(found.stations):
         beams, width = station.seen_from_place(), divergences_of(found.stations)[i]
         for k in found.numbers:
-            assert len(beams_met(found.candidates.pole(k), beams, width).beam) >= MIN_RETURNS
+            assert len(beams_hit(found.candidates.pole(k), beams, width).beam) >= MIN_RETURNS
 
 
 def test_poles_stand_a_lean_inside_a_limited_view() -> None:
     sensor = replace(find_sensor("XT32"), azimuth_span=(-1.0, 1.0))
-    station = stand_drawn(["a"], [sensor], [pose(0.0, 0.0, 1.8)], BOXES)[0]
+    station = place_drawn_lidars(["a"], [sensor], [pose(0.0, 0.0, 1.8)], BOXES)[0]
     assert np.abs(np.arctan2(*station.beams.directions[:, [1, 0]].T)).max() < 1.01
     assert field_of(station) is sensor
     at = np.array([[4.0, 0.0], [2.2, 3.2], [0.0, 4.0]])
@@ -133,7 +133,7 @@ def test_poles_stand_a_lean_inside_a_limited_view() -> None:
     poles = Candidates(np.c_[at, np.zeros(3)], up, 2.0, 0.02)
     # The second is within the field, and would not be if it leaned.
     assert sensor.has_in_view(poles.centre).tolist() == [True, True, False]
-    inside = [stands_inside(poles.pole(k), station, sensor) for k in range(3)]
+    inside = [is_in_view(poles.pole(k), station, sensor) for k in range(3)]
     assert inside == [True, False, False]
     # Of a recording that was turned it is not known where the field ends.
     turned = replace(station, cloud=station.cloud.transformed(pose(0.0, 0.0, 0.0, 90.0)))

@@ -15,7 +15,7 @@ from retropole.base.uncertainty import predicted_error
 from retropole.planning import planner
 from retropole.planning.place import FAR, Area
 from retropole.planning.planner import plan, rehearse, worst_at
-from retropole.planning.stations import stand_drawn
+from retropole.planning.stations import place_drawn_lidars
 from retropole.result.pole_plan import LONGEST, MOST_PLACEMENTS, MOST_POLES, SHORTEST
 from tests.planning.places import AREAS, BOXES, POSES, planned, pose, stations
 
@@ -48,7 +48,7 @@ def test_too_little_ground_is_refused() -> None:
 def test_masts_are_too_high_for_thin_poles() -> None:
     """It says how thick poles must be."""
     masts = [pose(0.0, 0.0, 12.0, 0.0, 20.0), pose(9.0, 0.0, 12.0, 180.0, 20.0)]
-    high = stand_drawn(("a", "b"), [find_sensor("XT32")] * 2, masts)
+    high = place_drawn_lidars(("a", "b"), [find_sensor("XT32")] * 2, masts)
     with pytest.raises(Refusal, match=r"they are seen up to 12\.0 m away") as refusal:
         plan(high)
     assert refusal.value.code == "nowhere_seen"
@@ -90,7 +90,7 @@ def test_any_wish_is_planned_or_refused_with_numbers(given: dict[str, Any]) -> N
     # What a calibration with these poles says has tests of its own, and takes most of the time.
     with patch.object(planner, "rehearse", return_value=planned().rehearsal):
         try:
-            drawn = stand_drawn(("a", "b"), [find_sensor("VLP-16")] * 2, poses)
+            drawn = place_drawn_lidars(("a", "b"), [find_sensor("VLP-16")] * 2, poses)
             found = plan(
                 drawn,
                 poles=given["poles"],
@@ -130,7 +130,7 @@ def test_the_rehearsal_finds_the_poses_that_it_was_made_with() -> None:
 def test_three_lidars_are_rehearsed_as_a_site() -> None:
     sensors = [find_sensor("VLP-16")] * 3
     poses = (*POSES, pose(1.0, 0.5, 1.9, 60.0))
-    three = stand_drawn(("front", "rear", "side"), sensors, poses, BOXES)
+    three = place_drawn_lidars(("front", "rear", "side"), sensors, poses, BOXES)
     standing = [planned().candidates.pole(k) for k in planned().numbers]
     answer = rehearse(three, [standing], planned().candidates.radius)
     assert isinstance(answer, SiteCalibration)

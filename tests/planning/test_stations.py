@@ -5,7 +5,7 @@ from benchmarks.again import record_again
 from retropole.base import se3
 from retropole.base.datatypes import Scan
 from retropole.base.errors import Refusal
-from retropole.planning.stations import bare_scan, settle, stand
+from retropole.planning.stations import bare_scan, place_lidars, refine
 from retropole.simulation import SimulatedPair, simulate_pair
 
 pytestmark = pytest.mark.full
@@ -29,12 +29,12 @@ def turned(by_deg: tuple[float, float, float], by_m: tuple[float, float, float])
 
 def test_a_rough_pose_settles_on_the_place(street: SimulatedPair, scans: tuple[Scan, Scan]) -> None:
     rough = street.T_target_source @ turned((3, -4, 8), (0.5, -0.6, 0.3))
-    stood = stand(("a", "b"), scans, (np.eye(4), rough))
+    stood = place_lidars(("a", "b"), scans, (np.eye(4), rough))
     found = se3.inverse(stood[0].T) @ stood[1].T
     apart = se3.difference(found, street.T_target_source)
     assert apart.rotation < np.radians(0.5)
     assert apart.translation < 0.05
-    assert stood[1].is_settled
+    assert stood[1].is_refined
     # The origin is on the ground below the first LiDAR, and z is up.
     np.testing.assert_allclose(stood[0].at[:2], 0.0, atol=1e-9)
     up = street.T_world_target[2, :3] @ stood[0].T[:3, :3].T
@@ -49,5 +49,5 @@ def test_a_wrong_rough_pose_is_refused(
     street: SimulatedPair, scans: tuple[Scan, Scan], by: tuple[float, float, float], words: str
 ) -> None:
     with pytest.raises(Refusal, match=words) as refusal:
-        settle("a", "b", *scans, street.T_target_source @ turned(by, (0, 0, 0)))
+        refine("a", "b", *scans, street.T_target_source @ turned(by, (0, 0, 0)))
     assert refusal.value.code == "pose_contradicted"

@@ -11,7 +11,7 @@ from retropole.base import se3
 from retropole.base.errors import Reason
 from retropole.base.uncertainty.purpose import Need
 from retropole.planning.comparison import NEAR
-from retropole.planning.place import DIRECTIONS, LEANS, OWN, Station, leaning
+from retropole.planning.place import DIRECTIONS, LEANS, LIDAR_CLEARANCE, Station, leaning
 from retropole.planning.planner import More
 from retropole.planning.words import (
     LEAN_STEP_DEG,
@@ -121,7 +121,7 @@ def test_two_choices_never_read_alike(own: tuple[Station, ...]) -> None:
     words = [
         pole_words("", foot, *leaning_words(foot, axis, own), own)
         for foot, axis in zip(poles.foot, poles.axis, strict=True)
-        if min(np.linalg.norm(foot[:2] - each.at[:2]) for each in own) > OWN
+        if min(np.linalg.norm(foot[:2] - each.at[:2]) for each in own) > LIDAR_CLEARANCE
     ]
     assert len(set(words)) == len(words)
 
@@ -146,7 +146,7 @@ def test_lidars_above_each_other_have_no_line() -> None:
     assert leaning_words(np.ones(3), np.array([0.0, 0.0, 1.0]), own) == (0.0, "")
 
 
-def test_what_one_pole_more_brings_is_said_once() -> None:
+def test_what_one_pole_more_brings_is_reported_once() -> None:
     """Where the verdict is better with it, it is worth it, however small the gain is."""
     found = planned()
     more = More("pole", found.chosen, 0.01, 0.02, 0.01, "ok", True)

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
-from retropole.report.apart import apart, found_apart
+from retropole.report.apart import apart, measured_distances
 from retropole.report.subject import Subject, as_subject
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.results import result_of
@@ -19,9 +19,9 @@ def subject_of(pair: SimulatedPair, T: Array) -> Subject:
 def test_a_pose_that_is_off_shows_in_the_surfaces() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(100))
     T = pair.T_target_source
-    at_truth = {each.kind: each for each in found_apart(subject_of(pair, T))}
+    at_truth = {each.kind: each for each in measured_distances(subject_of(pair, T))}
     off = se3.from_rt(se3.exp_so3(np.array([0.002, 0, 0])), np.array([0, 0, 0.02])) @ T
-    beside = {each.kind: each for each in found_apart(subject_of(pair, off))}
+    beside = {each.kind: each for each in measured_distances(subject_of(pair, off))}
     assert at_truth["walls"].median_m < 0.006
     assert beside["ground"].median_m > 0.015
     page = apart(subject_of(pair, T))
@@ -29,7 +29,7 @@ def test_a_pose_that_is_off_shows_in_the_surfaces() -> None:
     assert f"{1000 * at_truth['walls'].median_m:.1f}" in page
 
 
-def test_nothing_is_said_where_there_is_no_pose_or_no_cloud() -> None:
+def test_nothing_is_reported_where_there_is_no_pose_or_no_cloud() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(100))
     assert apart(as_subject(result_of("ok", [], np.eye(4)))) == ""
     subject = subject_of(pair, np.eye(4))

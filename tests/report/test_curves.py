@@ -95,7 +95,7 @@ def test_whatever_the_size_everything_is_in_the_picture(scale: float) -> None:
     assert len(set(levels)) == len(levels)
 
 
-def test_what_swayed_is_drawn_and_told() -> None:
+def test_what_swayed_is_drawn_and_reported() -> None:
     run = made_up()
     times = np.arange(20) / 10
     angles = 0.001 * np.sin(2 * np.pi * 0.5 * times)

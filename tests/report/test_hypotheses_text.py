@@ -13,10 +13,10 @@ from retropole.hypotheses.prior import agreeing_with_prior, pose_prior
 from retropole.report.hypotheses import (
     axis_words,
     deciding,
-    describe_standing,
+    describe_undecided,
     hypotheses,
     relative_words,
-    standing,
+    undecided,
 )
 from retropole.result import ResultDoc
 from tests.report.made_up import made_up
@@ -74,7 +74,7 @@ def test_options_are_named_where_they_decide(
     turns: tuple[tuple[float, float, float], ...], up: str | None, rpy: bool
 ) -> None:
     result = with_turns(*turns)
-    named = standing(result)
+    named = undecided(result)
     said = " ".join(deciding(result, named))
     found = re.search(r"`--up`.*?leaves (\w)\b", said)
     assert (found[1] if found else None) == up
@@ -96,23 +96,23 @@ def test_options_are_named_where_they_decide(
 def test_what_was_given_already_is_not_named() -> None:
     result = with_turns((0, 0, 0), (180, 0, 0))
     config = replace(result.config, up=True, hypothesis="a")
-    said = list(deciding(result, standing(result)))
+    said = list(deciding(result, undecided(result)))
     assert len(said) == 3
-    (instead,) = deciding(replace(result, config=config), standing(result))
+    (instead,) = deciding(replace(result, config=config), undecided(result))
     assert "instead of `--up`" in instead
 
 
 def test_nothing_is_listed_where_it_is_decided() -> None:
     result = with_turns((0, 0, 0), (0, 0, 180))
-    assert len(standing(result)) == 2
-    assert describe_standing(replace(result, reasons=[])) == []
+    assert len(undecided(result)) == 2
+    assert describe_undecided(replace(result, reasons=[])) == []
     alone = [result.hypotheses[0], replace(result.hypotheses[1], stands=False)]
-    assert describe_standing(replace(result, hypotheses=alone)) == []
+    assert describe_undecided(replace(result, hypotheses=alone)) == []
 
 
 def test_terminal_and_page_say_the_same() -> None:
     result = with_turns((0, 0, 0), (0, 0, 180))
-    lines = describe_standing(result)
+    lines = describe_undecided(result)
     assert max(map(len, lines)) <= 80
     page = hypotheses(result)
     for words in ("180.0", "source turned by 180° about the vertical", "--hypothesis a | b"):

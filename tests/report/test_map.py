@@ -35,7 +35,7 @@ def test_lidars_stand_to_the_scale_that_is_drawn() -> None:
             assert apart == pytest.approx(np.linalg.norm(at[i] - at[j]), abs=0.05)
 
 
-def test_ellipses_are_enlarged_by_what_is_said() -> None:
+def test_ellipses_are_enlarged_by_what_is_reported() -> None:
     (factor,) = re.findall(r"enlarged ([\d,]+) times", MAP)
     (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
     scale = float(factor.replace(",", "")) * float(bar[0]) / float(bar[1])
@@ -56,7 +56,7 @@ def test_ellipses_are_enlarged_by_what_is_said() -> None:
         assert wide == pytest.approx(np.sqrt(across @ covariance @ across), rel=0.02, abs=0.2)
 
 
-def test_everything_is_named_and_said_in_words() -> None:
+def test_everything_is_named_and_reported_in_words() -> None:
     page = Page(MAP)
     for name in NAMES[:4]:
         assert name in page.text

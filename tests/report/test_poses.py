@@ -98,7 +98,7 @@ def test_a_name_that_no_frame_can_have_is_shown_and_not_copied() -> None:
     assert "site_frame" in page.text
 
 
-def test_a_covariance_is_told_by_its_states() -> None:
+def test_a_covariance_is_recognized_by_its_states() -> None:
     page = of_result()
     assert "Least certain, at the poles: height along the poles: 6.0 mm" in page.text
     for said in ("rotation about x (phi_x)0.013°0.0057°0.011°", "(delta_z)4.1 mm1.1 mm4.0 mm"):
@@ -107,7 +107,7 @@ def test_a_covariance_is_told_by_its_states() -> None:
     assert "gives no covariance" in of_result(covariance=None).text
 
 
-def test_both_parts_are_told_at_every_range() -> None:
+def test_both_parts_are_reported_at_every_range() -> None:
     text = of_result().text.replace(NO_BREAK, " ")
     parts = error_parts(RESULT.predicted_error, RESULT.uncertainty)
     assert [f"{each.range_m:g}" for each in parts] == ["1", "10", "30", "60"]
@@ -193,7 +193,7 @@ def test_what_is_not_given_is_a_line_to_write_on() -> None:
     assert certificate(made_up().result).count(TO_FILL) == 6
 
 
-def test_the_tolerance_is_what_was_asked_for() -> None:
+def test_the_tolerance_is_what_was_requested() -> None:
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
     html = certificate(replace(made_up().result, fitness=asked))
     assert html.count(TO_FILL) == 4

@@ -69,7 +69,7 @@ def test_residuals_are_those_of_the_points_from_the_lines() -> None:
     assert figures[3] == pytest.approx(1000 * distances.max(), abs=0.05)
 
 
-def test_the_radius_is_told_as_given_and_as_estimated() -> None:
+def test_the_radius_is_reported_as_given_and_as_estimated() -> None:
     said = "Radius of the poles: 20.00 mm given, 20.31 ± 0.42 mm estimated (1 σ)."
     assert said in Page(poles(pair())).text
     assert "estimated" not in Page(poles(pair(radius=None))).text
@@ -85,7 +85,7 @@ def test_every_recording_of_a_site_says_what_was_found() -> None:
     assert "<details open>" not in poles(Subject(answered))
 
 
-def test_change_without_each_placement_is_told_in_degrees_and_millimetres() -> None:
+def test_change_without_each_placement_is_reported_in_degrees_and_millimetres() -> None:
     changes = [PlacementDoc(2, 3, 0.001, 0.004), PlacementDoc(2, 2, None, None)]
     rows = listings.changes(pair(placements=changes)).rows
     assert [row[1:4] for row in rows] == [["2 + 3", "0.057", "4.0"], ["2 + 2", "–", "–"]]
@@ -217,7 +217,9 @@ def test_cross_sections_only_where_there_is_an_answer() -> None:
     assert cross_sections(refused, placement) == ""
 
 
-def test_a_circle_that_did_not_converge_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_circle_that_did_not_converge_is_reported_to_be_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     result, (placement,) = made_up(count=500)
     assert "did not converge" not in cross_sections(result, placement)
     monkeypatch.setattr(recorded, "fit_circle", lambda *given: (fit_circle(*given)[0], False))
@@ -310,7 +312,7 @@ def test_without_a_pole_the_clusters_of_which_little_was_seen_come_first() -> No
     assert "3 more bright clusters" in text
 
 
-def test_nothing_is_said_where_nothing_is_missing_or_nobody_looked() -> None:
+def test_nothing_is_reported_where_nothing_is_missing_or_nobody_looked() -> None:
     result, (placement,) = made_up("refused", 500)
     assert missing_poles(result, [placement]) == ""
     unseen = Placement(Scan(placement.target.cloud), Scan(placement.source.cloud))

@@ -193,7 +193,7 @@ def test_clouds_of_hardly_any_points(count: int) -> None:
     assert Page(html).open == []
 
 
-def test_several_placements_are_told_and_packed() -> None:
+def test_several_placements_are_reported_and_packed() -> None:
     result, (placement,) = made_up(count=500)
     changes = ((0.001, 0.004), (0.002, 0.0123), (None, None))
     result = replace(

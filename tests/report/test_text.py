@@ -122,7 +122,7 @@ def test_a_result_begins_with_its_verdict_and_ends_with_what_comes_next(
     assert ("read on: docs/reasons.md#ambiguous" in text) is (status == "refused")
 
 
-def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius() -> None:
+def test_certainty_is_reported_in_two_kinds_with_its_largest_source_and_the_radius() -> None:
     result = made_up(count=500).result
     text = " ".join(describe_result(result, [], verbose=True).split())
     for line in (
@@ -199,7 +199,7 @@ def test_clocks_that_differ_are_named_as_far_as_recordings_have_them(
     assert all("no time was changed" in line for line in lines)
 
 
-def test_what_was_asked_for_is_answered() -> None:
+def test_what_was_requested_is_answered() -> None:
     words = "within 2 cm at 30 m: yes, 98 % sure"
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, words)
     text = describe_result(replace(made_up("ok", 500).result, fitness=asked), ["r"])

@@ -51,7 +51,7 @@ def said_of(document: SiteDoc) -> str:
 
 @of_each_kind
 @pytest.mark.parametrize("code", reasons())
-def test_a_reason_is_told_with_its_meaning_and_all_that_helps(kind: str, code: str) -> None:
+def test_a_reason_is_reported_with_its_meaning_and_all_that_helps(kind: str, code: str) -> None:
     page, known = with_reason(kind, ReasonDoc(code, "because of 7", {})), reasons()[code]
     assert page.open == []
     said = [plain(text) for text in (known.help, *known.advice)]
@@ -81,7 +81,7 @@ def test_an_answer_says_what_to_do_next(kind: str) -> None:
         text = Page(verdict(subject) + next_steps(subject)).text
         for words in ("What to do next", *said[kind]):
             assert words in text
-        assert ("Settle the warning first" in text) is (status == "warn")
+        assert ("Resolve the warning first" in text) is (status == "warn")
     refused = subject_of(kind, "refused")
     assert "What to do next" not in Page(verdict(refused) + next_steps(refused)).text
 
@@ -105,7 +105,7 @@ def test_the_verdict_of_a_pair_is_a_sentence_and_says_the_rest_below() -> None:
     assert curve_sentence(curve).startswith("Points up to 30 m away are within ")
 
 
-def test_a_refusal_says_what_the_scene_said() -> None:
+def test_a_refusal_reports_what_the_scene_showed() -> None:
     contradicted = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
     text = of_pair_with("refused", confirmation=contradicted).text
     said = "61 patches agree, 202 contradict (76.8 % against it); it fits better 2.0 m away"
@@ -143,7 +143,7 @@ def test_what_is_too_likely_wrong_is_not_advised_to_be_used() -> None:
         assert ("What to do next" in page) is (wrong == UNUSABLE)
 
 
-def test_the_verdict_answers_what_was_asked_for() -> None:
+def test_the_verdict_answers_what_was_requested() -> None:
     assert "sure" not in of_pair_with().text
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
     page = of_pair_with(fitness=asked)

@@ -317,7 +317,7 @@ def test_before_anything_comes(page: Browser, watch: Watch) -> None:
 
 @needs_browser
 @pytest.mark.full
-def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) -> None:
+def test_a_lost_connection_is_reported_and_found_again(page: Browser, watch: Watch) -> None:
     open_page(page, watch, CAPTURING)
     port, token = int(re.findall(r":(\d+)/", watch.server.url)[0]), watch.server.path.strip("/")
     watch.server.stop()
@@ -342,7 +342,7 @@ def test_a_lost_connection_is_said_and_found_again(page: Browser, watch: Watch) 
 
 @needs_browser
 @pytest.mark.full
-def test_what_was_said_at_the_end_stands(page: Browser, watch: Watch) -> None:
+def test_what_was_stated_at_the_end_stands(page: Browser, watch: Watch) -> None:
     open_page(page, watch, DONE)
     watch.server.stop()
     WebDriverWait(page.driver, 10).until(lambda _: "The program has ended" in text(page))

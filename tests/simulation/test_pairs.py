@@ -49,7 +49,7 @@ def test_exact_scans_lie_on_their_surfaces(scene: str) -> None:
 
 
 @pytest.mark.parametrize("scene", sorted(SURROUNDINGS))
-def test_scenes_are_what_was_asked_for(scene: str) -> None:
+def test_scenes_are_what_was_requested(scene: str) -> None:
     for seed in range(5):
         pair = simulate_pair(scene, np.random.default_rng(seed), poles=3)
         axes = np.array([pole.axis for pole in pair.poles])

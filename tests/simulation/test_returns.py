@@ -50,8 +50,8 @@ def test_far_apart_surfaces_do_not_mix_and_near_ones_do(footprint: Footprint) ->
     noise = replace(EXACT, footprint=footprint)
     grey = Material(0.5)
     beside = find_sensor(SENSOR).divergence * 10  # the parts of a beam on one flat surface
-    apart = depths(noise, before_a_wall(2.0, grey, grey))
-    assert np.minimum(np.abs(apart - 6), np.abs(apart - 8)).max() < beside
+    distance = depths(noise, before_a_wall(2.0, grey, grey))
+    assert np.minimum(np.abs(distance - 6), np.abs(distance - 8)).max() < beside
     mixed = depths(noise, before_a_wall(0.3, grey, grey))
     between = (mixed > 6 + 0.05) & (mixed < 6.3 - 0.05)
     assert 5 < np.count_nonzero(between) < 0.1 * len(mixed)

@@ -58,8 +58,8 @@ def test_a_lidar_stands_within_sight_of_the_poles() -> None:
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
         assert LIDAR_HEIGHTS[0] <= T[2, 3] <= LIDAR_HEIGHTS[1]
         for pole in poles:
-            apart = np.linalg.norm((pole.centre - T[:3, 3])[:2])
-            assert POLE_DISTANCES[0] <= apart <= POLE_DISTANCES[1]
+            distance = np.linalg.norm((pole.centre - T[:3, 3])[:2])
+            assert POLE_DISTANCES[0] <= distance <= POLE_DISTANCES[1]
     upside_down = np.mean([T[2, 2] < 0 for T in drawn])
     assert 0.05 < upside_down < 0.35
     assert draw_lidar(rng, [poles[0], far_away(poles[1])], (6.0, 5.0)) is None

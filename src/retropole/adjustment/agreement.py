@@ -27,13 +27,13 @@ to 15 cm, the refined pose was off by more than 0.1 m or 1° only beyond it, or 
 found inconsistent."""
 
 MAX_AXES_CHI2 = chi2_limit(2, 1.0 - SIGNIFICANCE) / 2
-"""Most χ² of the poles' test for each degree of freedom, 6.9. Poles that stood still came up to 2.9
-in 166 recordings (benchmarks/coverage.py, tuning families, seeds 0 to 20), and to 5.2 in 189 of
+"""Most χ² of the poles' test for each degree of freedom, 6.9. Poles that did not move came up to
+2.9 in 166 recordings (benchmarks/coverage.py, tuning families, seeds 0 to 20), and to 5.2 in 189 of
 four pairs of sensors (its ordinary noise and its field, seeds 0 to 23 for each pair), there with a
 PandarQT, and to 3.1 in 45 with inserted poles (benchmarks/semireal.py, its first seeds)."""
 
 MOST_LEFT_OUT = 6
-"""So many poles are left out in turn at most, those first that explain most of what does not fit:
+"""At most this many poles are left out in turn, first those that explain most of the misfit:
 each takes an alignment of all others, seconds for a row of posts."""
 
 
@@ -45,7 +45,7 @@ def without_misplaced(
     radius_sigma: float,
     scene: bool = True,
 ) -> tuple[Sequence[PairedPlacement], BeamAlignment]:
-    """Leave out the pole, of three or more, that does not stand as the others do, if one does not.
+    """Leave out the pole, of three or more, that is not where the others imply, if there is one.
 
     Each is left out in turn, and the others are tested. Two that are left of three fit each other
     easily, so where that mends it for several, the scene says for which: only without the pole that
@@ -58,14 +58,14 @@ def without_misplaced(
     radius, radius_sigma
         Of the poles, and its 1 σ, metres.
     scene
-        Whether the scene may be asked.
+        Whether the scene may be used.
 
     Raises
     ------
     Refusal
         ``poles_inconsistent``.
     """
-    if _stand_alike(aligned):
+    if _have_same_arrangement(aligned):
         return paired, aligned
     T, found = aligned.pose.T_target_source, []
     explained = iter(aligned.axes_test.by_pole)
@@ -79,7 +79,7 @@ def without_misplaced(
                 other = align(fewer, T, radius=radius, radius_sigma=radius_sigma)
             except Refusal:
                 continue
-            if _stand_alike(other):
+            if _have_same_arrangement(other):
                 found.append((fewer, other))
     if len(found) > 1:
         found = [one for one in found if scene and _scene_agrees(refine_by_scene(*one))]
@@ -92,13 +92,13 @@ def _scene_agrees(refined: Refinement | None) -> bool:
     return refined is not None and refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ
 
 
-def _stand_alike(aligned: BeamAlignment) -> bool:
+def _have_same_arrangement(aligned: BeamAlignment) -> bool:
     test = aligned.axes_test
     return test.chi2 <= MAX_AXES_CHI2 * test.freedom
 
 
 def check_axes(aligned: BeamAlignment) -> None:
-    """Refuse poles that did not stand to each other alike when each LiDAR recorded them.
+    """Refuse poles whose arrangement differed between the recordings of the LiDARs.
 
     Raises
     ------
@@ -107,13 +107,13 @@ def check_axes(aligned: BeamAlignment) -> None:
     """
     test = aligned.axes_test
     limit = MAX_AXES_CHI2 * test.freedom
-    if not _stand_alike(aligned):
-        # Of two poles neither can be told to be the one that moved.
+    if not _have_same_arrangement(aligned):
+        # Of two poles it is undecidable which one moved.
         worst = int(np.argmax(test.by_pole)) if len(test.by_pole) > 2 else None
         named = "" if worst is None else f", freeing pole {worst} explains most of it"
         raise Refusal(
             "poles_inconsistent",
-            "the poles do not stand to each other alike in both recordings: χ² is "
+            "the arrangement of the poles differs between both recordings: χ² is "
             f"{test.chi2:.0f} with {test.freedom} degrees of freedom, {limit:.0f} are allowed"
             f"{named}; did one move between the recordings, or is one another object?",
             {
@@ -126,7 +126,7 @@ def check_axes(aligned: BeamAlignment) -> None:
 
 
 def check_contradiction(refined: Refinement | None) -> None:
-    """Refuse poles and a scene that give poses further apart than both allow by far.
+    """Refuse poles and a scene whose poses differ by far more than both allow.
 
     Raises
     ------
@@ -135,23 +135,23 @@ def check_contradiction(refined: Refinement | None) -> None:
     """
     if refined is None or refined.mahalanobis_sq <= MAX_MAHALANOBIS_SQ:
         return
-    apart = refined.from_poles
+    off_poles = refined.from_poles
     raise Refusal(
         "poles_scene_contradict",
-        f"the scene has the LiDARs {error(apart.translation, 'm')} and "
-        f"{error(apart.rotation, 'rad')} from where the poles have them, "
+        f"the scene has the LiDARs {error(off_poles.translation, 'm')} and "
+        f"{error(off_poles.rotation, 'rad')} from where the poles have them, "
         f"{np.sqrt(refined.mahalanobis_sq / 6):.0f} times what their uncertainty allows: did a "
         "pole move between the two recordings, or is one another object?",
         {
             "mahalanobis_sq": refined.mahalanobis_sq,
-            "moved_m": apart.translation,
-            "turned_rad": apart.rotation,
+            "moved_m": off_poles.translation,
+            "turned_rad": off_poles.rotation,
         },
     )
 
 
 def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason]:
-    """Warn where the returns conflict with the radius that was given, by so many σ."""
+    """Warn, with the number of σ, where the returns conflict with the given radius."""
     if contradicted > MAX_NORMAL:
         yield Reason(
             "radius_differs",
@@ -192,7 +192,7 @@ def agreement_tests(aligned: BeamAlignment, refined: Refinement | None) -> Itera
 
 
 def check_minima(refined: Refinement | None) -> Iterator[Reason]:
-    """Warn where the scene leads to different poses from within the poles' uncertainty."""
+    """Warn where the scene converges to different poses within the poles' uncertainty."""
     if refined is not None and refined.other_minima:
         furthest = max(refined.other_minima, key=lambda step: float(np.linalg.norm(step[3:])))
         metres, radians = (float(np.linalg.norm(part)) for part in (furthest[3:], furthest[:3]))
@@ -213,10 +213,10 @@ def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
         yield Reason(
             "one_place_decides",
             f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
-            f"the target, holds {place.share:.0%} of what is known of the pose along one "
+            f"the target, holds {place.share:.0%} of the information about the pose along one "
             f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
             "elsewhere. What is stated is that of the rest: add a placement of the poles, or "
-            "record where more stands around",
+            "record where more objects are around",
             {
                 "share": place.share,
                 "x_m": x,
@@ -232,18 +232,18 @@ def check_agreement(refined: Refinement | None) -> list[Reason]:
     """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
     if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
         return []
-    apart = refined.from_poles
+    off_poles = refined.from_poles
     return [
         Reason(
             "poles_and_scene_disagree",
-            f"the scene moves the pose {1000 * apart.translation:.0f} mm and "
-            f"{np.degrees(apart.rotation):.2f}° away from the poles, "
+            f"the scene moves the pose {1000 * off_poles.translation:.0f} mm and "
+            f"{np.degrees(off_poles.rotation):.2f}° away from the poles, "
             f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
             "something move between the two recordings, or is --radius wrong?",
             {
                 "pull": refined.mahalanobis_sq,
-                "moved_m": apart.translation,
-                "turned_rad": apart.rotation,
+                "moved_m": off_poles.translation,
+                "turned_rad": off_poles.rotation,
             },
         )
     ]

@@ -77,7 +77,7 @@ class SitePole(
     point, direction
         (3,) a point on its axis and the unit direction, in the frame of the site.
     length
-        Of its taped part as far as it was seen, metres; `point` is the middle of it.
+        Of its taped part as far as it was seen, metres; `point` is its middle.
     seen_by
         Indices of the LiDARs.
     surveyed

@@ -31,7 +31,7 @@ around tape, edges of the beam, poles that are not straight. Of simulated LiDARs
 
 
 @dataclass(frozen=True, eq=False)
-class OwnAxes:
+class LidarAxes:
     """Axes of K poles in the frame of the LiDAR that saw them, and how certain they are.
 
     Steps of an axis are those of `alignment.posterior.State`: two of its point across it, metres,
@@ -65,7 +65,7 @@ def find_axes(
     sensor: Sensor | None,
     radius: float,
     radius_sigma: float,
-) -> OwnAxes:
+) -> LidarAxes:
     """Find the axes of the poles that one LiDAR saw, in one or several placements.
 
     Parameters
@@ -103,7 +103,7 @@ def find_axes(
     of_radius = passed[:, -1].copy()
     passed[:, -1] = 0.0
     floor = np.diag(np.tile([FLOOR_POINT, FLOOR_POINT, FLOOR_LEAN, FLOOR_LEAN], len(seen)))
-    return OwnAxes(
+    return LidarAxes(
         state.moved(step),
         noise,
         np.asarray(rows @ information @ rows.T),
@@ -157,8 +157,8 @@ def maximise_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State,
         state.directions,
         np.zeros((0, 3)),
     )
-    sights, held = [Sight(0, beams, own)], np.zeros(POSE, dtype=bool)
-    priors = JointPriors(joint.T, np.zeros(1), state.radius, 0.0, held)
+    sights, constrained = [Sight(0, beams, own)], np.zeros(POSE, dtype=bool)
+    priors = JointPriors(joint.T, np.zeros(1), state.radius, 0.0, constrained)
 
     def at(state: JointState, log_noise: Array) -> Posterior[JointState]:
         return evaluate_joint(state, log_noise, sights, NOTHING_SURVEYED, priors)

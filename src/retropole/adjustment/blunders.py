@@ -5,10 +5,10 @@ the one without which everything fits is the blunder.
 
 Where poles do not check each other, the surroundings show a pole that moved: they coincide without
 it. Two poles fit each other wherever one of them is pushed within the freedom that the other
-leaves, and the surfaces, weighed by how far they lie apart, follow. Of three poles any two may be
+leaves, and the surfaces, weighed by their distance, follow. Of three poles any two may be
 the pair that fits. But under the pose that a moved pole gives walls do not coincide that do without
 it. Most of what is seen is ground, which coincides with itself wherever it slides to: only what two
-answers place differently tells between them.
+answers place differently distinguishes them.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from ..base.errors import Reason, Refusal
 from ..hypotheses.by_place import LEAN_ANOTHER, is_held
 from ..surfaces.patch_pairs import pair_patches
 from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
-from .datum import Datum, Hanging, without_poles, without_survey
+from .datum import Datum, Dependent, without_poles, without_survey
 from .descent import CLOSE, FEW, End, SceneTerm
 from .refinement import distance_sq
 from .shared import SharedPole
 from .site import Adjusted, Recorded, adjust, find_links, without_observations
 from .snooping import POOR
 
-PLACED_APART = 2 * CLOSE
+PLACED_DIFFERENTLY = 2 * CLOSE
 """Answers place a patch differently that they move by more than this across its surface, metres."""
 
 MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
-"""So many more patches must coincide under another answer, and so many times as many. Without a
-pole that stood still no patch was placed differently, and of every fourth up to 32 where none
+"""This many more patches must coincide under another answer, and this many times as many. Without a
+pole that did not move no patch was placed differently, and of every fourth up to 32 where none
 coincided either way (tuning seeds 3 to 40 of tests/adjustment/test_blunders.py, 30 to 90 of
 benchmarks/site.py). Without one that made 33 answers of the former wrong by 0.15 m or more, and
 passed its own tests, 9 to 716 more coincided, 19 times as many or more."""
@@ -85,9 +85,9 @@ def _coinciding(
         if patches is None:
             continue
         errors = end.errors[term.place[2 * POSE :] - POSE * len(end.T)]
-        apart = patches.residuals + patches.by_errors(errors)
-        weights = patches.agreement / (1.0 + (apart / CLOSE) ** 2)
-        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_APART
+        offsets = patches.residuals + patches.by_errors(errors)
+        weights = patches.agreement / (1.0 + (offsets / CLOSE) ** 2)
+        differ = np.abs(patches.jacobian @ se3.local(T, T_other)) > PLACED_DIFFERENTLY
         count += float(np.sum(weights[differ]))
     return count
 
@@ -98,7 +98,7 @@ def least_conflicting(ends: Sequence[End]) -> int:
         max((more_coincide(one, other) for other in ends if other is not one), default=0.0)
         for one in ends
     ]
-    # Less than a patch tells nothing.
+    # Less than a patch gives no information.
     return int(np.argmin(np.floor(against)))
 
 
@@ -127,12 +127,12 @@ def conflicting_poles(
             yield k, *found
 
 
-def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
-    """Refuse what hangs on poles without which far more of the surroundings coincides.
+def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator[Reason]:
+    """Refuse LiDARs that depend on poles without which far more of the surroundings coincides.
 
     One pole conflicts with nothing across itself, where it alone decides and surfaces look for
-    their partners no farther than it allows. So it is parted: each side has it at a place of its
-    own, and the place holds the pose.
+    their partners no farther than it allows. So it is split: each side has it at a separate
+    position, and the surroundings constrain the pose.
 
     Yields
     ------
@@ -146,14 +146,14 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
         ``site_inconsistent``.
     """
     datum, site = adjusted.datum, recorded.site
-    for each in datum.hanging:
+    for each in datum.dependent:
         across = each.across(datum.poles)
-        others = tuple(one for one in datum.hanging if one is not each)
-        parted = replace(datum, hanging=others, poles=each.parted(datum.poles))
-        some = _without(recorded, adjusted, parted, [each.lidars], few=True)
-        if some is not None and some[1] < MORE_PATCHES / FEW and _is_held(each, some[0]):
+        others = tuple(one for one in datum.dependent if one is not each)
+        without = replace(datum, dependent=others, poles=each.split_across(datum.poles))
+        some = _without(recorded, adjusted, without, [each.lidars], few=True)
+        if some is not None and some[1] < MORE_PATCHES / FEW and _is_constrained(each, some[0]):
             continue
-        every = _without(recorded, adjusted, parted, [each.lidars], few=False)
+        every = _without(recorded, adjusted, without, [each.lidars], few=False)
         names = ", ".join(datum.poles[k].name(site) for k in across)
         if every is not None and every[1] >= MORE_PATCHES:
             raise Refusal(
@@ -163,17 +163,17 @@ def check_poles_of_hanging(recorded: Recorded, adjusted: Adjusted) -> Iterator[R
                 "record the placement again",
                 {"poles": names, "more": every[1], "allowed": MORE_PATCHES},
             )
-        if every is None or not _is_held(each, every[0]):
+        if every is None or not _is_constrained(each, every[0]):
             yield Reason(
                 "not_checked",
-                f"{names} alone holds a part of the pose between {each.names(site)}, and the "
+                f"{names} alone determines a part of the pose between {each.names(site)}, and the "
                 f"surroundings do not check it: a push of it would not show; {LEAN_ANOTHER}",
                 {"lidar": site.lidars[each.far].name, "poles": names},
             )
 
 
-def _is_held(hanging: Hanging, found: Adjusted) -> bool:
-    return is_held(hanging.covariance(found.end.T, found.covariance))
+def _is_constrained(dependent: Dependent, found: Adjusted) -> bool:
+    return is_held(dependent.covariance(found.end.T, found.covariance))
 
 
 def _contradicted(
@@ -213,16 +213,16 @@ and more 16 came to more than 6.5, 2 to more than `POOR`, and 2 were refused bef
 0 to 59)."""
 
 MOST_BLUNDERS = 3
-"""So many are left out at most."""
+"""At most this many are left out."""
 
 SEPARABLE = chi2_limit(2)
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
-than this is not told apart: it is up to a hundred times less likely, 2 ln 100, χ² with two degrees
-of freedom."""
+than this is not distinguished: it is up to a hundred times less likely, 2 ln 100, χ² with two
+degrees of freedom."""
 
 TAKES_ALONG = "survey of a pole", "pole", "placement"
 """What goes with what is left out, the least first: a single point of the survey takes nothing else
-along, both ends of a pole what its survey says of the frame."""
+along, both ends of a pole what its survey implies for the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def significant(tests: Sequence[Test], above: float = BLUNDER) -> list[Test]:
 
 
 def is_poor(w: float, chi2: float, freedom: int, above: float = POOR) -> bool:
-    """Whether a test with so much χ² says that something does not fit, by a limit of its w."""
+    """Whether a test with this χ² shows a misfit, by a limit of its w."""
     return w > above and chi2 > MAX_AXES_CHI2 * freedom
 
 
@@ -322,9 +322,9 @@ def _is_checked(adjusted: Adjusted) -> bool:
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
     """Choose the suspect without which all else fits, and most of the surroundings coincides.
 
-    What is left of two poles or three fits easily, whichever goes; the surroundings tell, and where
-    they do not the first is chosen. Where something else does not fit either, what is left hardly
-    tells: of those that leave about as little, the one that itself fits worst is.
+    What is left of two poles or three fits easily, whichever goes; the surroundings decide, and
+    where they do not the first is chosen. Where something else does not fit either, what is left
+    hardly does: of those that leave about as little, the one that itself fits worst is.
 
     Raises
     ------
@@ -342,21 +342,21 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     for other, rival in fitting:
         if (
             rival.reason.code == suspect.reason.code == "pole_moved"
-            and (apart := _apart(rest, other)) > WARN_MAHALANOBIS_SQ
+            and (chi2 := _apart(rest, other)) > WARN_MAHALANOBIS_SQ
             and more_coincide(other.end, rest.end) < 1.0
         ):
             names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
             raise Refusal(
                 "site_inconsistent",
-                f"{names} moved, and neither poles nor surroundings tell which: add a pole, or "
+                f"{names} moved, and neither poles nor surroundings show which: add a pole, or "
                 "record the placement again",
-                {"poles": names, "chi2": apart, "allowed": WARN_MAHALANOBIS_SQ},
+                {"poles": names, "chi2": chi2, "allowed": WARN_MAHALANOBIS_SQ},
             )
     return rest, suspect
 
 
 def _apart(a: Adjusted, b: Adjusted) -> float:
-    """χ² by which the poses of two answers differ at most, as sure as both are."""
+    """Largest χ² between the poses of two answers, given the uncertainty of both."""
     found = 0.0
     for i, (T, T_other) in enumerate(zip(a.end.T, b.end.T, strict=True)):
         own = slice(POSE * i, POSE * (i + 1))
@@ -422,7 +422,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
     worst = list(found.values())[:MOST_LEFT_OUT]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
-    # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
+    # A pole that only one LiDAR sees has no separate test: those of its ends replace it.
     of_end = {end.name: end.axis for end in now.datum.surveyed.ends}
     of_pole: dict[int, Test] = {}
     for test in sorted(worst, key=lambda test: test.kind != "pole"):
@@ -443,7 +443,7 @@ def _is_surveyed(datum: Datum, pole: int) -> bool:
 
 
 def _survey_of(site: Site, now: Adjusted, test: Test) -> Suspect:
-    """Suspect all that was surveyed of a pole, which may stand where the LiDARs see it."""
+    """Suspect all that was surveyed of a pole, which may be where the LiDARs see it."""
     assert test.pole is not None
     pole = now.datum.poles[test.pole]
     name = pole.name(site)
@@ -454,7 +454,7 @@ def _survey_of(site: Site, now: Adjusted, test: Test) -> Suspect:
     return Suspect(
         Reason(
             "survey_outlier",
-            f"{name} does not stand where it was surveyed (w {test.w:.1f}), and "
+            f"{name} is not where it was surveyed (w {test.w:.1f}), and "
             f"{' and '.join(ends)} were left out: check their coordinates",
             {"w": test.w, "chi2": test.chi2, "observation": name, **place_of(site, pole)},
         ),
@@ -475,7 +475,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         return Suspect(
             Reason(
                 "pole_moved",
-                f"{name} does not stand at one place for all that see it ({seen}; {misfit}), "
+                f"{name} is not at one position for all that see it ({seen}; {misfit}), "
                 "and was left out: did it move between the recordings?",
                 values,
             ),
@@ -514,7 +514,7 @@ def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
     seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
     return Reason(
         "pole_moved",
-        f"{pole.name(site)} does not stand at one place for all that see it ({seen}): without it "
+        f"{pole.name(site)} is not at one position for all that see it ({seen}): without it "
         f"{more:.0f} more patches of their surroundings coincide, and it was left out: did it "
         "move between the recordings?",
         {"more": more, "allowed": MORE_PATCHES, **place_of(site, pole)},
@@ -522,7 +522,7 @@ def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
 
 
 def place_of(site: Site, pole: SharedPole) -> dict[str, float | int | str]:
-    """Say which pole it is, and where its middle stands in the frame of the site, metres."""
+    """Say which pole it is, and where its middle is in the frame of the site, metres."""
     at = pole.extent.mean(axis=0)
     return {
         "pole": pole.name(site),

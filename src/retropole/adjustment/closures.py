@@ -34,7 +34,7 @@ MOST_LOOPS = 60
 
 @dataclass(frozen=True, eq=False)
 class _Edge:
-    """What a pair says by itself.
+    """What a pair alone determines.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class _Edge:
 
 
 def close_loops(at: Solved, end: End) -> Iterator[LoopClosure]:
-    """Close the loops of all pairs that have an answer of their own: triangles first."""
+    """Close the loops of all pairs that have a separate answer: triangles first."""
     edges = {each.lidars: each for each in _edges(at, end)}
     for loop in _loops(sorted({i for pair in edges for i in pair}), list(edges))[:MOST_LOOPS]:
         yield _closure(loop, edges, at, end)
@@ -129,7 +129,7 @@ def _edge(
     end: End,
     count: int,
 ) -> _Edge | None:
-    """Solve one pair with the first LiDAR held; None if its pose is not determined."""
+    """Solve one pair with the first LiDAR fixed; None if its pose is not determined."""
     scene = None if seen is None else seen[0]
     unknowns = at.network.unknowns
     parts = [at.network.observations[k] for k in sources]
@@ -182,7 +182,7 @@ def _closure(
 ) -> LoopClosure:
     """Add up the steps around a loop, with their joint covariance.
 
-    A step of the second LiDAR with the first held is moved to act at the origin of the site:
+    A step of the second LiDAR with the first fixed is moved to act at the origin of the site:
     ``[φ, δ − φ × t]`` is the same for all, so that they add.
     """
     size = at.network.unknowns.size

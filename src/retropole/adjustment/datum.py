@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.adjustment import PLACE_SIGMA
-from ..alignment.survey import KnownPoint, KnownPose, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd
+from ..alignment.adjustment import SURROUNDINGS_SIGMA
+from ..alignment.survey import ControlPoint, MeasuredUp, PriorPose, SeenPoint, Surveyed, SurveyedEnd
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
 from ..base.description import Site
@@ -26,7 +26,7 @@ from ..hypotheses.by_place import LEAN_ANOTHER, check_held_by_scene
 from ..hypotheses.joint_choice import linked_groups
 from ..hypotheses.pairs import Pair
 from .shared import SharedPole
-from .survey import Fit, lay_on_survey, list_unmet, pole_at, transformed
+from .survey import Fit, align_to_survey, list_unmet, pole_at, transformed
 
 SIDE = "side on which poles were surveyed"
 """An error that all ends surveyed on surfaces share, 1 σ radius / √2 in each direction: whoever
@@ -36,13 +36,13 @@ be on one. So none of these habits makes a stated error too small."""
 
 
 @dataclass(frozen=True, eq=False)
-class Hanging:
+class Dependent:
     """LiDARs that depend on one pole which one of them shares with one of the others.
 
     Attributes
     ----------
     near, far
-        Indices of the two LiDARs of the link: of the others, and of those that hang.
+        Indices of the two LiDARs of the link: of the others, and of the dependent ones.
     T
         (4, 4) maps points of `far` into the frame of `near`: the pose that the surroundings gave.
     lidars
@@ -62,7 +62,7 @@ class Hanging:
             if self.lidars & pole.seen.keys() and pole.seen.keys() - self.lidars
         ]
 
-    def parted(self, poles: Sequence[SharedPole]) -> list[SharedPole]:
+    def split_across(self, poles: Sequence[SharedPole]) -> list[SharedPole]:
         """The same poles, those across as one on each side: then they do not constrain the link."""
         own, others = list(poles), []
         for k in self.across(poles):
@@ -83,8 +83,8 @@ class Hanging:
         return f"{site.lidars[self.near].name} and {site.lidars[self.far].name}"
 
 
-def find_hanging(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Hanging, ...]:
-    """Find the links by place that join what poles alone do not; none where these join all.
+def find_dependent(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Dependent, ...]:
+    """Find the links by surroundings that join what poles alone do not; none where these join all.
 
     Parameters
     ----------
@@ -105,49 +105,56 @@ def find_hanging(pairs: Sequence[Pair], poses: Mapping[int, Array]) -> tuple[Han
         near, far = sorted(link.lidars, key=lambda i: i not in reached)
         tree.append((near, far))
         reached |= part_of[far]
-    hanging: list[Hanging] = []
+    dependent: list[Dependent] = []
     for near, far in reversed(tree):
-        beyond = [each.lidars for each in hanging if each.near in part_of[far]]
+        beyond = [each.lidars for each in dependent if each.near in part_of[far]]
         own = part_of[far].union(*beyond)
-        hanging.append(Hanging(near, far, se3.inverse(poses[near]) @ poses[far], own))
-    return tuple(reversed(hanging))
+        dependent.append(Dependent(near, far, se3.inverse(poses[near]) @ poses[far], own))
+    return tuple(reversed(dependent))
 
 
-def hanging_off(hanging: Sequence[Hanging], anchor: int, all_: frozenset[int]) -> Iterator[Hanging]:
+def orient_links(
+    dependent: Sequence[Dependent], anchor: int, all_: frozenset[int]
+) -> Iterator[Dependent]:
     """Orient each link: the side that the frame is not aligned with depends on it.
 
     Parameters
     ----------
-    hanging
-        By `find_hanging`.
+    dependent
+        By `find_dependent`.
     anchor
         The LiDAR that the frame of the site is aligned with.
     all_
         All LiDARs that have a pose.
     """
-    for each in hanging:
+    for each in dependent:
         if anchor in each.lidars:
-            yield Hanging(each.far, each.near, se3.inverse(each.T), all_ - each.lidars)
+            yield Dependent(each.far, each.near, se3.inverse(each.T), all_ - each.lidars)
         else:
             yield each
 
 
-def known_poses(hanging: Sequence[Hanging], poses: Mapping[int, Array]) -> tuple[KnownPose, ...]:
-    """Hold what hangs where the place puts it, as wide as that is taken to be known.
+def prior_poses(
+    dependent: Sequence[Dependent], poses: Mapping[int, Array]
+) -> tuple[PriorPose, ...]:
+    """Give each dependent LiDAR the pose from its surroundings as a prior, as wide as assumed.
 
     Parameters
     ----------
-    hanging
+    dependent
         The LiDARs that depend on one pole, away from the one that defines the frame.
     poses
         From the index of a LiDAR to its pose (4, 4), in the frame of the site.
     """
     return tuple(
-        KnownPose("the place", each.far, poses[each.near] @ each.T, PLACE_SIGMA) for each in hanging
+        PriorPose("the place", each.far, poses[each.near] @ each.T, SURROUNDINGS_SIGMA)
+        for each in dependent
     )
 
 
-def check_poles_left(site: Site, hanging: Sequence[Hanging], poles: Sequence[SharedPole]) -> None:
+def check_poles_left(
+    site: Site, dependent: Sequence[Dependent], poles: Sequence[SharedPole]
+) -> None:
     """Refuse if the pole that a link depends on is gone: surroundings alone are no calibration.
 
     Raises
@@ -155,7 +162,7 @@ def check_poles_left(site: Site, hanging: Sequence[Hanging], poles: Sequence[Sha
     Refusal
         ``degenerate_poles``.
     """
-    for each in hanging:
+    for each in dependent:
         if not each.across(poles):
             raise Refusal(
                 "degenerate_poles",
@@ -164,13 +171,15 @@ def check_poles_left(site: Site, hanging: Sequence[Hanging], poles: Sequence[Sha
             )
 
 
-def check_hanging(site: Site, hanging: Sequence[Hanging], T: Array, covariance: Array) -> None:
-    """Refuse what hangs where the scene holds it little better than the place was taken to.
+def check_dependent(
+    site: Site, dependent: Sequence[Dependent], T: Array, covariance: Array
+) -> None:
+    """Refuse dependent LiDARs that the scene constrains little better than their prior does.
 
     Parameters
     ----------
-    site, hanging
-        Names, and what hangs.
+    site, dependent
+        Names, and the dependent LiDARs.
     T, covariance
         (L, 4, 4) poses and (6 L, 6 L) their joint covariance.
 
@@ -179,7 +188,7 @@ def check_hanging(site: Site, hanging: Sequence[Hanging], T: Array, covariance: 
     Refusal
         ``degenerate_poles``.
     """
-    for each in hanging:
+    for each in dependent:
         check_held_by_scene(each.covariance(T, covariance), each.names(site))
 
 
@@ -200,8 +209,8 @@ class Datum:
     words
         What fixes the frame.
     unmet
-        What was surveyed and nothing that the LiDARs see meets.
-    hanging
+        What was surveyed and matches nothing that the LiDARs see.
+    dependent
         What depends on a link that the surroundings give in part, seen from what defines the
         frame.
     """
@@ -212,7 +221,7 @@ class Datum:
     free: BoolArray
     words: str
     unmet: tuple[Reason, ...] = ()
-    hanging: tuple[Hanging, ...] = ()
+    dependent: tuple[Dependent, ...] = ()
 
 
 def find_datum(
@@ -220,7 +229,7 @@ def find_datum(
     origins: Array,
     poses: dict[int, Array],
     poles: Sequence[SharedPole],
-    hanging: Sequence[Hanging] = (),
+    dependent: Sequence[Dependent] = (),
 ) -> Datum:
     """Lay the frame of the site on what was surveyed; without, level it, or leave it a LiDAR's.
 
@@ -232,8 +241,8 @@ def find_datum(
         (L, 3) where the beams of each LiDAR start in its own frame.
     poses, poles
         In the frame of the first of the linked LiDARs.
-    hanging
-        By `find_hanging`: what the surroundings give a part of is held there (`Surveyed.poses`).
+    dependent
+        By `find_dependent`: poses partly from the surroundings get a prior (`Surveyed.poses`).
 
     Raises
     ------
@@ -251,15 +260,17 @@ def find_datum(
         if lidar.up is not None and i in poses
     )
     if site.poles or site.points:
-        fit = lay_on_survey(site, origins, poses, poles)
+        fit = align_to_survey(site, origins, poses, poles)
         T = fit.T
         moved = {i: T @ pose for i, pose in poses.items()}
         found = [transformed(pole, T) for pole in poles]
         marked = [_marked(pole, site) for pole in found]
         marked = [each for each in marked if len(each.seen) > 1 or each.surveyed is not None]
         surveyed = replace(_known(site, origins, marked, moved, fit), up=up)
-        off = tuple(hanging_off(hanging, _most_surveyed(marked, surveyed, moved), frozenset(moved)))
-        surveyed = replace(surveyed, poses=known_poses(off, moved))
+        off = tuple(
+            orient_links(dependent, _most_surveyed(marked, surveyed, moved), frozenset(moved))
+        )
+        surveyed = replace(surveyed, poses=prior_poses(off, moved))
         what = " and ".join(_counts(surveyed))
         words = f"{site.frame.name}, by {what}"
         unmet = tuple(list_unmet(site, origins, poses, poles, fit))
@@ -280,14 +291,14 @@ def find_datum(
         free[reference] = False
         words = of_lidar(name)
     moved = {i: T @ pose for i, pose in poses.items()}
-    off = tuple(hanging_off(hanging, reference, frozenset(moved)))
+    off = tuple(orient_links(dependent, reference, frozenset(moved)))
     return Datum(
         moved,
         [transformed(pole, T) for pole in kept],
-        Surveyed(up=up, poses=known_poses(off, moved)),
+        Surveyed(up=up, poses=prior_poses(off, moved)),
         free.reshape(-1),
         words,
-        hanging=off,
+        dependent=off,
     )
 
 
@@ -312,7 +323,7 @@ def _unturned(T: Array) -> Array:
 
 
 def _levelling(up: Sequence[MeasuredUp], poses: dict[int, Array]) -> Array:
-    """(3, 3) shortest rotation that turns what the LiDARs say is up, on average, upright."""
+    """(3, 3) shortest rotation that turns the mean up of the LiDARs upright."""
     mean = np.sum([poses[each.lidar][:3, :3] @ each.direction for each in up], axis=0)
     mean /= np.linalg.norm(mean)
     axis = np.cross(mean, [0.0, 0.0, 1.0])
@@ -336,7 +347,7 @@ def _known(
     poses: dict[int, Array],
     fit: Fit,
 ) -> Surveyed:
-    """Write what was surveyed and is met as observations of axes and points."""
+    """Write what was surveyed and is matched as observations of axes and points."""
     ends = []
     for k, pole in enumerate(poles):
         if pole.surveyed is None:
@@ -351,14 +362,14 @@ def _known(
         if not sights:
             continue
         sigmas = np.full(3, point.sigma) if point.sigmas is None else point.sigmas
-        known.append(KnownPoint(point.name, point.at, sigmas))
+        known.append(ControlPoint(point.name, point.at, sigmas))
         for sight in sights:
             name = f"{point.name} as {site.lidars[sight.lidar].name} sees it"
             at = sight.at - origins[sight.lidar]
             seen.append(SeenPoint(name, sight.lidar, len(known) - 1, at, sight.sigma))
     if any(end.spread for end in ends):
         ends = [replace(end, side=len(known)) if end.spread else end for end in ends]
-        known.append(KnownPoint(SIDE, np.zeros(3), site.radius / np.sqrt(2.0), is_side=True))
+        known.append(ControlPoint(SIDE, np.zeros(3), site.radius / np.sqrt(2.0), is_side=True))
     return Surveyed(tuple(ends), tuple(known), tuple(seen))
 
 

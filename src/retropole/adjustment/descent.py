@@ -10,7 +10,7 @@ a survey) say. A direction that the scenes do not hold (along a corridor, over o
 part in the first sum and stays where the poles put it. The sizes of the errors are estimated too.
 Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
 
-`SceneTerm` is what the scene of two LiDARs says of their poses: surfaces that both see.
+`SceneTerm` is the information of the scene of two LiDARs about their poses: shared surfaces.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> lis
 
 @dataclass(frozen=True, eq=False)
 class SceneTerm:
-    """What the scene of one pair says at some poses.
+    """Information of the scene of one pair at some poses.
 
     Attributes
     ----------
@@ -94,8 +94,8 @@ class SceneTerm:
     sets
         Patches of both.
     weighed
-        Those that correspond, and what they say of the pose of the second LiDAR in the frame of the
-        first, and of the errors.
+        Those that correspond, and their information about the pose of the second LiDAR in the frame
+        of the first, and of the errors.
     by_poses
         (6, 12) derivative of that pose by steps of both.
     place
@@ -174,18 +174,18 @@ FEW_STEP = 0.5
 """The approach takes a part of the patches, until no step is above this part."""
 
 NARROWING, INFORMATION_SHARE = 0.06, 4.0
-"""Patches look for their partners as far as so many times the variance that independent residuals
+"""Patches look for their partners as far as this many times the variance that independent residuals
 would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
 once, the search clings to whatever the first step found."""
 
 NARROWED = 0.4
-"""The variance that the poles left counts no more where it has come below so many times the one
+"""The variance that the poles left is not used where it is below this many times the one
 that independent residuals leave: a tenth of `INFORMATION_SHARE`. Stopped before, one of 30 sites
 (benchmarks/same_answers.py, number 10) ended 4 σ from where it came to rest."""
 
 CLOSE = 0.02
-"""Patches that lie so far apart count by half where answers are compared, metres: twice what the
-range offset of a LiDAR is taken for where nothing is known of it, and a tenth of the error that a
+"""Patches at this distance have half weight where answers are compared, metres: twice what the
+range offset of a LiDAR is assumed to be where it is not known, and a tenth of the error that a
 moved pole makes of a pose."""
 
 
@@ -229,7 +229,7 @@ class End:
     precision
         (B,) of the prior that they were estimated with.
     inverse
-        (K, K) of the information of poses and errors; zero where the datum holds a pose.
+        (K, K) of the information of poses and errors; zero where the datum fixes a pose.
     search
         (6 L, 6 L) covariance as far as which patches look for their partners.
     scene

@@ -40,7 +40,7 @@ from ..surfaces.sweeps import observe, timed, without
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class CommonMotion:
     """One motion of all LiDARs.
 
     Attributes
@@ -121,24 +121,24 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     sequence
         The same where no placement shows that they do, or where they are there.
     """
-    moving = [[scan for scan in row if scan is not None and _is_open(scan)] for row in rows]
-    found = [together(row, poses) if len(row) == len(poses) else None for row in moving]
+    moving = [[scan for scan in row if scan is not None and _is_swaying(scan)] for row in rows]
+    found = [common_motion(row, poses) if len(row) == len(poses) else None for row in moving]
     odds = sum(each.odds for each in found if each is not None)
     if odds <= 0:
         return rows
-    apart = float(expit(-odds))
+    separate = float(expit(-odds))
     return [
-        row if each is None else list(map(_moved, own, each.from_rest, [apart] * len(own)))
+        row if each is None else list(map(_moved, own, each.from_rest, [separate] * len(own)))
         for row, own, each in zip(rows, moving, found, strict=True)
     ]
 
 
-def _is_open(scan: Scan) -> bool:
+def _is_swaying(scan: Scan) -> bool:
     """Whether a scan sways, and was not brought to the rest of others yet."""
     return scan.motion is not None and scan.sway is not None and not scan.sway.is_shared
 
 
-def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
+def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion:
     """Ask whether one motion explains the returns of all LiDARs, recorded at the same time.
 
     Parameters
@@ -156,26 +156,28 @@ def together(scans: Sequence[Scan], poses: Sequence[Array]) -> Together:
     cuts = np.cumsum([len(each) for each in times])[:-1]
     A = [_adjoint(scans[0], scan, poses[0], T) for scan, T in zip(scans, poses, strict=True)]
     tried = list(hypotheses(np.concatenate(times)))
-    apart, common = 0.0, []
+    separate, common = 0.0, []
     for k, (one, motion) in enumerate(zip(observed, motions, strict=True)):
         own = [(f, share, np.split(features, cuts)[k]) for f, share, features in tried]
-        asked = list(ask(one, own))
-        alone, noise = judged(one, asked, SIZES, motion)
-        apart += alone.total
-        common.append([_by_common(each, A[k], noise) for each in asked])
-    told = [[sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)]
-    both = [Asked(*each, *every) for each, every in zip(tried, told, strict=True)]
+        likelihoods = list(ask(one, own))
+        alone, noise = judged(one, likelihoods, SIZES, motion)
+        separate += alone.total
+        common.append([_by_common(each, A[k], noise) for each in likelihoods])
+    summed = [
+        [sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)
+    ]
+    both = [Asked(*each, *every) for each, every in zip(tried, summed, strict=True)]
     ways = ways_of(motions[0])
     found = infer(both, axes_along(both, ways), SIZES, ways)
     shared = [own @ A[k].T for k, own in enumerate(np.split(found.motion, cuts))]
-    return Together(
-        COUNTED * (found.total - apart),
+    return CommonMotion(
+        COUNTED * (found.total - separate),
         tuple((own - one).mean(axis=0) for own, one in zip(motions, shared, strict=True)),
     )
 
 
 def _by_common(own: Asked, A: Array, noise: float) -> tuple[Array, Array]:
-    """What the returns of one LiDAR say of the coefficients of the common motion."""
+    """Information of the returns of one LiDAR about the coefficients of the common motion."""
     of_own = np.kron(np.eye(own.features.shape[1]), A)
     return of_own.T @ own.left @ of_own / noise, of_own.T @ own.pull / noise
 
@@ -185,7 +187,7 @@ def _begins(scans: Sequence[Scan]) -> Array:
     recorded = [scan.cloud.recorded for scan in scans]
     first = np.array([np.nan if each is None else each[0] for each in recorded])
     last = np.array([np.nan if each is None else each[1] for each in recorded])
-    # Nothing else tells; recordings that were made at other times do not sway as one.
+    # There is no other evidence; recordings that were made at other times do not sway as one.
     return first - first[0] if np.max(first) <= np.min(last) else np.zeros(len(scans))
 
 

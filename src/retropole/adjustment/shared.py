@@ -17,7 +17,8 @@ from ..hypotheses.scans import SiteScans
 SAME_DISTANCE, SAME_ANGLE = 0.5, np.radians(10.0)
 """Two poles are one where their middles lie so near each other's line, metres, and their directions
 differ by no more, rad. Poses that poles of one placement give are off by up to `AGREE_DISTANCE`,
-poles stand 1.2 m apart and more (simulation.scenes); a pole that was bumped is still the same."""
+poles are 1.2 m or more from each other (simulation.scenes); a pole that was bumped is still the
+same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ def shared_poles(scans: SiteScans, poses: dict[int, Array], radius: float) -> li
 
 
 def same_poles(one: Sequence[SharedPole], other: Sequence[SharedPole]) -> bool:
-    """Whether the same returns are put together, wherever the poles stand."""
+    """Whether the same returns are combined, wherever the poles are."""
 
     def together(poles: Sequence[SharedPole]) -> set[frozenset[tuple[int, int]]]:
         return {frozenset((i, id(seen)) for i, seen in pole.seen.items()) for pole in poles}

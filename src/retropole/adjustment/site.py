@@ -1,6 +1,6 @@
 """One adjustment of a site: from chosen poses to adjusted ones, their covariance, and all tests.
 
-What holds a site together: pairs that link all LiDARs, and the poles that both sides see.
+What links a site: pairs that link all LiDARs, and the poles that both sides see.
 
 Two LiDARs that nothing but each other ties, tested as a site is: every observation of poles.
 """
@@ -33,13 +33,13 @@ from ..base import se3
 from ..base.datatypes import Array, Test
 from ..base.description import Site
 from ..base.errors import Refusal
-from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, left_of_each
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, remaining_sway_of_each
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in
 from ..hypotheses.scans import SiteScans
 from ..surfaces.patches import Patches
 from .axes import maximise_from_lines
-from .datum import Datum, check_hanging, check_poles_left, of_lidar, without_poles
+from .datum import Datum, check_dependent, check_poles_left, of_lidar, without_poles
 from .descent import End, RefinementProblem, ScenePair, minimise
 from .refinement import Refinement
 from .shared import SharedPole, extent_of, sights_of
@@ -50,9 +50,9 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
-"""A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
-least bound in metres: of few returns axes of their own take up much of the noise, ten lie
-√(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
+"""At most this much further do a LiDAR's returns lie from the common axes than from its own, beyond
+a least bound in metres: of few returns separate axes take up much of the noise, ten lie √(10/6)
+= 1.3 times nearer. More is no noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Recorded:
     def left(self) -> tuple[Array, ...]:
         """What is left of the sway of each LiDAR; empty if none swayed."""
         every = range(len(self.site.lidars))
-        return left_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
+        return remaining_sway_of_each([[scan.sway for scan in self.scans.used(i)] for i in every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
     """
     site = recorded.site
-    check_poles_left(site, datum.hanging, datum.poles)
+    check_poles_left(site, datum.dependent, datum.poles)
     sights = sights_of(recorded.scans, datum.poles)
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
     none = np.zeros(0, dtype=np.int64)
@@ -159,8 +159,8 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     end = minimise(problem, few=few)
     parts = parts_of(problem, end, POLES_AND_SURVEY)
     covariance = joint_covariance(parts)
-    check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    check_hanging(site, datum.hanging, end.T, covariance)
+    check_determined(site, covariance, is_surveyed=bool(site.poles or site.points))
+    check_dependent(site, datum.dependent, end.T, covariance)
     return tested(site, datum, aligned, end, parts, few=few)
 
 
@@ -188,9 +188,9 @@ def tested(
     """
     groups = factor_of(aligned.network).unknowns.groups()
     at = solve_all(aligned.network, end, groups, parts)
-    beside_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
-    beside = {(i, k): chi2 for i, k, chi2 in beside_pole}
-    tests = () if few else tuple(all_tests(at, site, datum.poles, beside))
+    next_to_pole = find_outlying(aligned.maximum.point, aligned.network, aligned.sights)
+    near_poles = {(i, k): chi2 for i, k, chi2 in next_to_pole}
+    tests = () if few else tuple(all_tests(at, site, datum.poles, near_poles))
     converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
     return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)
@@ -209,7 +209,7 @@ def _start(site: Site, datum: Datum) -> JointState:
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
-    """(L, 2) most noise of each LiDAR's returns, by how they lie about axes of its own, metres."""
+    """(L, 2) most noise of each LiDAR's returns, by how they lie about separate axes, metres."""
     most = np.full((len(site.lidars), 2), np.inf)
     for sight in sights:
         _, own = maximise_from_lines(sight.beams, site.radius)
@@ -217,7 +217,7 @@ def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
     return most
 
 
-def check_held(site: Site, covariance: Array, *, is_surveyed: bool) -> None:
+def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> None:
     """Refuse poses that poles, survey and scenes leave all but free.
 
     Raises
@@ -269,7 +269,7 @@ def without_observations(datum: Datum, lidar: int, placement: int) -> Datum:
 
 @dataclass(frozen=True)
 class Link:
-    """A pair of LiDARs without which some LiDARs would hang by fewer poles and patches.
+    """A pair of LiDARs without which some would be linked by fewer poles and patches.
 
     Attributes
     ----------

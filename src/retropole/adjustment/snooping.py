@@ -1,14 +1,14 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets its own bias in addition to all unknowns. How much
-the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
-the error has; how well the others determine that error is its redundancy, and gives the least
+Data snooping (Baarda 1968): an observation gets a separate bias in addition to all unknowns. How
+much the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom
+as the error has; how well the others determine that error is its redundancy, and gives the least
 error that the test finds.
 
 Several observations may also have one bias in common. Last come returns next to their pole, of a
-LiDAR that sees it clearly elsewhere. A return far from the axis is treated as an outlier, and
-pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate axis
-would gain them is found in full.
+LiDAR that sees it clearly at another position. A return far from the axis is treated as an outlier,
+and pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate
+axis would gain them is found in full.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .solved import Solved
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """A bias of its own that some observations get.
+    """A separate bias of some observations.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ def pole_moved(at: Solved, pole: int) -> Bias | None:
     return Bias(*of_columns(at, parts), metres, 4 * (len(parts) - 1))
 
 
-def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
+def pole_displaced_for(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
     """A pole that is at one position for some LiDARs, and at another for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
@@ -117,7 +117,8 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
 def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
     """Find the LiDARs that most likely see a pole at another position than the others do.
 
-    Of many LiDARs there are thousands of parts: what each of two says of the other is found once.
+    Of many LiDARs there are thousands of parts: the information of each about the other is computed
+    once.
 
     Parameters
     ----------
@@ -129,10 +130,10 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
     of_part = np.zeros((len(parts), len(moved.slope) // 4))
     for row, part in zip(of_part, parts, strict=True):
         row[list(part)] = 1.0
-    together = np.kron(of_part, np.eye(4)).reshape(len(parts), 4, -1)
+    joint = np.kron(of_part, np.eye(4)).reshape(len(parts), 4, -1)
 
     def of_parts(square: Array) -> Array:
-        return np.asarray(together @ square @ together.transpose(0, 2, 1))
+        return np.asarray(joint @ square @ joint.transpose(0, 2, 1))
 
     taken_up = at.inverse @ moved.cross
     scene, wide = moved.cross.T @ at.scene, moved.wide - taken_up.T @ at.by_wide
@@ -141,7 +142,7 @@ def likeliest_part(at: Solved, moved: Bias, parts: Sequence[tuple[int, ...]]) ->
     scatter = excess(of_parts(scene @ scene.T), of_parts(by_scene))
     size, way = np.linalg.eigh(of_parts(left + wide @ wide.T) + scatter)
     least = ROUNDING * np.einsum("pii->pi", of_parts(moved.own)).max(axis=1)
-    slope = together @ (moved.slope - taken_up.T @ at.remainder)
+    slope = joint @ (moved.slope - taken_up.T @ at.remainder)
     along = np.einsum("pij,pi->pj", way, slope)
     chi2 = np.sum(along**2 / np.where(size > least[:, None], size, np.inf), axis=1)
     return parts[int(np.argmax(chi2))]
@@ -152,8 +153,8 @@ def placement_moved(at: Solved, one: Observation) -> Bias:
     return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
 
 
-def lidar_apart(at: Solved, lidar: int) -> Bias | None:
-    """A LiDAR for which all poles stand elsewhere, but for its pose."""
+def lidar_displaced(at: Solved, lidar: int) -> Bias | None:
+    """A LiDAR for which all poles are displaced, but for its pose."""
     parts = [
         (one, np.concatenate([_axis_columns(one, int(pole)) for pole in one.poles]))
         for one in at.network.observations
@@ -248,7 +249,7 @@ errors that are not modelled add up. `blunders.BLUNDER` cites what set it."""
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How an observation's own bias was tested; see `answer.Test`."""
+    """How the bias of an observation was tested; see `answer.Test`."""
 
     chi2: float
     redundancy: float
@@ -296,12 +297,12 @@ def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array)
     # Of what no observation checks only rounding is left: none of it is a test.
     least_checked = ROUNDING * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)
-    told = size > least_checked
+    is_reported = size > least_checked
     # All else follows: what the iterations left of its slope counts where little is tested.
     along = way.T @ (error.slope - taken_up.T @ at.remainder)
-    chi2 = float(np.sum(along[told] ** 2 / size[told]))
+    chi2 = float(np.sum(along[is_reported] ** 2 / size[is_reported]))
     # An error ∇ moves the slope by S ∇.
-    seen = (way[:, told].T @ left) / np.sqrt(size[told])[:, None]
+    seen = (way[:, is_reported].T @ left) / np.sqrt(size[is_reported])[:, None]
     size, way = np.linalg.eigh(error.own)
     whole = size > ROUNDING * size[-1]
     inverse = (way[:, whole] / size[whole]) @ way[:, whole].T
@@ -341,9 +342,9 @@ def all_tests(
     astray
         By LiDAR and pole the χ² of returns that lie next to it (`snooping.find_outlying`).
     """
-    asked = list(_asked(at, site, poles, astray))
-    found = outcomes(at, [(each.error, each.unit) for each in asked])
-    for each, one in zip(asked, found, strict=True):
+    tests = list(_tested(at, site, poles, astray))
+    found = outcomes(at, [(each.error, each.unit) for each in tests])
+    for each, one in zip(tests, found, strict=True):
         chi2, freedom = max(one.chi2, each.beside or 0.0), each.error.freedom
         yield Test(
             each.kind,
@@ -361,7 +362,7 @@ def all_tests(
         )
 
 
-class _Asked(NamedTuple):
+class _Tested(NamedTuple):
     """A test: the bias that an observation may have, the likeliest `among` this many.
 
     `unit` is metres for each of its lengths; `beside` the χ² of returns that lie next to a pole.
@@ -378,32 +379,32 @@ class _Asked(NamedTuple):
     among: int = 1
 
 
-def _asked(
+def _tested(
     at: Solved, site: Site, poles: Sequence[SharedPole], astray: Mapping[tuple[int, int], float]
-) -> Iterator[_Asked]:
+) -> Iterator[_Tested]:
     names = [lidar.name for lidar in site.lidars]
     for k, pole in enumerate(poles):
         yield from _of_pole(at, pole.name(site), k, pole.placement, names, astray)
     for one in at.network.observations:
-        # Where the place puts a LiDAR nobody observed: it is only as wide as the poles need it. Nor
-        # on which side of poles they were surveyed.
+        # The prior of a dependent LiDAR was not observed: it is only as wide as the poles need it.
+        # Nor was it on which side of poles they were surveyed.
         if one.kind == "pose" or one.kind == "side":
             continue
         if one.poles is None:
             assert one.by_value is not None
             assert one.kind != "returns"
             wrong, unit = value_wrong(at, one), one.by_value[2]
-            yield _Asked(one.kind, one.lidar, None, None, one.name, wrong, unit)
+            yield _Tested(one.kind, one.lidar, None, None, one.name, wrong, unit)
             continue
         assert one.lidar is not None
         assert one.placement is not None
         name = f"{names[one.lidar]} in placement {site.placements[one.placement]}"
         moved = placement_moved(at, one)
-        yield _Asked("placement", one.lidar, one.placement, None, name, moved)
+        yield _Tested("placement", one.lidar, one.placement, None, name, moved)
     for lidar, name in enumerate(names):
-        apart = lidar_apart(at, lidar)
-        if apart is not None:
-            yield _Asked("lidar", lidar, None, None, name, apart)
+        displaced = lidar_displaced(at, lidar)
+        if displaced is not None:
+            yield _Tested("lidar", lidar, None, None, name, displaced)
 
 
 def _of_pole(
@@ -413,23 +414,23 @@ def _of_pole(
     placement: int,
     names: Sequence[str],
     astray: Mapping[tuple[int, int], float],
-) -> Iterator[_Asked]:
+) -> Iterator[_Tested]:
     """Test a pole: as a whole, as each LiDAR sees it, and split in the likeliest way."""
     moved = pole_moved(at, pole)
     views = [one for one in at.network.observations if one.poles is not None and pole in one.poles]
     if moved is not None:
-        yield _Asked("pole", None, placement, pole, name, moved)
+        yield _Tested("pole", None, placement, pole, name, moved)
     for one in views:
         assert one.lidar is not None
-        beside = astray.get((one.lidar, pole))
+        shift = astray.get((one.lidar, pole))
         # That one LiDAR alone sees, its survey checks.
-        if len(views) != 2 or beside is not None:
+        if len(views) != 2 or shift is not None:
             of_one = f"{name} as {names[one.lidar]} sees it"
-            elsewhere = pole_seen_elsewhere(at, [one], pole)
-            yield _Asked("pole", one.lidar, placement, pole, of_one, elsewhere, beside=beside)
+            displaced = pole_displaced_for(at, [one], pole)
+            yield _Tested("pole", one.lidar, placement, pole, of_one, displaced, beside=shift)
     parts = list(splits(len(views)))
     if moved is not None and parts:
         some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        parted, words = pole_seen_elsewhere(at, some, pole), f"{name} as {seen_by} see it"
-        yield _Asked("pole", None, placement, pole, words, parted, among=len(parts))
+        separated, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Tested("pole", None, placement, pole, words, separated, among=len(parts))

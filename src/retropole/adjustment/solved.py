@@ -48,7 +48,7 @@ SCATTER, FLAT = "scatter of the surfaces", "surfaces that are not flat"
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """What each of C places says of F parameters, with the errors of the LiDARs eliminated.
+    """Information of each of C places about F parameters, with the errors of the LiDARs eliminated.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Places:
     marginal
         (F, F) its inverse.
     information
-        (C, F, F) what each place has of it.
+        (C, F, F) the part of each place.
     gradients
         (C, F) how it pulls at the answer.
     flat
@@ -130,7 +130,7 @@ def places_of(
 
 
 def places_of_poses(end: End) -> Places:
-    """Sum what all places say of the poses that are estimated."""
+    """Sum the information of all places about the poses that are estimated."""
     inverse = end.inverse
     free = np.flatnonzero(np.diag(inverse)[: len(end.search)] > 0)
     gains = [inverse[np.ix_(free, term.place)] for term in end.scene]
@@ -149,7 +149,7 @@ def moved_by(places: Places) -> tuple[Array, Array]:
     moves = np.linalg.solve(left, places.gradients[:, :, None])[:, :, 0]
     share = np.sum(moves * (moves @ places.marginal), axis=1)
     freedom = float(share.sum() ** 2 / max(float(np.sum(share**2)), 1e-300))
-    # A LiDAR has six parameters of its own, whatever the number of all.
+    # A LiDAR has six parameters, whatever the number of all.
     wide = np.sqrt(few_freedom(freedom))
     return moves.T * wide, places.covariance @ places.flat.T * PLACE_BIAS
 
@@ -198,7 +198,7 @@ class Solved:
     values
         (Z,) the unknowns.
     inverse
-        (Z, Z) of all information; zero where the datum holds a pose.
+        (Z, Z) of all information; zero where the datum fixes a pose.
     wide
         (Z, R) errors that are considered and not estimated, each of 1 σ.
     sigma

@@ -1,8 +1,8 @@
 """How what the LiDARs see is laid on a survey: poles by their shape, control points by name.
 
-Then it is checked: in one frame, in metres, and all of it met by what is seen. What is met by
-nothing that the LiDARs see is named, and left out. Where what is not met would fix another frame,
-or fits as a mirror image or in another unit, nobody can tell which part is right.
+Then it is checked: in one frame, in metres, and all of it matched by what is seen. What matches
+nothing that the LiDARs see is named, and left out. Where the unmatched part would fix another
+frame, or fits as a mirror image or in another unit, it is undecidable which part is right.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from ..hypotheses.correspondence import match_poles
 from ..surfaces.visibility import OVERLAP_DISTANCE
 from .shared import SharedPole
 
-BESIDE_END = 0.3
+END_MARGIN = 0.3
 """Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
 a wrong end of the tape, and the poles' pose along the pole."""
 
 ROUGH = 0.1
 """Poses may be off by as much before they are adjusted, metres: a survey that fits so well is laid
-no better, and one that fits worse is no frame of its own."""
+no better, and one that fits worse is no separate frame."""
 
 SAMPLES = 5
-"""Points on a surveyed pole that stand for returns when it is matched."""
+"""Points on a surveyed pole that represent returns when it is matched."""
 
 LEAST_BASE = 0.3
 """Control points nearer to one line than this fix no frame, metres."""
@@ -43,7 +43,7 @@ MOST_TRIPLES = 60
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A way of laying what the LiDARs see on the survey, and what of the survey is met under it.
+    """An alignment of what the LiDARs see to the survey, and what of the survey it matches.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Fit:
     poles, sightings
         Indices of the surveyed poles, and of the control points and their sightings.
     ends
-        How many ends of poles and sightings are met.
+        How many ends of poles and sightings are matched.
     rms
-        How far they are beside what is seen, metres.
+        How far they are from what is seen, metres.
     """
 
     T: Array
@@ -65,14 +65,14 @@ class Fit:
 
     @property
     def points(self) -> frozenset[int]:
-        """Indices of the control points of which a sighting is met."""
+        """Indices of the control points of which a sighting is matched."""
         return frozenset(q for q, _ in self.sightings)
 
 
 def every_fit(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> list[Fit]:
-    """Find the ways of laying what the LiDARs see on the survey, the one that meets most first."""
+    """Find the alignments of what the LiDARs see to the survey, the one that matches most first."""
     fits: list[Fit] = []
     for T in (*_by_poles(site, poles), *_by_points(site, origins, poses)):
         same = [k for k, other in enumerate(fits) if _same(T, other.T, poles)]
@@ -89,9 +89,9 @@ def every_fit(
 
 
 def order(fit: Fit) -> tuple[float, float]:
-    """Those that meet most come first, each end by how well: the less the farther it is beside.
+    """Those that match most come first, each end by how well: the less the farther it is off.
 
-    A truncated quadratic (Torr and Zisserman 2000): one more that is met to half a metre, with
+    A truncated quadratic (Torr and Zisserman 2000): one more that is matched to half a metre, with
     all others pulled along, is no more than what fits to centimetres.
     """
     return -fit.ends * (1.0 - (fit.rms / OVERLAP_DISTANCE) ** 2), fit.rms
@@ -107,8 +107,8 @@ def _is_line(each: SurveyedPole) -> bool:
 
 
 def _by_poles(site: Site, poles: Sequence[SharedPole]) -> Iterator[Array]:
-    """Lay the axes that the LiDARs see on the surveyed ones: LiDARs and survey stand still, so that
-    poles of all placements count together.
+    """Align the axes that the LiDARs see to the surveyed ones: LiDARs and survey do not move, so
+    that poles of all placements count together.
     """
     known = [each for each in site.poles if _is_line(each)]
     if len(known) < 2 or len(poles) < 2:
@@ -142,7 +142,8 @@ def _line(foot: Array | None, top: Array | None) -> Pole:
 
 
 def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[Array]:
-    """Lay the control points that the LiDARs see on the surveyed ones, and every three of them."""
+    """Align the control points that the LiDARs see to the surveyed ones, and every three of
+    them."""
     known, seen = [], []
     for q, point in enumerate(site.points):
         at = [there for _, there in sightings_of(site, q, origins, poses)]
@@ -183,27 +184,28 @@ def _onto(a: Array, b: Array) -> Array | None:
 def _fit(
     T: Array, site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> Fit | None:
-    """Tell what of the survey is met under a pose; None where it fixes no frame or is not met."""
+    """Find what of the survey matches under a pose; None where it fixes no frame or nothing
+    matches."""
     gaps: list[float] = []
-    met: set[int] = set()
+    matched: set[int] = set()
     sightings: set[tuple[int, int]] = set()
     there = [transformed(pole, T) for pole in poles]
     for k, each in enumerate(site.poles):
         found = pole_at(each, there)
         if found is not None:
-            gaps += [beside(end, found) for end in ends_of(each)]
-            met.add(k)
+            gaps += [axis_distance(end, found) for end in ends_of(each)]
+            matched.add(k)
     for q, point in enumerate(site.points):
         for k, seen in sightings_of(site, q, origins, poses):
             gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
             if gap < OVERLAP_DISTANCE:
                 gaps.append(gap)
                 sightings.add((q, k))
-    lines = sum(_is_line(site.poles[k]) for k in met)
+    lines = sum(_is_line(site.poles[k]) for k in matched)
     if lines < 2 and len(sightings) < 3 and not (lines and sightings):
         return None
     rms = float(np.sqrt(np.mean(np.square(gaps))))
-    return Fit(T, frozenset(met), frozenset(sightings), len(gaps), rms)
+    return Fit(T, frozenset(matched), frozenset(sightings), len(gaps), rms)
 
 
 def ends_of(each: SurveyedPole) -> list[Array]:
@@ -217,18 +219,18 @@ def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | Non
         pole
         for pole in poles
         if pole.placement == each.placement
-        and farthest_beside(each, pole) < OVERLAP_DISTANCE
+        and worst_offset(each, pole) < OVERLAP_DISTANCE
         and _is_between(each, pole)
     ]
-    return min(near, key=lambda pole: farthest_beside(each, pole), default=None)
+    return min(near, key=lambda pole: worst_offset(each, pole), default=None)
 
 
-def farthest_beside(each: SurveyedPole, pole: SharedPole) -> float:
+def worst_offset(each: SurveyedPole, pole: SharedPole) -> float:
     """How far the worse end of a surveyed pole is from the axis of one that is seen, metres."""
-    return max(beside(end, pole) for end in ends_of(each))
+    return max(axis_distance(end, pole) for end in ends_of(each))
 
 
-def beside(end: Array, pole: SharedPole) -> float:
+def axis_distance(end: Array, pole: SharedPole) -> float:
     """How far a point is from the axis of a pole, metres."""
     return float(np.linalg.norm(np.cross(end - pole.point, pole.direction)))
 
@@ -242,7 +244,7 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
         # All on one side of it.
-        return bool(min(along.max(), -along.min()) < BESIDE_END)
+        return bool(min(along.max(), -along.min()) < END_MARGIN)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
     between = min(along.max(), length) - max(along.min(), 0.0)
@@ -265,14 +267,14 @@ def transformed(pole: SharedPole, T: Array) -> SharedPole:
 
 
 SURVEY_UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
-"""Units that coordinates come in beside metres, metres each."""
+"""Units of coordinates other than metres, metres each."""
 
 MOST_RMS = 0.02
-"""Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
-as this, metres."""
+"""Alignments of the survey to what is seen are distinguished where one fits twice as well, or so
+well as this, metres."""
 
 
-def lay_on_survey(
+def align_to_survey(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> Fit:
     """Find how what the LiDARs see lies in the frame of the survey.
@@ -296,8 +298,8 @@ def lay_on_survey(
     best, *others = fits
     for other in others:
         _check_frames(site, best, other, poles)
-    alike = 2.0 * max(best.rms, MOST_RMS)
-    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < alike]
+    limit = 2.0 * max(best.rms, MOST_RMS)
+    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < limit]
     if rivals:
         raise Refusal(
             "survey_ambiguous",
@@ -310,24 +312,24 @@ def lay_on_survey(
 
 
 def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
-    """Refuse where what is not met by the best way fixes another frame by itself."""
+    """Refuse where what the best alignment does not match fixes another frame by itself."""
     left = other.poles - best.poles, other.points - best.points
     if other.rms > ROUGH or not fixes_frame(site, *left):
         # Two lines fit others by chance, but hardly so well.
         return
     at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
-    apart = se3.difference_at(best.T, other.T, at)
+    difference = se3.difference_at(best.T, other.T, at)
     one, two = _names(site, best.poles, best.points), _names(site, *left)
     raise Refusal(
         "survey_contradicts",
-        f"{one} fix one frame, {two} another, {quantities.error(apart.translation)} and "
-        f"{np.degrees(apart.rotation):.1f}° from it: one of both was surveyed in another frame or "
-        "is written wrongly; correct it, or leave it out of the site file",
+        f"{one} fix one frame, {two} another, {quantities.error(difference.translation)} and "
+        f"{np.degrees(difference.rotation):.1f}° from it: one of both was surveyed in another "
+        "frame or is written wrongly; correct it, or leave it out of the site file",
         {
             "one": one,
             "other": two,
-            "apart_m": apart.translation,
-            "turned_deg": float(np.degrees(apart.rotation)),
+            "apart_m": difference.translation,
+            "turned_deg": float(np.degrees(difference.rotation)),
         },
     )
 
@@ -411,12 +413,12 @@ def _names(site: Site, poles: frozenset[int], points: frozenset[int]) -> str:
 def list_unmet(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole], fit: Fit
 ) -> Iterator[Reason]:
-    """Name what was surveyed and nothing that the LiDARs see meets.
+    """Name what was surveyed and matches nothing that the LiDARs see.
 
     Parameters
     ----------
     site, origins, poses, poles
-        As `lay_on_survey` takes them.
+        As `align_to_survey` takes them.
     fit
         How they lie in the frame of the survey.
     """
@@ -444,7 +446,7 @@ def list_unmet(
 
 
 def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> Reason:
-    """Say where the nearest pole is that LiDARs see, or in which placement the pole stands."""
+    """Give the nearest pole that LiDARs see, or the placement that the pole is in."""
     where = site.placements[each.placement]
     values: dict[str, float | int | str] = {"observation": each.name, "placement": where}
     for p, name in enumerate(site.placements):
@@ -455,7 +457,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
                 f"{where}, and was left out: which placement does it belong to?",
                 {**values, "other": name},
             )
-    gaps = [farthest_beside(each, pole) for pole in poles if pole.placement == each.placement]
+    gaps = [worst_offset(each, pole) for pole in poles if pole.placement == each.placement]
     near = "the LiDARs see no pole there"
     if gaps:
         values["gap_m"] = min(gaps)

@@ -1,7 +1,8 @@
-"""Recordings that are not what the site file says: of another LiDAR, or of another placement.
+"""Recordings that are not what the site file states: of another LiDAR, or of another placement.
 
-A LiDAR stands still, so that all its recordings show one place; and the poles of a placement are
-the same for all LiDARs. A recording that nothing agrees with is tried in the place of another.
+A LiDAR does not move, so that all its recordings show the same surroundings; and the poles of a
+placement are the same for all LiDARs. A recording that nothing agrees with is tried instead of
+another.
 """
 
 from __future__ import annotations
@@ -39,22 +40,24 @@ def check_places(site: Site, views: Views) -> None:
         place, ``lidar_moved`` elsewhere.
     """
     names = [lidar.name for lidar in site.lidars]
-    apart = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
-    for i, j in combinations(apart, 2):
+    displaced = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
+    for i, j in combinations(displaced, 2):
         both = [
-            p for p in sorted(apart[i].keys() & apart[j].keys()) if _show_each_other(views, i, j, p)
+            p
+            for p in sorted(displaced[i].keys() & displaced[j].keys())
+            if _show_each_other(views, i, j, p)
         ]
         if both:
             # Of two LiDARs with two placements it may have been in either.
             where = " or ".join(site.placements[p] for p in both)
             first, second = (f"{names[k]} in placement {where}" for k in (i, j))
             raise _swap_refusal(first, second, "show each other's place")
-    for i, away in apart.items():
+    for i, away in displaced.items():
         raise _moved_refusal(names[i], [site.placements[p] for p in sorted(away)], away)
 
 
 def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved | None]) -> Refusal:
-    """Say that a LiDAR does not stand where it stood, by how much, or that it is another place."""
+    """Report that a LiDAR is not where it was, by how much, or that the surroundings differ."""
     which = ", ".join(placements)
     values: dict[str, float | int | str] = {"lidar": name, "placements": which}
     steps = [step for step in away.values() if step is not None]
@@ -77,7 +80,7 @@ def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved |
 
 
 def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
-    """Whether two LiDARs' recordings of a placement fit the other's recordings elsewhere."""
+    """Whether two LiDARs' recordings of a placement fit the other's other recordings."""
     found = []
     for own, other in ((i, j), (j, i)):
         here = views.every[own][p]
@@ -124,12 +127,12 @@ def support_of(
         for p, scan in enumerate(row)
         if scan is not None
     ]
-    met, possible = dict.fromkeys(recordings, 0), dict.fromkeys(recordings, 0)
+    matched, possible = dict.fromkeys(recordings, 0), dict.fromkeys(recordings, 0)
     for pair in pairs:
         i, j = pair.lidars
         placed = i in choice.poses and j in choice.poses
         found = None
-        # Where the scenes hardly overlap poles of one shape may be met by chance.
+        # Where the scenes hardly overlap, poles of one shape may match by chance.
         if placed and pair.overlaps:
             found = pair.at(se3.inverse(choice.poses[i]) @ choice.poses[j], poles[j])
         for p in range(len(scans.by_lidar[0])):
@@ -138,8 +141,8 @@ def support_of(
             agrees = found is not None and p in found.poles
             for each in ((i, p), (j, p)):
                 possible[each] += 1
-                met[each] += agrees
-    return Supported(met, possible)
+                matched[each] += agrees
+    return Supported(matched, possible)
 
 
 def check_swapped(
@@ -157,15 +160,15 @@ def check_swapped(
     Refusal
         ``recordings_exchanged``.
     """
-    lost = support_of(choice, scans, pairs, poles).unsupported()
+    unsupported = support_of(choice, scans, pairs, poles).unsupported()
     mended: list[tuple[Recording, Recording]] = []
-    for one, other in combinations(lost, 2):
+    for one, other in combinations(unsupported, 2):
         if one[0] != other[0] and one[1] != other[1]:
             continue
         tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))
         seen = Views(_swapped(views.every, one, other))
         if any(elsewhere(seen.every[lidar]) for lidar in {one[0], other[0]}):
-            # In each other's place they would not show where those LiDARs stand.
+            # Exchanged, they would not show the surroundings of those LiDARs.
             continue
         if _share_poles(tried, choice, site.radius, one, other):
             if not _share_poles(scans, choice, site.radius, one, other):

@@ -55,7 +55,7 @@ from .network import (
 from .observations import Beams
 from .posterior import JointState, Posterior
 from .solver import Solution
-from .survey import NOTHING_SURVEYED, KnownPose, Surveyed
+from .survey import NOTHING_SURVEYED, PriorPose, Surveyed
 from .unknowns import POSE
 
 RADIUS_EDGE = 0.12
@@ -74,7 +74,7 @@ class ReturnsRadius:
     sigma: float
 
     def sigmas_below(self, radius: float, sigma: float) -> float:
-        """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
+        """By how many σ the returns want a thinner pole than one with a separate 1 σ.
 
         Thicker is no denial: tape glows, and beams next to a pole return as if they had hit it.
         """
@@ -111,13 +111,13 @@ def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> Ret
 
 @dataclass(frozen=True, eq=False)
 class AxesTest:
-    """Whether both LiDARs see the poles stand to each other alike.
+    """Whether both LiDARs see the same arrangement of the poles.
 
     Attributes
     ----------
     chi2, freedom
         By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² if the poles stood the same.
+        posterior, and how many more parameters that has: χ² if the arrangement was the same.
     by_pole
         (K,) the same where only that pole's axis is freed.
     """
@@ -128,7 +128,7 @@ class AxesTest:
 
 
 def compare_axes(network: Network, precision: Array, considered: Array) -> AxesTest:
-    """Test whether the poles stood the same when each LiDAR recorded them (score test, Rao 1948).
+    """Test whether both LiDARs recorded the same arrangement of poles (score test, Rao 1948).
 
     The source's axes get a separate displacement, in addition to pose, errors and common axes. Six
     of its directions are the pose's; two poles leave two to test, their angle and their distance.
@@ -174,12 +174,12 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
 
 
 RADIUS_TOLERANCE = 0.02
-"""Least 1 σ of the radius, as a part of it: tubes differ by this amount, and tape adds to them."""
+"""Least 1 σ of the radius, relative to it: tubes differ by this amount, and tape adds to them."""
 
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""
 
-PLACE_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
+SURROUNDINGS_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
 and m, as far as
 the poles are used: wide compared with what surfaces show afterwards. Of 66 that were
@@ -210,7 +210,7 @@ class BeamAlignment:
     radius_conflict
         By how many σ the returns alone conflict with the radius that was given.
     axes_test
-        Whether both LiDARs see the poles stand to each other alike.
+        Whether both LiDARs see the same arrangement of the poles.
     noise, lateral_noise
         1 σ of a return along the beam and across it, for the target and the source, metres.
     converged, iterations
@@ -248,7 +248,7 @@ class Aligned:
     radius, radius_conflict
         As in `BeamAlignment`.
     radius_sigma
-        1 σ of the radius that was taken in the end, metres.
+        1 σ of the radius that was used in the end, metres.
     sights
         What each LiDAR saw.
     """
@@ -273,12 +273,12 @@ def align_beams(
     by_place: bool = False,
     left: tuple[Array, ...] = (),
 ) -> BeamAlignment:
-    """Align matched poles by what both LiDARs' beams can have met.
+    """Align matched poles by what both LiDARs' beams can have hit.
 
     Parameters
     ----------
     target, source
-        Beams of the two LiDARs; the poles are numbered alike.
+        Beams of the two LiDARs; the poles have the same numbers.
     T_start
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
@@ -287,7 +287,7 @@ def align_beams(
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.
     placement
-        (K,) index of that which each pole stood in; None if there is one.
+        (K,) index of that of each pole; None if there is one.
     by_place
         Whether the surroundings, and not the poles, gives what `T_start` has in addition to them.
 
@@ -307,16 +307,16 @@ def align_beams(
     state = JointState(
         poses_of_pair(T_start), np.zeros(2), radius, points, directions, np.zeros((0, 3))
     )
-    stood = np.zeros(len(own), dtype=np.int64) if placement is None else placement
-    known = (KnownPose("the place", 1, T_start, PLACE_SIGMA),) if by_place else ()
+    placement_of = np.zeros(len(own), dtype=np.int64) if placement is None else placement
+    known = (PriorPose("the place", 1, T_start, SURROUNDINGS_SIGMA),) if by_place else ()
     model = ErrorModel(sizes, given_sigma)
-    found = align_all(state, sights, model, stood, OF_SOURCE, surveyed=Surveyed(poses=known))
+    found = align_all(state, sights, model, placement_of, OF_SOURCE, surveyed=Surveyed(poses=known))
     return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma, left))
 
 
 def without_poles(T: Array, radius: float) -> BeamAlignment:
     """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing."""
-    covariance = np.diag(PLACE_SIGMA**2)
+    covariance = np.diag(SURROUNDINGS_SIGMA**2)
     pose = PoseEstimate(T, covariance, 0.0)
     nothing = np.zeros((0, 3))
     return BeamAlignment(
@@ -356,7 +356,7 @@ def align_all(
     model
         Of the errors.
     placement
-        (K,) index of that which each pole stood in.
+        (K,) index of that of each pole.
     free
         (6 L,) which parameters of the poses are estimated.
     scene_bands
@@ -390,7 +390,7 @@ def align_all(
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
         return Aligned(found, network, estimate, contradicted, given_sigma, sights)
-    # What was given has no say any more: the climb finds the radius anew, as good as free, and that
+    # What was given is no longer used: the climb finds the radius anew, as good as free, and that
     # takes its place.
     assumed = found.point.state.radius
     found, network = maximum(found.point.state, found.point.log_noise, radius)
@@ -423,7 +423,7 @@ def widest(covariance: Array) -> tuple[float, float]:
     return rotation, translation
 
 
-def leaves_little(covariance: Array) -> bool:
+def is_nearly_determined(covariance: Array) -> bool:
     """Whether a covariance (6, 6) of a pose is within what poles may leave of it."""
     rotation, translation = widest(covariance)
     return rotation < MAX_ROTATION_SIGMA and translation < MAX_TRANSLATION_SIGMA
@@ -435,7 +435,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     Parameters
     ----------
     found
-        Of two LiDARs, the target's pose held.
+        Of two LiDARs, the target's pose fixed.
     model
         Of the errors, with the 1 σ of the radius that was taken.
 
@@ -463,7 +463,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         ]
     )
     covariance = uncertainty.covariance
-    if not leaves_little(covariance):
+    if not is_nearly_determined(covariance):
         rotation, translation = widest(covariance)
         raise Refusal(
             "degenerate_poles",

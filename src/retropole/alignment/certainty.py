@@ -35,15 +35,15 @@ POLES_ONLY = "tape", "radius"
 
 WORKING_SHARE = 0.25
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
-their 1 σ; what is stated counts them whole. A few poles cannot tell an offset from a translation:
-given all the freedom that the instrument has, the estimate takes noise for offsets. Of 100 set-ups
-of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with offsets of
-7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
+their 1 σ; what is stated includes them whole. A few poles cannot distinguish an offset from a
+translation: given all the freedom that the instrument has, the estimate takes noise for offsets. Of
+100 set-ups of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with
+offsets of 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
 
 CONSIDERED = "width"
 CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
-held within. The estimate takes beams to be as wide as they are known to be, and what is stated
+kept within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
 give the width: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
@@ -53,7 +53,7 @@ MIN_MEMBERS = 5
 """Errors that a size is estimated from, and as many of the size that is known beforehand count
 in addition to the data's. Those of a whole LiDAR, one to four of a kind, do not determine their
 own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
-lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
+lines estimated, of 36 recordings of a stationary vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
 missed so."""
 
@@ -62,9 +62,11 @@ MAX_SCALE = 3.0
 
 
 def prior_precision(groups: Groups, sigma: Array) -> Array:
-    """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is held fast."""
-    held = considered(groups, sigma) > 0
-    return np.asarray(1.0 / (np.where(held, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2)
+    """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is almost fixed."""
+    constrained = considered(groups, sigma) > 0
+    return np.asarray(
+        1.0 / (np.where(constrained, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2
+    )
 
 
 def considered(groups: Groups, sigma: Array) -> Array:
@@ -177,7 +179,7 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class FactorEstimate:
     """Steps (6 L,) of all poses, errors (B,), and the inverse (K, K) of the information of both,
-    zero where the datum holds a pose.
+    zero where the datum fixes a pose.
     """
 
     steps: Array
@@ -260,7 +262,7 @@ def root_of(square: Array) -> Array:
 def floors(T: Array, free: BoolArray) -> list[Part]:
     """State the unmodelled errors: half of its variance for each LiDAR of a pair.
 
-    It turns and shifts a LiDAR's own frame.
+    It turns and shifts the frame of a LiDAR.
 
     Parameters
     ----------
@@ -274,7 +276,7 @@ def floors(T: Array, free: BoolArray) -> list[Part]:
 
 
 def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
-    """State what is left of each LiDAR's sway (L, 6, 6), axes of its own; empty if none sways.
+    """State the remaining sway of each LiDAR (L, 6, 6), in its axes; empty if none sways.
 
     Parameters as of `floors`.
     """
@@ -289,7 +291,7 @@ def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
 
 
 def _of_frame(T: Array, free: BoolArray, lidar: int, root: Array) -> Array:
-    """(6 L, 6) what an error of one LiDAR's own frame, given by a root (6, 6), does to all poses.
+    """(6 L, 6) what an error of the frame of one LiDAR, given by a root (6, 6), does to all poses.
 
     That of a LiDAR whose frame is the datum moves all others against it.
     """
@@ -334,7 +336,7 @@ def budget_of(
     lidar
         Whose pose.
     names
-        Of all LiDARs of a site; None of a pair, whose LiDARs have names of their own.
+        Of all LiDARs of a site; None of a pair, whose LiDARs have separate names.
     """
     own = slice(POSE * lidar, POSE * (lidar + 1))
     rows: dict[tuple[str, int | None], list[Part]] = {}
@@ -349,12 +351,12 @@ def budget_of(
     found = []
     for (name, whose), members in rows.items():
         first = members[0]
-        told = name if whose is None or names is None else f"{name} of {names[whose]}"
+        label = name if whose is None or names is None else f"{name} of {names[whose]}"
         sensor = None if whose is None or names is not None else SIDES[whose]
         size = first.sigma if first.sigma is not None else float(np.sqrt(squares[name, whose]))
         estimated = first.estimated if len(members) == 1 else None
         share = squares[name, whose] / whole
-        found.append(BudgetEntry(told, sensor, size, first.unit, estimated, share))  # type: ignore[arg-type]
+        found.append(BudgetEntry(label, sensor, size, first.unit, estimated, share))  # type: ignore[arg-type]
     return tuple(sorted(found, key=lambda entry: -entry.share_at_30m))
 
 

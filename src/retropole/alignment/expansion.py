@@ -26,7 +26,7 @@ from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import RADIUS, RING, WIDTH, Layout, band_of, by_error
 from .likelihood import FEW_NODES, arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry
+from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, damping_of, lidar_geometry
 from .unknowns import POSE
 
 MIN_NOISE = 2e-5
@@ -48,31 +48,31 @@ FARTHEST = 2.0
 lose some of them as outliers, and wander off (tests/adjustment/test_blunders.py: a pole that
 was pushed by 0.4 m said nothing any more)."""
 
-BLEND, MAX_ROUNDS, SETTLED = 0.5, 30, 0.1
+BLEND, MAX_ROUNDS, CONVERGED = 0.5, 30, 0.1
 """Part of the way that each round goes, rounds at most (some views go to and fro), and the change,
 in units of 1 σ and of the information, at which the distribution is its own average. Stated σ are
 then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
 rounds."""
 
-LITTLE_OPEN = {1: 0.02, 3: 0.5, 4: 0.8}
+NODES_BY_UNCERTAINTY = {1: 0.02, 3: 0.5, 4: 0.8}
 """Nodes that suffice where no axis is uncertain by more than this many times the noise sideways:
 over so little the likelihood is all but a parabola, and n nodes are exact to the power 2
 n − 1. An exact view has no uncertainty."""
 
-_HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*LITTLE_OPEN, FEW_NODES)}
+_HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*NODES_BY_UNCERTAINTY, FEW_NODES)}
 
 
 def _nodes_over(sideways: Array, noise: float) -> tuple[Array, Array]:
     """Nodes (M, 1), and their weights (M,), over the uncertainty sideways (N,), 1 σ, metres."""
     most = float(sideways.max(initial=0.0))
-    few = (n for n, share in LITTLE_OPEN.items() if most <= share * noise)
+    few = (n for n, share in NODES_BY_UNCERTAINTY.items() if most <= share * noise)
     at, weight = _HERMITE[next(few, FEW_NODES)]
     return at[:, None], weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where one LiDAR's own beams have the axes of the poles, as a step from a state's.
+    """Axes of the poles by the beams of one LiDAR alone, as a step from a state's.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     Parameters
     ----------
     seen
-        Where they are at the state, by `own_geometry`.
+        Where they are at the state, by `lidar_geometry`.
     beams
         Of the LiDAR of the view.
     radius
@@ -189,7 +189,8 @@ def _averaged(values: Array, weight: Array) -> Array:
 def find_view(
     state: State, lidar: int, beams: Beams, noise: Array, rounds: int = MAX_ROUNDS
 ) -> View:
-    """Find how a LiDAR's own beams leave each axis uncertain, pose and errors as in the state.
+    """Find the uncertainty of each axis by the beams of one LiDAR, pose and errors as in the
+    state.
 
     Parameters
     ----------
@@ -205,14 +206,14 @@ def find_view(
         Of which no more are taken.
     """
     poles = len(state.points)
-    seen, beside = own_geometry(state, lidar, beams)
+    seen, passed_by = lidar_geometry(state, lidar, beams)
     J = _by_axis(seen.jacobian, beams.pole)
-    J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
+    J_passed = _by_axis(passed_by.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
     for _ in range(rounds):
         on = average_returns(seen, beams, state.radius, view)
-        passed = average_passed(beside, beams, state.radius, view)
+        passed = average_passed(passed_by, beams, state.radius, view)
         bent = on.information[:, :2, :2]
         now, slope = np.zeros((poles, 4, 4)), np.zeros((poles, 4))
         for jacobian, information, score, own in (
@@ -226,7 +227,7 @@ def find_view(
         if precision is None:
             # At a single place there may be no curvature at all: start with that of the climb.
             least = RETURN_CURVATURE * on.inlier / view.noise[0] ** 2
-            more = lift_of(bent, least)[:, None, None]
+            more = damping_of(bent, least)[:, None, None]
             np.add.at(now, beams.pole, J.transpose(0, 2, 1) @ (more * J))
         size, way = np.linalg.eigh(now)
         size = np.maximum(size, WIDEST**-2)
@@ -236,13 +237,13 @@ def find_view(
         step = BLEND * np.einsum("kij,kj->ki", covariance, slope)
         grown = np.einsum("kij,kji->k", covariance, now) / 4 - 1
         wrong = np.sqrt(np.einsum("ki,kij,kj->k", step, blended, step)).max()
-        settled = precision is not None and max(wrong, np.abs(grown).max()) < SETTLED
+        has_converged = precision is not None and max(wrong, np.abs(grown).max()) < CONVERGED
         shift = view.shift + step
         far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
         shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
         view = View(shift, covariance, _noise(view.noise, on))
         precision = blended
-        if settled:
+        if has_converged:
             break
     return view
 
@@ -267,10 +268,10 @@ WIDTH_STEP = 0.01
 
 def average_lidar(state: State, lidar: int, one: Beams, view: View) -> tuple[Average, Average]:
     """Average the likelihood of one LiDAR's returns, and of its beams that passed, with widths."""
-    seen, beside = own_geometry(state, lidar, one)
+    seen, passed_by = lidar_geometry(state, lidar, one)
     return (
         with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view)),
-        with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view)),
+        with_width(lambda by: average_passed(passed_by, one.wider(by), state.radius, view)),
     )
 
 
@@ -287,7 +288,7 @@ def expand_lidar(
     J = _jacobian(
         state,
         lidar,
-        np.concatenate([each.jacobian for each in own_geometry(state, lidar, one)]),
+        np.concatenate([each.jacobian for each in lidar_geometry(state, lidar, one)]),
         np.concatenate([one.directions, one.passed_directions]),
         np.concatenate([one.ranges, np.zeros(len(one.passed_pole))]),
         one,

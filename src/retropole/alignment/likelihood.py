@@ -1,4 +1,4 @@
-"""What a return says of the axis of a taped pole, and what a beam that passed it says.
+"""Likelihood of the axis of a taped pole given a return, and given a beam that passed it.
 
 Xue et al. 2019, eq. 3 and 4, walk along the facing arc of the pole and solve eq. 4 for each step.
 Here every beam is compared with the cylinder in closed form. That is exact, and covers beams off
@@ -36,7 +36,7 @@ OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres: what is
 farther behind it is something else."""
 
-LOST = 0.05
+MISSED_SHARE = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, FEW_NODES = 20, 6
@@ -81,7 +81,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products of (N, 3) rows; np.cross takes twice as long over so few."""
+    """Cross products of (N, 3) rows; np.cross takes twice as long for few rows."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -332,8 +332,8 @@ def passed_beam_likelihood(
         (-radius - half_width - lateral_offset) * s,
     )
     density = [np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi) for x in (right, left)]
-    keep = 1.0 - LOST
-    p = LOST + keep * (1.0 - ndtr(right) + ndtr(left))
+    keep = 1.0 - MISSED_SHARE
+    p = MISSED_SHARE + keep * (1.0 - ndtr(right) + ndtr(left))
     # First and second derivatives of p with respect to m and r.
     p_m, p_r = keep * s * (density[0] - density[1]), -keep * s * (density[0] + density[1])
     curve = [-x * d * keep * s**2 for x, d in zip((right, left), density, strict=True)]

@@ -1,8 +1,8 @@
 """Up to the maximum of the posterior of shared cylinders, from lines fitted to the returns.
 
 The posterior may be of two LiDARs or more. Each LiDAR's beams say of the poles what `posterior`
-has; survey and inertial sensors add what they say of axes and poses. Of a pair the target's pose is
-held: its frame is that of the poles.
+has; survey and inertial sensors add information about axes and poses. Of a pair the target's pose
+is fixed: its frame is that of the poles.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def evaluate_joint(
     x[radius] = state.radius - priors.radius
     prior[radius] = max(priors.radius_sigma, MIN_ERROR_SIGMA) ** -2.0
     log, score = -0.5 * float(prior @ x**2), -prior * x
-    information, lifted = np.diag(prior), np.diag(prior)
+    information, damped = np.diag(prior), np.diag(prior)
     noise_step, inliers = np.zeros((count, 2)), 0.0
     for sight in sights:
         place = place_of(state, sight)
@@ -235,7 +235,7 @@ def evaluate_joint(
         kept = np.r_[0:POSE, 7:SHARED, SHARED : len(terms.score)]
         score[place] += terms.score[kept]
         information[np.ix_(place, place)] += terms.information[np.ix_(kept, kept)]
-        lifted[np.ix_(place, place)] += terms.lifted[np.ix_(kept, kept)]
+        damped[np.ix_(place, place)] += terms.damped[np.ix_(kept, kept)]
     for term in survey_terms(state, surveyed):
         J = np.zeros((len(term.residual), size))
         J[:, term.place] = term.jacobian
@@ -243,19 +243,19 @@ def evaluate_joint(
         log -= 0.5 * float(np.sum((term.residual / term.sigma) ** 2))
         score -= weighted @ term.residual
         information += weighted @ J
-        lifted += weighted @ J
-    held = np.flatnonzero(~np.r_[priors.free, np.ones(size - POSE * count, dtype=bool)])
-    score[held] = 0.0
-    for matrix in (information, lifted):
-        matrix[held], matrix[:, held] = 0.0, 0.0
-        matrix[held, held] = 1.0
+        damped += weighted @ J
+    constrained = np.flatnonzero(~np.r_[priors.free, np.ones(size - POSE * count, dtype=bool)])
+    score[constrained] = 0.0
+    for matrix in (information, damped):
+        matrix[constrained], matrix[:, constrained] = 0.0, 0.0
+        matrix[constrained, constrained] = 1.0
     return Posterior(
         state,
         log_noise,
         -log,
         -score,
         information,
-        lifted,
+        damped,
         np.clip(noise_step, *NOISE_STEP),
         inliers,
     )

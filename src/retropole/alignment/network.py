@@ -1,4 +1,4 @@
-"""What poles and survey say of all unknowns of a site: one quadratic form for each observation.
+"""Information of poles and survey about all unknowns of a site: a quadratic form per observation.
 
 About the maximum of the posterior each observation s (a LiDAR's returns in one placement, a
 surveyed end of a pole, a sight of a control point) says
@@ -6,7 +6,7 @@ surveyed end of a pole, a sight of a control point) says
     log L_s = g_sᵀ (z − z₀) − ½ (z − z₀)ᵀ N_s (z − z₀)
 
 with z the unknowns of `unknowns`: poses and axes as steps from that maximum, errors as they are.
-The observations stay apart, so that each can be tested against all others.
+The observations stay separate, so that each can be tested against all others.
 
 The sum over all observations is a `PoleFactor`. Near the maximum of the posterior the returns on
 the poles show
@@ -15,7 +15,7 @@ the poles show
 
 with x the steps of all poses and b the errors of `systematic`; the axes of the poles are
 eliminated (Schur complement). The prior of b is no part of it, so that the scene can share b. Of a
-pair the target's pose is the identity and held: it is the frame.
+pair the target's pose is the identity and fixed: it is the frame.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class PoleFactor:
         (K, R) how η moves with each error of the depth of a pole, by its 1 σ (`network`).
     left
         (L, 6, 6) covariance of how far each LiDAR's recordings are from where it rests, over
-        rotation and translation, axes of its own; empty if none sways.
+        rotation and translation, in its axes; empty if none sways.
     """
 
     T: Array
@@ -169,7 +169,7 @@ by 1.8 mm RMS where 0.4 was stated of a thousand returns."""
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one observation says of some unknowns.
+    """Information of one observation about some unknowns.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Observation:
     lidar, placement
         Whose, and where; None if it is the surveyor's.
     poles
-        (K,) the axes that are among the unknowns, in their order; the last ones of the place.
+        (K,) the axes that are among the unknowns, in their order; the last entries of `place`.
     returns
         How many returns lie on them.
     share
@@ -314,7 +314,7 @@ def observe(
     sights, surveyed
         What was seen of the poles, and what else is known.
     placement
-        (K,) index of that which each pole stood in.
+        (K,) index of that of each pole.
     radius
         Of the poles as it was given, metres.
     bands
@@ -322,7 +322,7 @@ def observe(
     free
         (6 L,) which parameters of the poses are estimated.
     rounds
-        At most this many for each LiDAR's own view of the axes (`find_view`).
+        At most this many for the view of the axes by each LiDAR (`find_view`).
     """
     state = end.state
     unknowns = Unknowns(bands, len(placement), len(state.control))
@@ -422,7 +422,7 @@ def _with_depth(
 
 
 def _of_unknowns(place: IntArray, state: JointState, unknowns: Unknowns) -> IntArray:
-    """Where parameters of a step of the state stand among the unknowns: poses, axes and points."""
+    """Indices of parameters of a step of the state among the unknowns: poses, axes and points."""
     behind = unknowns.kept - state.first_axis
     return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))
 
@@ -460,7 +460,7 @@ def about(network: Network, T: Array) -> Network:
 
 
 def factor_of(network: Network, ridge: float = 0.0, left: Sequence[Array] = ()) -> PoleFactor:
-    """Eliminate axes and control points: what poles and survey say of poses and errors.
+    """Eliminate axes and control points: information of poles and survey about poses and errors.
 
     Parameters
     ----------

@@ -18,18 +18,18 @@ PASSING = 0.015
 """A beam passes next to a pole within this distance of its surface, and returns from farther behind
 it than outliers lie, metres."""
 
-BESIDE = 0.2
+NEXT_TO_POLE = 0.2
 """Beams this much further aside, along such a stretch of the pole, show whether those next to it
-are recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
+are recorded, metres: beams of the coarsest sensor of the table have 0.08 m between them at 8 m."""
 
 MOST_RETURNS = 1000
-"""Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
-errors that all of them share. Of streets recorded with 10 and 30 sweeps (seeds 501 to 504), the
+"""Of one pole, no more are worked on: their noise then leaves the axis uncertain by 1 mm, less than
+the errors that all of them share. Of streets recorded with 10 and 30 sweeps (seeds 501 to 504), the
 poses are as near the truth as with all returns, and the model, which knows no smaller errors, is
-not held to what it cannot explain."""
+not tied to what it cannot explain."""
 
 FEW_RETURNS = 300
-"""Where a cloud was downsampled, so many returns of a pole stay all the same: those of one
+"""Where a cloud was downsampled, this many returns of a pole stay all the same: those of one
 sweep."""
 
 RMS_MARGIN = 2.0
@@ -75,13 +75,13 @@ class Beams:
         """Give the beams at some of the poles (K,), which are then numbered in that order."""
         number = np.full(1 + max(self.pole.max(initial=-1), poles.max(initial=-1)), -1)
         number[poles] = np.arange(len(poles))
-        met, passed = number[self.pole], number[self.passed_pole]
-        on, by = met >= 0, passed >= 0
+        hit_pole, passed = number[self.pole], number[self.passed_pole]
+        on, by = hit_pole >= 0, passed >= 0
         return replace(
             self,
             directions=self.directions[on],
             ranges=self.ranges[on],
-            pole=met[on],
+            pole=hit_pole[on],
             half_width=self.half_width[on],
             beside=self.beside[on],
             passed_directions=self.passed_directions[by],
@@ -167,7 +167,7 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     # What is farther from the middle of the pole across the ray, or nearer along it, plays no part.
-    reach = np.abs(own).max() + room + 2 * BESIDE
+    reach = np.abs(own).max() + room + 2 * NEXT_TO_POLE
     ahead = (pole.point - cloud.origin) / away
     cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
     toward = cloud.xyz @ ahead - cloud.origin @ ahead
@@ -178,7 +178,7 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     nearby = (ranges > away - reach) & (toward > cosine * ranges)
     # A ray passes the axis at no less than its part across the plane of the axis and the origin.
     across = np.abs(ray @ np.cross(pole.direction, pole.point - cloud.origin))
-    nearby &= across < (room + BESIDE) * ranges
+    nearby &= across < (room + NEXT_TO_POLE) * ranges
     ray, ranges = ray[nearby], ranges[nearby]
     directions = ray / ranges[:, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
@@ -186,20 +186,20 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float) -> _Near:
     behind = ranges > by.ranges + OUTLIER_RADIUS
     within = (along > own.min()) & (along < own.max())
     passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
-    stretches = max(int(np.ptp(own) / BESIDE), 1)
-    length = max(float(np.ptp(own)) / stretches, BESIDE)
+    stretches = max(int(np.ptp(own) / NEXT_TO_POLE), 1)
+    length = max(float(np.ptp(own)) / stretches, NEXT_TO_POLE)
 
     def stretch(along: Array) -> IntArray:
         place = np.clip((along - own.min()) / length, 0, stretches - 1)
         return np.asarray(place, dtype=np.int64)
 
-    near = behind & (np.abs(by.lateral_offset) < room + BESIDE)
-    near &= (along > own.min() - BESIDE) & (along < own.max() + BESIDE)
-    beside = np.zeros(len(own))
+    near = behind & (np.abs(by.lateral_offset) < room + NEXT_TO_POLE)
+    near &= (along > own.min() - NEXT_TO_POLE) & (along < own.max() + NEXT_TO_POLE)
+    weight_nearby = np.zeros(len(own))
     for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
         seen = np.bincount(stretch(along[side]), minlength=stretches) > 0
-        beside += 0.5 * seen[stretch(own)]
+        weight_nearby += 0.5 * seen[stretch(own)]
     of_returns, of_passed = _shares(len(own), cloud)
     kept = _evenly(own, of_returns)
     passed = passed[_evenly(along[passed], of_passed)]
-    return _Near(pole.xyz[kept], beside[kept], directions[passed])
+    return _Near(pole.xyz[kept], weight_nearby[kept], directions[passed])

@@ -1,6 +1,6 @@
-"""The posterior of shared cylinders: what all beams of both LiDARs say together, and its gradient.
+"""The posterior of shared cylinders: that of all beams of both LiDARs, and its gradient.
 
-The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share,
+The state is the pose, a range offset that all retro-reflective returns of one LiDAR share,
 the radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
 `State.moved`. The cost is the negative logarithm of the posterior.
 
@@ -58,11 +58,11 @@ class JointState:
         return (POSE + 1) * len(self.T) + 1
 
     def axes(self, own: IntArray) -> IntArray:
-        """(4 N,) where the parameters of some axes stand."""
+        """(4 N,) indices of the parameters of some axes."""
         return np.asarray((self.first_axis + 4 * own[:, None] + np.arange(4)).reshape(-1))
 
     def control_points(self) -> slice:
-        """Where the parameters of the control points stand."""
+        """Indices of the parameters of the control points."""
         return slice(self.first_axis + 4 * len(self.points), self.size)
 
     def of(self, lidar: int, own: IntArray) -> State:
@@ -96,7 +96,7 @@ SHARED = 9
 """Parameters before those of the axes: pose 6, offsets 2, radius 1."""
 
 RETURN_CURVATURE = 0.02
-"""Least curvature of a return's own cost that a step is taken with, in units of its information
+"""Least curvature of the cost of a return that a step is taken with, in units of its information
 ``1/σ²``: beyond the inflection of the likelihood the true one is negative. It steers the steps
 only, the covariance takes the true curvature. The same for the logarithm of the noise, per return
 that lies on a pole."""
@@ -141,8 +141,8 @@ class BeamGeometry:
     Attributes
     ----------
     depth, lateral_offset, sine
-        (N,) each: how far the return lies in front of the axis and beside it, metres, and the sine
-        of the angle between beam and axis.
+        (N,) each: how far the return lies in front of the axis and to its side, metres, and the
+        sine of the angle between beam and axis.
     jacobian
         (N, 2, P) derivative of depth and lateral offset by a step of `State.moved`.
     """
@@ -161,7 +161,7 @@ class BeamGeometry:
 def beam_geometry(
     state: State, lidar: int, origin: Array, directions: Array, ranges: Array, own: IntArray
 ) -> BeamGeometry:
-    """Depth and lateral offset of beams at their own axis, and the Jacobian over a step of `State`.
+    """Depth and lateral offset of beams at their axis, and the Jacobian over a step of `State`.
 
     The radius is no part of either; `ranges` may be anything where only the lateral offset matters.
 
@@ -172,7 +172,7 @@ def beam_geometry(
     lidar
         0 for the target, 1 for the source: whether the pose comes in, and which range offset.
     origin, directions, ranges
-        (3,), (N, 3) and (N,): the beams in the LiDAR's own frame, metres.
+        (3,), (N, 3) and (N,): the beams in the frame of the LiDAR, metres.
     own
         (N,) the pole of each beam.
     """
@@ -202,7 +202,7 @@ def beam_geometry(
     return BeamGeometry(ahead * by.sine, by.lateral_offset, by.sine, J)
 
 
-def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
+def lidar_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
     """Geometry of a LiDAR's beams that hit poles, and of those that passed next to them."""
     # All at once: the arrays are small, and calls cost as much as what they compute.
     any_range = np.zeros(len(beams.passed_pole))
@@ -214,8 +214,8 @@ def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, 
         np.concatenate([beams.ranges, any_range]),
         np.concatenate([beams.pole, beams.passed_pole]),
     )
-    on_pole, beside = slice(0, len(beams.pole)), slice(len(beams.pole), None)
-    return both.part(on_pole), both.part(beside)
+    on_pole, passed_by = slice(0, len(beams.pole)), slice(len(beams.pole), None)
+    return both.part(on_pole), both.part(passed_by)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ class Terms:
     log: float
     score: Array
     information: Array
-    lifted: Array
+    damped: Array
 
 
 class Movable(Protocol):
@@ -279,23 +279,24 @@ class OnPoles:
 
 
 def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tuple[Terms, OnPoles]:
-    """Evaluate what the beams of one LiDAR say, under a noise (2,) in depth and sideways, metres.
+    """Evaluate the likelihood of the beams of one LiDAR, under a noise (2,) in depth and sideways,
+    metres.
 
     Returns
     -------
     Terms, OnPoles
         Of all its beams; and what its returns on the poles show of the noise.
     """
-    seen, beside = own_geometry(state, lidar, beams)
+    seen, passed_by = lidar_geometry(state, lidar, beams)
     on_poles = _on_poles(state, seen, beams, noise)
-    on, by = on_poles.terms, _passed(state, beside, beams, noise)
-    together = Terms(
+    on, by = on_poles.terms, _passed(state, passed_by, beams, noise)
+    joint = Terms(
         on.log + by.log,
         on.score + by.score,
         on.information + by.information,
-        on.lifted + by.lifted,
+        on.damped + by.damped,
     )
-    return together, on_poles
+    return joint, on_poles
 
 
 def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> OnPoles:
@@ -343,17 +344,17 @@ def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Ter
 
 
 def _terms(log: Array, score: Array, information: Array, J: Array, least: Array) -> Terms:
-    """Sum what beams say; no eigenvalue of their lifted information is below the least (N,)."""
+    """Sum terms of beams; no eigenvalue of their damped information is below the least (N,)."""
     size = J.shape[2]
     flat = J.reshape(-1, size)
     total = flat.T @ (information @ J).reshape(-1, size)
-    lift = lift_of(information, least)
-    raised = np.flatnonzero(lift)
-    rows = (np.sqrt(lift[raised])[:, None, None] * J[raised]).reshape(-1, size)
+    damping = damping_of(information, least)
+    raised = np.flatnonzero(damping)
+    rows = (np.sqrt(damping[raised])[:, None, None] * J[raised]).reshape(-1, size)
     return Terms(float(log.sum()), score.reshape(-1) @ flat, total, total + rows.T @ rows)
 
 
-def lift_of(information: Array, least: Array) -> Array:
+def damping_of(information: Array, least: Array) -> Array:
     """By how much (N,) to raise all eigenvalues of each (N, C, C), so that none is below the least
     (N,).
     """

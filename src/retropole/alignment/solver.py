@@ -20,10 +20,10 @@ from ..base.datatypes import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 60
 """Steps at most. From lines on lines most starts need 5 to 15, the beam model 5 to 30; what has not
-come to rest by then walks to and fro."""
+converged by then oscillates."""
 
 DAMPING = 1e-3
-"""Damping at the start, as a part of each parameter's own curvature: starts are near a minimum."""
+"""Damping at the start, as a part of the curvature of each parameter: starts are near a minimum."""
 
 ROUNDING = 1e-9
 """Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
@@ -40,7 +40,7 @@ class Model(Protocol):
 
     @property
     def curvature(self) -> Array:
-        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
+        """(P, P) second derivative by the step, or a positive definite substitute."""
 
 
 class Quadratic(Model, Protocol):
@@ -110,8 +110,8 @@ def levenberg_marquardt(
 ) -> Solution[Q]:
     """Minimise a cost by damped Newton steps (Marquardt 1963).
 
-    Damping is relative to each parameter's own curvature, which keeps radians and metres from being
-    weighed against each other.
+    Damping is relative to the curvature of each parameter, which keeps radians and metres from
+    being weighed against each other.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def levenberg_marquardt(
     small
         Whether a step that was taken is small enough to stop.
     tolerance
-        Largest entry of a scaled step that counts as small where no step lowers the cost: the
+        Largest entry of a scaled step that is small where no step lowers the cost: the
         minimum is reached.
     damping, min_damping
         At the start, and at least.
@@ -205,11 +205,11 @@ def levenberg_marquardt_each(
         moved = move(points[left], scaled / scale)
         new = model_at(moved, left)
         better = now.costs - new.costs >= -ROUNDING * now.costs
-        taken = left[better]
-        points[taken] = moved[better]
+        done = left[better]
+        points[done] = moved[better]
         for kept, found in zip(models, new, strict=True):
-            kept[taken] = found[better]
-        dampings[taken] = np.maximum(dampings[taken] / 10.0, ROUNDING)
+            kept[done] = found[better]
+        dampings[done] = np.maximum(dampings[done] / 10.0, ROUNDING)
         rests = np.linalg.norm(scaled / scale, axis=1) < tolerance
         rests = np.where(better, rests, np.abs(scaled).max(axis=1) < tolerance)
         converged[left[rests]] = True

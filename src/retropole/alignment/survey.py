@@ -1,6 +1,6 @@
 """What is known in addition to the returns on poles.
 
-Surveyed ends of poles and control points, which way is up, and a pose that the surroundings give.
+Surveyed ends of poles and control points, up directions, and poses from the surroundings.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SurveyedEnd:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownPoint:
+class ControlPoint:
     """A control point: (3,) in the frame of the site, and 1 σ of each coordinate, metres.
 
     With `is_side` it is none, but by how much (3,) points on surfaces are off the axes together.
@@ -66,7 +66,7 @@ class SeenPoint:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredUp:
-    """Which way is up (3,) in the frame of a LiDAR, and 1 σ, rad."""
+    """Up direction (3,) in the frame of a LiDAR, and 1 σ, rad."""
 
     name: str
     lidar: int
@@ -75,7 +75,7 @@ class MeasuredUp:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownPose:
+class PriorPose:
     """A pose (4, 4) of a LiDAR, and 1 σ (6,) of ``[φ, δ]``, rad and metres."""
 
     name: str
@@ -89,10 +89,10 @@ class Surveyed:
     """All that is known of a site in addition to the returns on its poles."""
 
     ends: tuple[SurveyedEnd, ...] = ()
-    known: tuple[KnownPoint, ...] = ()
+    known: tuple[ControlPoint, ...] = ()
     seen: tuple[SeenPoint, ...] = ()
     up: tuple[MeasuredUp, ...] = ()
-    poses: tuple[KnownPose, ...] = ()
+    poses: tuple[PriorPose, ...] = ()
 
 
 NOTHING_SURVEYED = Surveyed()

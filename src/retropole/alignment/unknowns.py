@@ -26,7 +26,7 @@ POSE = 6
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Where each unknown stands: poses, errors LiDAR by LiDAR, radius, axes, control points.
+    """Index of each unknown: poses, errors LiDAR by LiDAR, radius, axes, control points.
 
     Attributes
     ----------
@@ -73,22 +73,22 @@ class Unknowns:
         return np.asarray(POSE * lidar + np.arange(POSE))
 
     def device(self, lidar: int) -> IntArray:
-        """(9,) where the errors of a whole LiDAR stand."""
+        """(9,) indices of the errors of a whole LiDAR."""
         first = self.poses + sum(self._of_lidar(i) for i in range(lidar))
         return np.asarray(first + np.arange(DEVICE))
 
     def rings(self, lidar: int, kind: int, bands: IntArray) -> IntArray:
-        """Where the errors of one of `RING_KINDS` of some of a LiDAR's bands stand."""
+        """Indices of the errors of one of `RING_KINDS` of some of a LiDAR's bands."""
         first = int(self.device(lidar)[-1]) + 1 + kind * len(self.bands[lidar])
         return np.asarray(first + np.searchsorted(self.bands[lidar], bands))
 
     @property
     def radius(self) -> int:
-        """Where the error of the radius stands."""
+        """Index of the error of the radius."""
         return self.kept - 1
 
     def axis(self, own: IntArray) -> IntArray:
-        """(4 N,) where some axes stand."""
+        """(4 N,) indices of some axes."""
         return np.asarray((self.kept + 4 * own[:, None] + np.arange(4)).reshape(-1))
 
     def control_point(self, number: int) -> IntArray:
@@ -113,7 +113,7 @@ class Unknowns:
         return np.asarray(np.r_[np.arange(self.poses), *errors, other.radius])
 
     def of_layout(self, layout: Layout, lidars: tuple[int | None, int]) -> IntArray:
-        """Where the errors of a pair's layout stand; −1 where the target is no LiDAR (None)."""
+        """Indices of the errors of a pair's layout; −1 where the target is no LiDAR (None)."""
         place = np.full(layout.size, -1)
         for side, lidar in enumerate(lidars):
             if lidar is None:

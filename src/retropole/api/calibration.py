@@ -32,7 +32,7 @@ from .inputs import (
     intensity_hint,
     read_placements,
     refuse_repeated,
-    tell_repeated,
+    warn_repeated,
 )
 from .options import checked_options, with_keywords
 from .result import CalibrationResult, SiteResult
@@ -69,7 +69,7 @@ def calibrate(
     ----------
     target, source
         A path that `io.read_cloud` reads; an array, (N, 4) of x, y, z in metres and intensity; or
-        a `PointCloud`. Each in its own sensor's frame. Or a list of these, one for each placement
+        a `PointCloud`. Each in the frame of its sensor. Or a list of these, one for each placement
         of the poles, target and source in the same order: one pose is found for all.
     radius
         Radius of the poles, metres, 0.02 unless it is given.
@@ -129,7 +129,7 @@ def calibrate_with(
     listener: Listener = SILENT,
     walk: Callable[[], SeenWalk] | None = None,
 ) -> CalibrationResult:
-    """Calibrate as `calibrate` does, with the options of a run as the result document holds them.
+    """Calibrate as `calibrate` does, with the options of a run as in the result document.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def calibrate_with(
     config
         The options.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
     walk
         As `carried.calibrate_walk` takes it.
 
@@ -159,7 +159,7 @@ def calibrate_with(
     inputs = [each for pair in pairs for each in pair]
     documents = input_documents(inputs)
     seconds_read = time.perf_counter() - start
-    twice = refuse_repeated(inputs, documents, partial(tell_repeated, inputs))
+    twice = refuse_repeated(inputs, documents, partial(warn_repeated, inputs))
     if twice is not None:
         scans = [[Scan(each.cloud, each.sensor) for each in pair] for pair in pairs]
         unsearched = tuple(Placement(target, source) for target, source in scans)
@@ -169,7 +169,7 @@ def calibrate_with(
             [pair.target.cloud for pair in pairs],
             [pair.source.cloud for pair in pairs],
             options=replace(
-                known_of(pairs[0], config),
+                options_of(pairs[0], config),
                 poles=0 if config.map and config.poles is None else config.poles,
                 scene=config.refine,
                 prior=prior_of(config),
@@ -199,7 +199,7 @@ def prior_of(config: RunConfig) -> PosePrior | None:
     return pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg, distance)
 
 
-def known_of(pair: InputPair, config: RunConfig) -> Options:
+def options_of(pair: InputPair, config: RunConfig) -> Options:
     """Say what is known of two LiDARs and their poles, as the method takes it."""
     return Options(
         radius=config.radius_m,
@@ -221,7 +221,7 @@ def calibrate_site(
     Parameters
     ----------
     site
-        A site file, or the folder that holds ``site.toml``; or a `base.description.Site` that was
+        A site file, or the folder of ``site.toml``; or a `base.description.Site` that was
         put together in Python.
     progress
         Called with the name of each step as it starts, and with which recording of how many is

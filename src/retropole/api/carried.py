@@ -34,7 +34,7 @@ from .inputs import (
     input_documents,
     read_placements,
     refuse_repeated,
-    tell_repeated,
+    warn_repeated,
 )
 from .site_inputs import SiteInputs
 
@@ -98,7 +98,7 @@ def calibrate_walk(
             scans = [given.search(radius, for_poles=False) for given in pair]
             placement = Placement(scans[0], scans[1])
         try:
-            twice = refuse_repeated(pair, documents, partial(tell_repeated, pair))
+            twice = refuse_repeated(pair, documents, partial(warn_repeated, pair))
             if twice is not None:
                 raise twice
             with step("extract"):

@@ -29,7 +29,7 @@ def certify(
     config
         The options: radius, sensors, thresholds, and what is read.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------

@@ -23,7 +23,7 @@ from ..checking.movement import FALSE_ALARM as FALSE_ALARM
 from ..checking.movement import CheckResult as CheckResult
 from ..checking.movement import Movement as Movement
 from ..checking.movement import Status, compare_poses
-from ..checking.tolerance import Asked
+from ..checking.tolerance import RequestedTolerance
 from ..export import inverted, read_transform
 from ..export.documents import result_in
 from ..io import sha256_of, topics_of
@@ -31,7 +31,7 @@ from ..io.fields import USUAL, Unit, Wanted
 from ..result import DEFAULT_CONFIG, SITE_RESULT_FILE, ResultDoc, RunConfig, refusal_of, result_file
 from ..result.decoding import decode_site
 from ..result.site import SiteDoc
-from .calibration import calibrate_with, known_of
+from .calibration import calibrate_with, options_of
 from .inputs import SILENT, InputPair, Listener, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
 from .site_inputs import read_of, site_file_in
@@ -39,7 +39,7 @@ from .stored import are_swapped, hashes_of, loaded, with_sensors_from
 
 
 class Stored(NamedTuple):
-    """What a stored result holds: the pose, the options of its run, and what it warned of.
+    """What a stored result contains: the pose, the options of its run, and what it warned of.
 
     `uncertainty` is of a result that distinguishes random and systematic errors, `hashes` are
     those of target and source of each placement.
@@ -63,12 +63,12 @@ def read_stored(
     Parameters
     ----------
     path
-        A result document, the folder that holds it, or any file that an export writes.
+        A result document, its folder, or any file that an export writes.
     sigma
         1 σ of its rotation, rad, and of its translation, m, about and along each axis; None takes
         its covariance.
     lidars
-        Target and source by their names, of the result of a site or another file that holds several
+        Target and source by their names, of the result of a site or another file with several
         poses: what both have in common cancels in their pose. How much of it errs the same in both
         recordings is not stored: all counts.
 
@@ -77,7 +77,7 @@ def read_stored(
     Refusal
         If it was refused, and ``no_covariance`` where the file does not say how certain it is.
     ReadError
-        If it cannot be read, or holds no pose, or several, of these LiDARs.
+        If it cannot be read, or has no pose, or several, of these LiDARs.
     """
     file = result_file(path)
     document = result_in(read_document(file))
@@ -175,14 +175,14 @@ def check_recordings(
     target, source
         What `io.read_cloud` reads.
     rotation, translation
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
     intensity, intensity_source, angles, angles_source
         The same; those of the stored run are left out if a recording has no use for them: no
         such field, or no packets. A field of the intensity is that of both.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -210,7 +210,9 @@ def check_recordings(
     if known.map:
         x, y, z = map(float, stored.pose.T_target_source[:3, 3])
         config = replace_options(config, prior_xyz=(x, y, z))
-        return check_in_map(stored, target, source, config, Asked(rotation, translation), listener)
+        return check_in_map(
+            stored, target, source, config, RequestedTolerance(rotation, translation), listener
+        )
     pair = InputPair(
         read_input(target, config.of_target._replace(wanted=of_target), listener),
         read_input(source, config.of_source._replace(wanted=of_source), listener),
@@ -219,7 +221,7 @@ def check_recordings(
     topics = topics_swapped(known, pair.target.topic, pair.source.topic)
     if topics is not None:
         return CheckResult("cannot_tell", (topics, *stored.warnings))
-    return check_pair(stored, pair, config, Asked(rotation, translation))
+    return check_pair(stored, pair, config, RequestedTolerance(rotation, translation))
 
 
 def check_in_map(
@@ -227,7 +229,7 @@ def check_in_map(
     target: Path,
     source: Path,
     config: RunConfig,
-    tolerance: Asked,
+    tolerance: RequestedTolerance,
     listener: Listener = SILENT,
 ) -> CheckResult:
     """Calibrate a new recording to the map of a stored result, and compare both poses.
@@ -239,7 +241,7 @@ def check_in_map(
     target, source
         The map, which may be another than before, and the recording.
     config
-        Of the run, with the place in the map about which it is looked for.
+        Of the run, with the position in the map about which it is searched.
     listener
         As of `check_recordings`.
 
@@ -250,16 +252,18 @@ def check_in_map(
     """
     found = calibrate_with(target, source, config, listener)
     own = {*hashes_of(found.document)} & {*stored.hashes}
-    said = (*((_RECORDINGS_OF_RESULT,) if own else ()), *stored.warnings)
+    reasons = (*((_RECORDINGS_OF_RESULT,) if own else ()), *stored.warnings)
     if found.T_target_source is None or found.covariance is None:
         refusal = refusal_of(found.document.reasons).reason
-        return CheckResult("cannot_tell", (refusal, *said))
+        return CheckResult("cannot_tell", (refusal, *reasons))
     new = PoseEstimate(found.T_target_source, found.covariance, 0.0)
     parts = stored.uncertainty, found.uncertainty
-    return compare_poses(stored.pose, new, "scene", tolerance, said, parts)
+    return compare_poses(stored.pose, new, "scene", tolerance, reasons, parts)
 
 
-def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: Asked) -> CheckResult:
+def check_pair(
+    stored: Stored, pair: InputPair, config: RunConfig, tolerance: RequestedTolerance
+) -> CheckResult:
     """Check recordings that were read against a stored result.
 
     Parameters
@@ -283,7 +287,7 @@ def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: As
         stored.pose,
         pair.target.cloud,
         pair.source.cloud,
-        options=known_of(pair, config),
+        options=options_of(pair, config),
         uncertainty=stored.uncertainty,
         tolerance=tolerance,
     )
@@ -325,7 +329,7 @@ class CheckedPair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SiteCheck:
-    """Whether the LiDARs of a site still stand as they stood.
+    """Whether the LiDARs of a site have not moved.
 
     Attributes
     ----------
@@ -337,7 +341,7 @@ class SiteCheck:
     pairs
         Each pair that shared poles when the site was calibrated.
     moved
-        LiDARs that stand elsewhere to those of the largest group of which all are the same; empty
+        LiDARs that moved relative to the largest group of which all are the same; empty
         where no group is the largest: then nobody can determine which of them moved.
     untold
         LiDARs of which no pair shows whether they moved.
@@ -363,16 +367,16 @@ def check_site(
     Parameters
     ----------
     result
-        ``site-result.json``, or the folder that holds it.
+        ``site-result.json``, or its folder.
     site
-        The site file of the new recordings, or the folder that holds ``site.toml``. Its LiDARs have
+        The site file of the new recordings, or the folder of ``site.toml``. Its LiDARs have
         the names that they have in the result; those that it leaves out are not checked. Of each
-        pair the first placement that tells is taken. Angles, and fields of the intensity, that it
+        pair the first decisive placement is used. Angles, and fields of the intensity, that it
         does not say are those of the result.
     rotation, translation
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -400,7 +404,7 @@ def check_site(
     tables = {lidar.name: lidar for lidar in file.lidar}
     # Each is read once, of whatever pairs its LiDAR is.
     read = cache(partial(read_of, file, site, listener, known=wanted_of(document)))
-    asked = Asked(rotation, translation)
+    requested = RequestedTolerance(rotation, translation)
     checked = []
     for k, (target, source) in enumerate(pairs, 1):
         listener.progress(step_of(f"check {target} and {source}", k, len(pairs)))
@@ -411,7 +415,7 @@ def check_site(
         for n in shared_placements(*both):
             pair = InputPair(*(read(file.lidar.index(table), n) for table in both))
             try:
-                answer = check_pair(stored, pair, config, asked)
+                answer = check_pair(stored, pair, config, requested)
             except Refusal as refusal:
                 answer = CheckResult("cannot_tell", (refusal.reason,))
             if answer.status != "cannot_tell":
@@ -437,13 +441,13 @@ def verdict_of(pairs: Sequence[CheckedPair], lidars: Sequence[str]) -> SiteCheck
             groups |= dict.fromkeys(joined, joined)
     sizes = sorted({id(group): len(group) for group in groups.values()}.values(), reverse=True)
     largest = max(groups.values(), key=len)
-    is_told = len(sizes) == 1 or sizes[0] > sizes[1]
+    is_decided = len(sizes) == 1 or sizes[0] > sizes[1]
     of_moved = {(a, b) for a, b, answer in pairs if answer.status == "moved"}
     off = {b if a in largest else a for a, b in of_moved if (a in largest) != (b in largest)}
-    # Whoever stands with one that moved, moved with it.
-    moved = {name for name in lidars if groups[name] & off} if is_told else set()
-    told = largest | moved if is_told else {name for pair in of_moved for name in pair}
-    untold = tuple(name for name in lidars if name not in told and len(lidars) > 1)
+    # Whatever is fixed to one that moved, moved with it.
+    moved = {name for name in lidars if groups[name] & off} if is_decided else set()
+    decided = largest | moved if is_decided else {name for pair in of_moved for name in pair}
+    untold = tuple(name for name in lidars if name not in decided and len(lidars) > 1)
     status: Status = "moved" if of_moved else "cannot_tell" if untold else "same"
     listed = tuple(name for name in lidars if name in moved)
     return SiteCheck(status, (), tuple(pairs), listed, untold)

@@ -47,7 +47,7 @@ def describe(
     intensity
         Field that it is read from; None takes the usual one.
     angles
-        Of packets, the file of the unit's own; None takes those of the table.
+        Of packets, the file of the unit; None takes those of the table.
 
     Raises
     ------

@@ -40,13 +40,13 @@ def detect(
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
-        Of a cloud with more, so many are kept: the brightest, and the others evenly.
+        Of a cloud with more, this many are kept: the brightest, and the others evenly.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     intensity
         Field of a file that the intensity is read from; None takes the usual one.
     angles
-        Of packets, the file of the unit's own; None takes those of the table.
+        Of packets, the file of the unit; None takes those of the table.
 
     Returns
     -------

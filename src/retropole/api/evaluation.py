@@ -23,7 +23,7 @@ from ..checking.metrics import evaluate as score
 from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
-from .calibration import known_of
+from .calibration import options_of
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import with_keywords
 from .result import CalibrationResult
@@ -99,18 +99,18 @@ def compare(
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,
 ) -> list[Compared]:
-    """Run our method and its rivals on the same clouds, and score their answers alike.
+    """Run our method and its rivals on the same clouds, and score their answers in the same way.
 
     Parameters
     ----------
     target, source
         As `evaluate` takes them.
     config
-        The options: what is read, and radius, sensors and thresholds of our own method.
+        The options: what is read, and radius, sensors and thresholds of our method.
     methods, T_true, sigma, seed
         As `checking.comparison.compare` takes them.
     listener
-        Told of each step as it starts, and of each cloud once it is read.
+        Receives each step as it starts, and each cloud once it is read.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def compare(
         pair.target.cloud,
         pair.source.cloud,
         methods,
-        options=known_of(pair, config),
+        options=options_of(pair, config),
         T_true=T_true,
         sigma=sigma,
         seed=seed,
@@ -141,7 +141,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def _result_of(given: Array | CalibrationResult | str | Path) -> ResultDoc | None:
-    """Give the result document that a transform is from; None if it is from elsewhere."""
+    """Give the result document that a transform is from; None if it has another source."""
     if isinstance(given, CalibrationResult):
         return given.document
     found = read_result(Path(given)) if isinstance(given, str | Path) else None

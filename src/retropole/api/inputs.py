@@ -42,7 +42,7 @@ x, y, z and intensity."""
 
 
 class Listener(NamedTuple):
-    """Who is told how a run goes on.
+    """Callbacks for the progress of a run.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Listener(NamedTuple):
 
 
 SILENT = Listener()
-"""Nobody is told."""
+"""No callbacks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Input:
     given
         The path, the cloud or the array.
     cloud
-        The points, in the sensor's own frame.
+        The points, in the frame of the sensor.
     sensor
         What recorded it; None if not known.
     threshold
@@ -152,7 +152,7 @@ def read_input(
     how
         Of which sensor and in which unit it is, and what is read of a recording.
     listener
-        Told of each of several frames, and of the cloud once it is read.
+        Receives each of several frames, and the cloud once it is read.
     role
         What messages call it: ``target``.
 
@@ -194,9 +194,9 @@ def read_input(
         cloud = downsample(in_metres(cloud, unit), how.max_points)
     if how.wanted.place is not None:
         cloud = as_map(cloud, how.wanted.place)
-    taken = Input(given, cloud, sensor, how.threshold, read, how)
-    listener.on_read(taken)
-    return taken
+    reader_input = Input(given, cloud, sensor, how.threshold, read, how)
+    listener.on_read(reader_input)
+    return reader_input
 
 
 def read_pair(
@@ -305,7 +305,7 @@ def refuse_repeated(
     return None
 
 
-def tell_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
+def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
     """Say that a recording is given twice.
 
     Parameters

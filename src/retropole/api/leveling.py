@@ -57,7 +57,7 @@ def level_result(
     Parameters
     ----------
     result
-        A result of a pair or of a site, or the folder that holds it.
+        A result of a pair or of a site, or its folder.
     given
         Where its recordings are now, as `stored.find_recordings` takes them.
     base, lidar
@@ -65,7 +65,7 @@ def level_result(
     radius
         Of the disc that the plane is for, metres; None as `ground.level.level`.
     listener
-        Told of each step, and of each cloud that is read.
+        Receives each step, and each cloud that is read.
 
     Raises
     ------

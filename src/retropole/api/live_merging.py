@@ -32,7 +32,7 @@ from ..base.errors import Refusal, RetropoleError, UsageError, quoting
 from ..base.files import stream_atomically
 from ..export.clouds import About, columns_of, comments_of, surfel_columns
 from ..export.recording import Track, cloud_publisher, cloud_stream, write_recording
-from ..fusion.merging import Points, fused, inside, together, voxels
+from ..fusion.merging import Points, fused, inside, joined_points, voxels
 from ..fusion.surfels import moments_of, surfels_of
 from ..io import Frame
 from ..io.fields import NANOSECONDS, USUAL, records_of
@@ -112,7 +112,7 @@ class LiveLidar(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What a check against the result says: which LiDARs moved, and why, in words."""
+    """Outcome of a check against the result: which LiDARs moved, and why, in words."""
 
     moved: tuple[str, ...]
     words: str
@@ -193,8 +193,8 @@ class _Reader(Thread):
             return came
         self._apart.append(stamp - came)
         if self.lidar.clock is None:
-            apart = median(self._apart)
-            self.clock = 0.0 if abs(apart) < SAME_CLOCK else apart
+            offset = median(self._apart)
+            self.clock = 0.0 if abs(offset) < SAME_CLOCK else offset
         # None came before it was made.
         return min(stamp - (self.clock or 0.0), came)
 
@@ -224,7 +224,7 @@ class LiveMerge:
     Parameters
     ----------
     lidars
-        Each with a source of its own.
+        Each with a separate source.
     give
         Called with each cloud, and when its newest sweep was made, Unix seconds.
     crop
@@ -285,7 +285,7 @@ class LiveMerge:
         if not joined:
             return False
         poses = [own.lidar.T_frame_lidar for own in self._readers]
-        points = together([fused(each.frame.cloud, poses[k], k) for k, each in joined])
+        points = joined_points([fused(each.frame.cloud, poses[k], k) for k, each in joined])
         if self._crop is not None:
             points = points[inside(points["xyz"], self._crop)]
         self._give(points, newest)
@@ -335,7 +335,7 @@ class LiveMerge:
                 self._about[""] = words
 
     def new_words(self) -> list[str]:
-        """Give what is to be said since this was last called; each once for as long as it holds."""
+        """Give the new messages since the last call; each once for as long as it applies."""
         words, self._words = self._words, []
         return words
 
@@ -367,7 +367,7 @@ def merging_live(
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     sources
         By the names of its LiDARs (of a pair ``target`` and ``source``), as `source_of` takes them.
     wish
@@ -381,7 +381,7 @@ def merging_live(
     Raises
     ------
     Refusal
-        If the result was refused: it holds no poses.
+        If the result was refused: it has no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be opened, or options do not go together.
     """
@@ -463,7 +463,7 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     frames
         Of some of its LiDARs, by their names, metres.
 
@@ -511,9 +511,9 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
         except Refusal as refusal:
             moved, status, reasons = (), "cannot_tell", (refusal.reason,)
     why = f": {reasons[0].message}" if reasons and status != "same" else ""
-    said = {
+    stated = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
         "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
     }
-    return Checked(moved, said[status])
+    return Checked(moved, stated[status])

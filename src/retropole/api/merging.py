@@ -34,7 +34,7 @@ from ..export.clouds import (
 from ..export.tree import GROUND, MAP, SITE
 from ..fusion import surfels as fusing
 from ..fusion.merging import Points, fused, inside, is_static, usual_view, voxels
-from ..fusion.surfels import Apart, Distance, Surfels
+from ..fusion.surfels import Distance, SurfaceDistance, Surfels
 from ..io import Frame, Recording, chosen_frames, open_recording
 from ..io.fields import USUAL, in_metres
 from ..io.recordings import is_unix
@@ -97,7 +97,7 @@ class Merged:
     moving: int = 0
     written: int = 0
     surfels: Surfels | None = None
-    apart: tuple[Apart, ...] = ()
+    apart: tuple[SurfaceDistance, ...] = ()
     distances: list[Distance] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     reasons: list[ReasonDoc] = field(default_factory=list)
@@ -182,10 +182,10 @@ def placed(
         T_frame_site = se3.inverse(poses[names.index(frame)])
         return Placed(frame, None, [T_frame_site @ pose for pose in poses])
     if frame == GROUND:
-        beside = file.with_name(LEVEL_FILE)
-        if not beside.exists():
-            raise UsageError(f"{beside} is not there: 'retropole level' finds the ground")
-        T_ground_site = loaded(beside, lambda data: level_of(data, site.lidars)).T_ground_frame
+        level_file = file.with_name(LEVEL_FILE)
+        if not level_file.exists():
+            raise UsageError(f"{level_file} is not there: 'retropole level' finds the ground")
+        T_ground_site = loaded(level_file, lambda data: level_of(data, site.lidars)).T_ground_frame
         own = [T_ground_site @ pose for pose in poses]
         return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
@@ -195,13 +195,13 @@ def placed(
 
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
-    """Say in a file what its calibration says of itself."""
+    """Write the verdict of the calibration into a file."""
     words = [f"warning ({each.code}): {each.message}" for each in document.reasons]
     return [verdict_line(document.status, document.reasons), *words]
 
 
 def has_map(site: SiteDoc) -> bool:
-    """Whether a site has coordinates of its own, other than those it counts from."""
+    """Whether a site has separate coordinates, other than those it counts from."""
     return site.frame.epsg is not None or bool(np.any(site.frame.offset))
 
 
@@ -229,7 +229,7 @@ def merge(
     Parameters
     ----------
     result
-        ``result.json``, ``site-result.json``, or the folder that holds it.
+        ``result.json``, ``site-result.json``, or its folder.
     recordings
         Other recordings of the same LiDARs by their names (of a pair ``target`` and ``source``);
         or where those of the run are now, as `stored.find_recordings` takes them. A pair of paths
@@ -254,12 +254,12 @@ def merge(
     surfels
         Side of the cells, metres, to make surfels and compare LiDARs.
     listener
-        Told of each sweep.
+        Receives each sweep.
 
     Raises
     ------
     Refusal
-        If the result was refused: it holds no poses.
+        If the result was refused: it has no poses.
     ReadError, UsageError, MissingExtraError, OSError
         Where something cannot be read or written, or options do not go together.
     """
@@ -297,13 +297,13 @@ def merge(
         is_level = at.name == GROUND or (site.frame.surveyed and at.name in (SITE, MAP))
         up = np.array([0.0, 0.0, 1.0]) if is_level else stream.up()
         origins = stream.origins()
-        apart = tuple(fusing.surfaces_apart(moments, origins, up))
+        distances = tuple(fusing.surface_distances(moments, origins, up))
         found = fusing.surfels_of(moments, origins)
         written = len(found.centres)
         if out is not None:
-            distance = fusing.distance_at(found, apart, surfels)
+            distance = fusing.distance_at(found, distances, surfels)
             write_atomically(out, surfel_file(found, distance, comments_of(about)))
-        made = replace(made, surfels=found, apart=apart, distances=fusing.distances(apart))
+        made = replace(made, surfels=found, apart=distances, distances=fusing.distances(distances))
     elif out is not None:
         with cloud_writer(out, about) as write:
             parts: Iterable[tuple[Points, float]] = stream
@@ -466,7 +466,7 @@ class _Stream:
 def _about(
     stream: _Stream, at: Placed, names: Sequence[str], words: Sequence[str], colour: str | None
 ) -> About:
-    """Say what a file holds, by the first sweep of each LiDAR."""
+    """Describe a file by the first sweep of each LiDAR."""
     clouds = [
         in_metres(head.cloud, each.how.unit)
         for head, each in zip(stream.heads, stream.opened, strict=True)

@@ -1,6 +1,6 @@
 """Options of a run as Python takes them: by the names of `RunConfig`, whose unit is left out.
 
-``radius`` is `RunConfig.radius_m`. What a value may be is said there alone.
+``radius`` is `RunConfig.radius_m`. Only there is stated what a value may be.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def run_config(options: Mapping[str, object], others: RunConfig = DEFAULT_CONFIG
 def with_keywords(
     options: RunConfig, keywords: Mapping[str, object], older: Mapping[str, object]
 ) -> RunConfig:
-    """Put keywords that are not None in the place of the options that they name.
+    """Replace options by the keywords that are not None.
 
     Those of `PAIRS` have one value, or target's and source's. `older` keywords are given by
     `options` now; they still work, with a warning.
@@ -77,7 +77,7 @@ def checked_options(config: RunConfig) -> RunConfig:
     Returns
     -------
     RunConfig
-        The same, of Python's own types: the result document holds no others. Files of sensors and
+        The same, of Python's own types: the result document has no others. Files of sensors and
         of angles have their whole paths.
 
     Raises
@@ -116,7 +116,7 @@ NOT_OF_WALKS = (
     *("radius_sigma_m", "up", "prior_rpy_deg", "prior_sigma_deg", "hypothesis", "poles"),
     *("trust_poles", "deceiving_share", "mast_sway_deg", "map", "prior_xyz"),
 )
-"""Options of standing poles that give no information about one that is carried."""
+"""Options of poles that are set up that give no information about one that is carried."""
 
 LETTER = "a letter of the list of hypotheses, such as a"
 

@@ -1,4 +1,4 @@
-"""A page of one's own in the style of the reports, for whoever sums up many results.
+"""A custom page in the style of the reports, for whoever sums up many results.
 
 `fill_page` makes one HTML file that needs no network and runs no other code; its parts are `table`
 and pieces of `pieces.html`, which `fill` fills; `inline` is for lines

@@ -1,4 +1,4 @@
-"""A stored plan against what stands: which pole is out of place, and what that cost."""
+"""A stored plan against the poles as set up: which is out of place, and what that cost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .result import CalibrationResult
 from .stored import loaded
 
 COSTLY = 1.25
-"""An error so many times the planned one is not as planned: noise alone changes it by less."""
+"""An error this many times the planned one is not as planned: noise alone changes it by less."""
 
 
 def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) -> PolePlanDoc:
@@ -56,17 +56,17 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
 
 def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
     """Say which of the poles that one LiDAR, of the plan, sees is out of place."""
-    stood = against_plan(plan, poles, lidar)
+    compared = against_plan(plan, poles, lidar)
     several = len(plan.placements) > 1
-    where = f" in placement {stood.placement + 1}" if several else ""
-    lines = [f"as seen by {stood.lidar}{where}:", *(each.words for each in stood.deviations)]
-    if stood.others:
-        lines.append(f"{counted(stood.others, 'pole')} more than planned")
+    where = f" in placement {compared.placement + 1}" if several else ""
+    lines = [f"as seen by {compared.lidar}{where}:", *(each.words for each in compared.deviations)]
+    if compared.others:
+        lines.append(f"{counted(compared.others, 'pole')} more than planned")
     return lines
 
 
 def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
-    """Say where the poles of a calibration stood against the plan, and what that cost.
+    """Compare the poles of a calibration with the plan, and state what that cost.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
     placements = result.placements or ()
     for placement in placements:
         for scan, station in zip(placement.scans, plan.lidars, strict=False):
-            stood = against_plan(plan, pole_documents(scan.poles), station.name)
-            where = f"placement {stood.placement + 1}, " if len(plan.placements) > 1 else ""
-            lines += [f"{where}{station.name}: {each.words}" for each in stood.deviations]
+            compared = against_plan(plan, pole_documents(scan.poles), station.name)
+            where = f"placement {compared.placement + 1}, " if len(plan.placements) > 1 else ""
+            lines += [f"{where}{station.name}: {each.words}" for each in compared.deviations]
     if len(placements) != len(plan.placements):
         recorded = counted(len(placements), "placement")
         lines.append(f"{recorded} recorded, {len(plan.placements)} planned")

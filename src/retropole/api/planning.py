@@ -1,4 +1,4 @@
-"""`plan`: bare recordings in, where to stand the poles out, as a document, a page and a card."""
+"""`plan`: bare recordings in, positions of the poles out, as a document, a page and a card."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..pipeline import Options, calibrate
 from ..planning.place import Area, Station
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
-from ..planning.stations import bare_scan, stand, stand_drawn
+from ..planning.stations import bare_scan, place_drawn_lidars, place_lidars
 from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..report.pole_plan_picture import PlanPicture
@@ -54,7 +54,7 @@ class Wish:
     Attributes
     ----------
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     need
@@ -91,12 +91,12 @@ class Wish:
 
 @dataclass(frozen=True, eq=False)
 class PolePlan:
-    """Where the poles should stand.
+    """Planned positions of the poles.
 
     Attributes
     ----------
     document
-        As ``plan.json`` holds it.
+        As in ``plan.json``.
     planned
         All that it was chosen from.
     """
@@ -143,7 +143,7 @@ def plan(
     progress: Callable[[str], None] = lambda step: None,
     **older: Any,
 ) -> PolePlan:
-    """Plan where to stand the poles, from recordings of the place without poles.
+    """Plan the positions of the poles, from recordings of the scene without poles.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def plan(
         (4, 4) maps points of the source into the target's frame, good to 10° and 1 m, or a file
         that `export` reads; None finds it from the surroundings.
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     need, at
@@ -190,7 +190,7 @@ def plan_pair(
     rough: Array | Path | None = None,
     listener: Listener = SILENT,
 ) -> PolePlan:
-    """Plan for two LiDARs that recorded the place without poles.
+    """Plan for two LiDARs that recorded the scene without poles.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def plan_pair(
 def plan_site(
     path: Path, wish: Wish, rough: Path | None = None, listener: Listener = SILENT
 ) -> PolePlan:
-    """Plan for the LiDARs of a site file, whose first recordings show the place without poles.
+    """Plan for the LiDARs of a site file, whose first recordings show the scene without poles.
 
     Parameters
     ----------
@@ -232,7 +232,8 @@ def plan_site(
     wish
         What is requested; the radius is the file's.
     rough
-        An older result of the site, good to 10° and 1 m; None asks the place for all poses.
+        An older result of the site, good to 10° and 1 m; None takes all poses from the
+        surroundings.
     """
     path = site_file_in(path)
     file: SiteFile = read_site_file(path)
@@ -243,9 +244,9 @@ def plan_site(
         inputs.append(read_input(given, lidar.reading(file.max_points), listener))
         names.append(lidar.name)
     known = {} if rough is None else _poses_in(rough)
-    lost = [name for name in names if known and name not in known]
-    if lost:
-        raise UsageError(f"no pose of {', '.join(lost)} is given; there are {', '.join(known)}")
+    unknown = [name for name in names if known and name not in known]
+    if unknown:
+        raise UsageError(f"no pose of {', '.join(unknown)} is given; there are {', '.join(known)}")
     first_pose = se3.inverse(known[names[0]]) if known else None
     poses = [None if first_pose is None else first_pose @ known[name] for name in names]
     return _planned(names, inputs, poses, wish, listener)
@@ -278,13 +279,13 @@ def plan_drawn(
         What is requested.
     """
     listener.progress("draw")
-    standing = [
+    drawn = [
         box(np.array([x, y, high / 2]), np.array([long, wide, high]) / 2, 0.0, CONCRETE)
         for x, y, long, wide, high in boxes
     ]
     names = [name for name, _, _ in lidars]
     sensors = [find_sensor(sensor) for _, sensor, _ in lidars]
-    stations = stand_drawn(names, sensors, [T for _, _, T in lidars], standing)
+    stations = place_drawn_lidars(names, sensors, [T for _, _, T in lidars], drawn)
     planned = _ask(stations, wish, listener)
     nothing = [("", "")] * len(lidars)
     return PolePlan(plan_document(planned, nothing, wish.need), planned)
@@ -301,7 +302,7 @@ def _planned(
     scans = [bare_scan(each.cloud, each.sensor) for each in inputs]
     listener.progress("stand the LiDARs")
     poses = _poses(names, scans, rough)
-    stations = stand(names, scans, poses)
+    stations = place_lidars(names, scans, poses)
     planned = _ask(stations, wish, listener)
     recordings = [(each.path, each.sha256) for each in input_documents(inputs)]
     return PolePlan(plan_document(planned, recordings, wish.need), planned)
@@ -347,7 +348,7 @@ def _poses(
     Raises
     ------
     UsageError
-        Where neither tells.
+        Where neither determines it.
     """
     found = [np.eye(4)]
     for i in range(1, len(scans)):
@@ -364,7 +365,7 @@ def _poses(
 
 
 def _by_place(scans: Sequence[Scan], found: Sequence[Array], i: int) -> Iterator[Array]:
-    """Ask the place for a pose of a LiDAR against each that stands already."""
+    """Find a pose of a LiDAR from the surroundings, against each that has one already."""
     for j, T in enumerate(found):
         sensors = scans[j].sensor, scans[i].sensor
         answer = calibrate(

@@ -1,4 +1,4 @@
-"""Results as a user meets them, of two LiDARs or of a site: look at one, save it, load it."""
+"""Results for users, of two LiDARs or of a site: look at one, save it, load it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Result(Generic[AnyDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as the file holds it.
+        Everything that was found, as in the file.
     path
         The file that it was loaded from; None of a run.
     """
@@ -170,7 +170,7 @@ class CalibrationResult(Result[ResultDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as ``result.json`` holds it: hypotheses, poles, the uncertainty,
+        Everything that was found, as in ``result.json``: hypotheses, poles, the uncertainty,
         the inputs with their hashes, the options, the time of each step.
     placements
         What was recorded and found, one for each placement of the poles; None of a result that was
@@ -262,13 +262,13 @@ class CalibrationResult(Result[ResultDoc]):
                 f"± {error(each.sigma_m)} at {each.range_m:g} m" for each in self.predicted_error
             )
             rows.append(("predicted error", f"{at} (1 σ)"))
-        said = (
+        cells = (
             ("fit for purpose", None if self.fitness is None else self.fitness.words),
             ("main error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )
-        rows += [(name, words) for name, words in said if words is not None]
+        rows += [(name, words) for name, words in cells if words is not None]
         return rows + super()._rows()
 
     def report(
@@ -331,13 +331,13 @@ class CalibrationResult(Result[ResultDoc]):
         target, source = (scan.poles for scan in first)
         pairs = chosen.pairs if chosen and target and source else []
         rng = np.random.default_rng(0)
-        standing = [standing_in(scan.cloud, rng) for scan in first]
+        objects = [standing_in(scan.cloud, rng) for scan in first]
         return result_figure(
             first[0].cloud,
             first[1].cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
-            contradicting=contradicting_points(standing[0], standing[1], T),
+            contradicting=contradicting_points(objects[0], objects[1], T),
         )
 
     @property
@@ -354,7 +354,7 @@ class SiteResult(Result[SiteDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as ``site-result.json`` holds it.
+        Everything that was found, as in ``site-result.json``.
     calibration
         The same as arrays, with the clouds; None of a result that was loaded.
     path
@@ -512,7 +512,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     Parameters
     ----------
     path
-        ``result.json``, or the folder that holds it.
+        ``result.json``, or its folder.
 
     Raises
     ------
@@ -529,7 +529,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     Parameters
     ----------
     path
-        ``site-result.json``, or the folder that holds it.
+        ``site-result.json``, or its folder.
 
     Raises
     ------

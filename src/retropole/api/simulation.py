@@ -49,9 +49,9 @@ def simulate(
     seed
         Of everything random; equal seeds give equal pairs.
     sensor_target, sensor_source
-        Names of sensors; None takes the scene's own.
+        Names of sensors; None takes those of the scene.
     poles
-        How many taped poles; 0 for the place of 2 before they are set up.
+        How many taped poles; 0 for the scene of 2 before they are set up.
     radius
         Of the poles, metres.
     frames
@@ -159,7 +159,7 @@ def simulate_site(
     placements, poles
         How many placements, and poles in each; None takes as many as the kind needs.
     sensors
-        Names of sensors, taken in turn; none takes those of the kind.
+        Names of sensors, used in turn; none takes those of the kind.
     survey
         Survey the poles of the first placement and four control points.
     frames

@@ -51,7 +51,8 @@ SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
 
 MOST_NOTES = 3
-"""So many recordings that a page does not show are named with the reason; others are counted."""
+"""At most this many recordings that a page does not show are named with the reason; others are
+counted."""
 
 MAY_DIFFER = "the picture may not be that of the figures"
 """What a recording that is not the one of the run means for a page."""
@@ -228,7 +229,7 @@ def hashes_of(
 def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
     """Return whether two recordings are those of a run swapped; none is read as one.
 
-    One bag may hold both LiDARs: then nothing is told.
+    One bag may contain both LiDARs: then nothing is reported.
 
     Parameters
     ----------
@@ -321,14 +322,14 @@ def recording_of(
     transform
         Of the result.
     result
-        A result document, the folder that holds it, or another file of a transform.
+        A result document, its folder, or another file of a transform.
     given
         Where the clouds are, target and source of each placement; without, they are looked for as
         `find_recordings` does.
     note
         Called with what is to be known of what is written.
     listener
-        Told of each cloud once it is read.
+        Receives each cloud once it is read.
 
     Returns
     -------
@@ -425,7 +426,7 @@ def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        That holds it.
+        That contains it.
     """
     return renamed(document, str, lambda text: str((folder / text).resolve()))
 

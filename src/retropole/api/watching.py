@@ -49,7 +49,7 @@ from ..planning.live_poles import (
     Watched,
     angle_between,
     begun,
-    is_elsewhere,
+    is_new_placement,
     present,
     seen_now,
     take,
@@ -73,7 +73,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked for of a watch.
+    """Options of a watch.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Wish:
     sweeps
         Of each LiDAR that are kept of a placement.
     plan
-        Where the poles should stand; with its names of the LiDARs as `names`.
+        Planned positions of the poles; with its names of the LiDARs as `names`.
     stored
         A result to test the rig against, instead of a calibration.
     """
@@ -119,7 +119,7 @@ class Watch:
     sources
         Of target and source.
     wish
-        What is asked for.
+        The options.
     out
         Folder for recordings, result, report and certificate.
     clock
@@ -175,7 +175,7 @@ class Watch:
             self._take(k)
         now = self._clock()
         self._collect()
-        return self._said(self._next(now), now)
+        return self._document_of(self._next(now), now)
 
     def finish(self) -> list[Path]:
         """Keep what was not kept yet, certify the LiDARs where that can be, let go of the sources.
@@ -272,13 +272,13 @@ class Watch:
     def _take(self, k: int) -> None:
         """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
         radius, busy = self._wish.config.radius_m, self._work is not None
-        taken = take(self._lidars[k], radius, self._clock, busy=busy)
-        for words in taken.said:
+        received = take(self._lidars[k], radius, self._clock, busy=busy)
+        for words in received.messages:
             self._note(f"{self._wish.names[k]}: {words}")
-        if taken.is_of_another_frame:
+        if received.is_of_another_frame:
             self._capture = None
-        elif taken.frame is not None and self._capture is not None:
-            self._capture = self._capture.with_frame(k, taken.frame)
+        elif received.frame is not None and self._capture is not None:
+            self._capture = self._capture.with_frame(k, received.frame)
 
     def _next(self, now: float) -> Advice:
         """Say what is to be done; keep sweeps while all is good, and work out the answer."""
@@ -308,7 +308,7 @@ class Watch:
             return advice
         elif capture is None:
             kept, outcome = self._kept, self._outcome
-            if kept and outcome and not is_elsewhere(kept, self._tracks, now):
+            if kept and outcome and not is_new_placement(kept, self._tracks, now):
                 return advice_after(outcome, again)
             self._capture = capture = begun(self._tracks, now)
         assert capture is not None
@@ -332,8 +332,8 @@ class Watch:
             return advice
         for view in views:
             poles = pole_documents([each.pole for each in present(view.tracks, now)])
-            stood = against_plan(self._wish.plan, poles, view.name).deviations
-            wrong = next((each.words for each in stood if not each.is_as_planned), None)
+            compared = against_plan(self._wish.plan, poles, view.name).deviations
+            wrong = next((each.words for each in compared if not each.is_as_planned), None)
             if wrong is not None:
                 return Advice("off_plan", f"{wrong[0].upper()}{wrong[1:]}.")
         return advice
@@ -387,7 +387,8 @@ class Watch:
         return self._no_room[0]
 
     def _record(self, capture: Capture) -> tuple[Path, str]:
-        """Write a placement to the folder, beside those of a watch before, and give its SHA-256."""
+        """Write a placement to the folder, next to those of an earlier watch, and give its
+        SHA-256."""
         number = self._recorded + 1
         while (path := self._out / RECORDING.format(number)).exists():
             number += 1
@@ -432,8 +433,8 @@ class Watch:
         self.result = found
         self._outcome = self._expected = outcome_of(found.document, need)
         self.written += [each for each in written if each not in self.written]
-        said = "; ".join(reason.message for reason in found.reasons)
-        self._note(f"calibrated: {found.status}{': ' + said if said else ''}")
+        message = "; ".join(reason.message for reason in found.reasons)
+        self._note(f"calibrated: {found.status}{': ' + message if message else ''}")
         self.is_over = self._outcome.is_enough
         more = self._outcome.seconds_more
         if more and self._kept is not None:
@@ -460,7 +461,7 @@ class Watch:
     def _note(self, words: str) -> None:
         self._words.append(f"{datetime.now():%H:%M:%S} {quoting(words)}")
 
-    def _said(self, advice: Advice, now: float) -> WatchDoc:
+    def _document_of(self, advice: Advice, now: float) -> WatchDoc:
         """Write what is seen and said as a document."""
         outcome, expected, capture = self._outcome, self._expected, self._capture
         angles = [angle_between([each.pole for each in present(own, now)]) for own in self._tracks]
@@ -497,7 +498,7 @@ class Watch:
 
 
 def _of_captured(captured: Mapping[Path, str], work: Callable[[], T]) -> T:
-    """Do what reads recordings, and make sure that these are what was captured.
+    """Do what reads recordings, and check that these are what was captured.
 
     Raises
     ------
@@ -527,8 +528,8 @@ def _is_still(path: Path, own: str) -> bool:
 def checked_words(checked: CheckResult) -> str:
     """Say what a check found."""
     words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
-    said = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Cannot tell: {said}")
+    message = " ".join(reason.message for reason in checked.reasons[:1])
+    return words.get(checked.status, f"Cannot tell: {message}")
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:

@@ -56,7 +56,7 @@ EVERY = 2.0
 """Seconds from one solution to the next at least; that of a walk of 40 s takes 1 s."""
 
 UNSEEN = 2.0
-"""Seconds for which a LiDAR has not seen the pole before it is said."""
+"""Seconds for which a LiDAR has not seen the pole before it is reported."""
 
 MOST_POINTS = 150
 """Of a path that is shown."""
@@ -107,7 +107,7 @@ class Walked:
         return [self._timing.timed(each) for each in first]
 
     def add(self, frame: Frame, now: float) -> None:
-        """Search a timed sweep; some, evenly taken, stand for the surroundings."""
+        """Search a timed sweep; some, evenly spaced, represent the surroundings."""
         found = self.search.add(frame.cloud)
         if found:
             self.last = now, max(found, key=lambda each: len(each.xyz))
@@ -119,7 +119,7 @@ class Walked:
             self._scene, self._every = self._scene[::2], 2 * self._every
 
     def surroundings(self) -> Input:
-        """Join the sweeps that stand for the surroundings."""
+        """Join the sweeps that represent the surroundings."""
         lidar = self._lidar
         whole = Recording(Path(lidar.view.name), len(self._scene), lambda numbers: iter(()))
         cloud = joined(whole, self._scene)
@@ -163,11 +163,11 @@ def solve(
     except Refusal as none:
         return Solution(none, None, [], _each_alone(seen, names), 0.0, np.inf, np.inf)
     best = min(solved.solutions, key=lambda each: each.cost)
-    apart = best.offset + solved.ahead[1]
+    offset = best.offset + solved.ahead[1]
     target, source = (track.times for track in seen.tracks)
     period = float(np.median(np.diff(target)))
-    after = np.clip(np.searchsorted(source - apart, target), 1, len(source) - 1)
-    near = np.abs(np.stack([source[after - 1], source[after]]) - apart - target).min(axis=0)
+    after = np.clip(np.searchsorted(source - offset, target), 1, len(source) - 1)
+    near = np.abs(np.stack([source[after - 1], source[after]]) - offset - target).min(axis=0)
     seconds = period * float(np.count_nonzero(near < period))
     alone = best.covariance[:6, :6] + floor()
     is_placed = predicted_error(alone, (AT,))[0].sigma_m <= MAX_ERROR
@@ -201,7 +201,7 @@ def _more(after: Array, before: Array) -> Array:
 
 
 def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
-    """Draw what each LiDAR saw in a frame of its own."""
+    """Draw what each LiDAR saw in a separate frame."""
     charts = []
     for track, name in zip(seen.tracks, names, strict=True):
         up = track.directions.mean(axis=0)
@@ -428,8 +428,8 @@ class WalkWatch(Watch):
         words = f"{step.words} 1 σ at {at:g} m: {falls}.{warned}"
         return Advice(step.code, words, is_good=True)
 
-    def _said(self, advice: Advice, now: float) -> WatchDoc:
-        said, found = super()._said(advice, now), self._solution
+    def _document_of(self, advice: Advice, now: float) -> WatchDoc:
+        said, found = super()._document_of(advice, now), self._solution
         lidars = [
             with_fields(each, poles=[_pole(own.last, now)] if own.last else [])
             for each, own in zip(said.lidars, self._walked, strict=True)

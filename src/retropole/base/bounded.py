@@ -1,4 +1,4 @@
-"""What numbers, texts and arrays of a document may be: one from elsewhere is not trusted.
+"""What numbers, texts and arrays of a document may be: one of another source is not trusted.
 
 No coordinate, angle or count of a recording comes near these bounds. Beyond them squares and
 products stop being numbers. `result.decoding` compares a document with all of them.

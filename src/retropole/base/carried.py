@@ -1,4 +1,4 @@
-"""What is known of the walk with one pole behind an answer, as the result document holds it."""
+"""What is known of the walk with one pole behind an answer, as in the result document."""
 
 from __future__ import annotations
 

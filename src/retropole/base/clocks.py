@@ -1,7 +1,7 @@
 """By how much clocks differ, and which known difference that is.
 
 A LiDAR's times are those of the clock that sets it: TAI by PTP as its profiles have it, GPS time or
-UTC by a receiver or NTP. Nothing is corrected by what is said here.
+UTC by a receiver or NTP. Nothing is corrected here.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ NO_DATE = 1e9
 """Seconds, 32 years: older than any LiDAR, so that no date in its memory is so far away."""
 
 NOTICED = 0.5
-"""Seconds by which clocks differ, and known differences are met: a message is recorded up to some
-tenths after its first point, and differences of time scales are whole seconds."""
+"""Tolerance, s, for clocks to differ, or to match a known difference: a message is recorded up to
+some tenths after its first point, and differences of time scales are whole seconds."""
 
 SCALES = {
     37.0: ("TAI (PTP)", "UTC (NTP)"),
@@ -37,7 +37,7 @@ def is_set(apart: float) -> bool:
 
 
 def words_of(apart: float, other: str = "the recorder's") -> str:
-    """Say how a LiDAR's clock stands to another, and which known difference that is.
+    """Describe the offset of a LiDAR's clock to another, and which known difference that is.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 DEFAULT_RADIUS = 0.02
-"""Radius of the taped poles where nothing else is said, metres (Xue et al. 2019)."""
+"""Default radius of the taped poles, metres (Xue et al. 2019)."""
 
 MIN_RADIUS, MAX_RADIUS = 0.002, 0.25
 """Taped poles are no thinner and no thicker, metres: a wire and a bollard."""
@@ -53,7 +53,7 @@ class PointCloud:
     xyz
         (N, 3) float64, metres; finite, and none at zero range.
     intensity
-        (N,) float64 on the sensor's own scale, or None if the file has none.
+        (N,) float64 on the scale of the sensor, or None if the file has none.
     ring, time, frame
         (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
         that the point came from; or None.
@@ -206,12 +206,12 @@ class Detection:
     poles, rejected
         Accepted poles, the best supported first; every other cluster, each with its reason.
     threshold, threshold_source, retro_points
-        Intensity from which a return is treated as retro-reflective, on the sensor's own scale;
+        Intensity from which a return is treated as retro-reflective, on the scale of the sensor;
         where it comes from: ``given``, ``VLP-16``, ``auto: …``; and how many points passed it.
     candidates
         Lines that may be poles; their points are among the rejected.
     threshold_least
-        To what the threshold falls with the range; None if it holds at any range.
+        To what the threshold falls with the range; None if it applies at any range.
     """
 
     poles: tuple[Pole, ...]
@@ -265,14 +265,14 @@ class Hypothesis:
     overlap, covisible_overlap
         Share of all points, and of those that both could see, with a neighbour in the other cloud.
     free_space_violation
-        Share of the points that stand where the other LiDAR looked through, 0 to 1.
+        Share of the points that lie where the other LiDAR looked through, 0 to 1.
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
         Whether it is the best, or the scene does not rule it out against the best.
     possible
-        Whether it stands, or scores little less than the best: on bare ground a pose that brings
-        the LiDARs near each other overlaps twice as much as the right one. Of a site.
+        Whether it is not ruled out, or scores little less than the best: on bare ground a pose that
+        brings the LiDARs near each other overlaps twice as much as the right one. Of a site.
     poles
         From the index of each placement that allows it to how many poles there agree. Of a site.
     """
@@ -396,7 +396,7 @@ class Test:
         Indices in the site, and in `SiteCalibration.poles`; None if it is about none. Those of a
         pair are 0 for the target and 1 for the source.
     chi2, freedom
-        By how much the fit improves without it, χ² with so many degrees of freedom.
+        By how much the fit improves without it, χ² with this many degrees of freedom.
     w
         The same as a standard normal number: Baarda's w with one degree of freedom.
     redundancy
@@ -435,7 +435,7 @@ class Calibration:
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
     poles, refined
-        The pose from the poles alone, and with the scene; None if it did not come to that.
+        The pose from the poles alone, and with the scene; None if it was not computed.
     hypotheses, chosen, margin
         All ways of matching the poles, the best first; the place of the chosen one, 0
         when refused; and its score, or the best, over the best other's, None without another.

@@ -1,6 +1,6 @@
 """What a site is: LiDARs with their recordings, placements of the poles, and what was surveyed.
 
-A LiDAR stands still at its place in all placements of the poles. A pole stands still in one
+A LiDAR does not move between the placements of the poles. A pole does not move during one
 placement, for all LiDARs. Everything is in metres and radians.
 """
 
@@ -19,7 +19,7 @@ from .uncertainty.purpose import Need
 
 
 class Up(msgspec.Struct, frozen=True, eq=False, rename={"sigma": "sigma_rad"}):
-    """Which way is up, as an inertial sensor fixed to a LiDAR says.
+    """Up direction, by an inertial sensor fixed to a LiDAR.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class SiteLidar:
     serial
         Serial number; empty if not given.
     up
-        Which way is up in its frame; None if nothing measured it.
+        Up direction in its frame; None if it was not measured.
     mast_sway
-        1 σ of the angle that its mast is said to sway by, rad; None takes what its sweeps show.
+        1 σ of the stated angle of sway of its mast, rad; None takes what its sweeps show.
     """
 
     name: str
@@ -84,7 +84,7 @@ class SurveyedPole(
     sigma
         1 σ of each coordinate, metres.
     foot_sigma, top_sigma
-        (3,) where the coordinates of an end have their own; `sigma` is then the largest of all.
+        (3,) where the coordinates of an end have separate ones; `sigma` is then the largest of all.
     on
         Whether the ends are points of the axis, or of the surface on a side that nobody knows.
     """

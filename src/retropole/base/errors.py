@@ -80,7 +80,7 @@ class RetropoleError(Exception):
 
 
 class ReadError(RetropoleError):
-    """A file that cannot be read: names the file, the place and what was expected."""
+    """A file that cannot be read: names the file, the position and what was expected."""
 
 
 class NewerError(ReadError):
@@ -142,7 +142,7 @@ class Refusal(RetropoleError):
     def __init__(
         self, code: Code, message: str, values: Mapping[str, float | int | str] | None = None
     ) -> None:
-        # These are our own words: none of them is left out.
+        # These are our words: none is left out.
         Exception.__init__(self, printable(message))
         self.code: Code = code
         self.message = str(self)
@@ -154,13 +154,13 @@ class Refusal(RetropoleError):
 
     @property
     def reason(self) -> Reason:
-        """The same as a reason, which a verdict holds."""
+        """The same as a reason, for a verdict."""
         return Reason(self.code, self.message, self.values)
 
 
 @dataclass(frozen=True, eq=False)
 class Reason:
-    """What there is to say of an answer: a stable code, words with numbers, and the numbers."""
+    """A remark on an answer: a stable code, words with numbers, and the numbers."""
 
     code: Code
     message: str

@@ -20,7 +20,7 @@ from typing import BinaryIO
 from .errors import ReadError, UsageError
 
 LARGEST_DOCUMENT = 2**24
-"""Bytes of a document that holds a transform; a result of ten placements has 2e5."""
+"""Bytes of a document with a transform; a result of ten placements has 2e5."""
 
 UNFINISHED = ".retropole-unfinished"
 """How the name of a file ends that is being written."""

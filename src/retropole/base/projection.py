@@ -42,13 +42,13 @@ class Grid:
     scale
         Length in the grid of one metre on the ellipsoid.
     height_factor
-        Length on the ellipsoid of one metre on the ground, at the height of the place.
+        Length on the ellipsoid of one metre on the ground, at the height of the site.
     convergence
         True azimuth of grid north, rad: positive where it points east of true north.
     distortion
         Most by which the grid bends an angle, rad; zero for conformal systems.
     in_area
-        Whether the place is where the register says that the system is used.
+        Whether the site is in the registered area of use of the system.
     """
 
     name: str

@@ -12,7 +12,7 @@ from typing import Literal
 Unit = Literal["m", "rad", "1"]
 
 UNKNOWN = "–"
-"""Stands where there is no number."""
+"""Replaces a missing number."""
 
 MILLIMETRES_BELOW = 0.0995
 """Lengths below this, metres, are written in mm: what rounds to 0.10 m is written in m."""

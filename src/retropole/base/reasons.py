@@ -161,7 +161,7 @@ class Explanation(msgspec.Struct, frozen=True):
 
 
 class Group(msgspec.Struct, frozen=True):
-    """The codes of one place where they are met, with the words that introduce them."""
+    """The codes of one place where they occur, with the words that introduce them."""
 
     title: str
     introduction: str
@@ -169,12 +169,12 @@ class Group(msgspec.Struct, frozen=True):
 
 
 class Tables(msgspec.Struct, frozen=True):
-    """All that ``reasons.toml`` holds.
+    """All of ``reasons.toml``.
 
     Attributes
     ----------
     groups, prefixes
-        Codes by the place where they are met, and what may be in front of them.
+        Codes by the place where they occur, and what may be in front of them.
     remedies
         What makes each source of error smaller, by its name in the error budget: those that are no
         matter of a single LiDAR.

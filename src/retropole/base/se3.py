@@ -196,9 +196,9 @@ def difference(T: Array, T_other: Array) -> PoseDifference:
 
 def difference_at(T: Array, T_other: Array, points: Array) -> PoseDifference:
     """Angle between two poses, rad, and the largest distance of where they put points (N, 3), m."""
-    apart = np.linalg.norm(apply(T, points) - apply(T_other, points), axis=1)
+    moved = np.linalg.norm(apply(T, points) - apply(T_other, points), axis=1)
     angle = rotation_angle(T[:3, :3] @ T_other[:3, :3].T)
-    return PoseDifference(angle, float(apart.max()))
+    return PoseDifference(angle, float(moved.max()))
 
 
 def rotation_angle(R: Array) -> float:
@@ -266,7 +266,7 @@ def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
 
 
 class RelativePose(NamedTuple):
-    """Where LiDAR j stands for LiDAR i.
+    """Pose of LiDAR j in the frame of LiDAR i.
 
     Attributes
     ----------

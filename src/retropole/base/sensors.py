@@ -196,7 +196,7 @@ class ListedErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
 
 
 class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``sensors.toml`` holds of a model; it says in which units."""
+    """Data of a model in ``sensors.toml``, which states the units."""
 
     noise_m: float
     divergence_mrad: float
@@ -300,7 +300,7 @@ def _plain(name: str) -> str:
 
 
 def find_sensor(name: str) -> Sensor:
-    """Find a sensor by its name or an alias, or in a file of your own.
+    """Find a sensor by its name or an alias, or in a custom file.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def name_from(folder: Path, name: str) -> str:
 
 
 def read_sensor(path: Path) -> Sensor:
-    """Read what a TOML file says of one LiDAR.
+    """Read the TOML file of one LiDAR.
 
     Its keys are those of a model in ``sensors.toml``. With ``like`` it names a model of the table,
     from which it takes all that it does not say. ``[errors]`` has the 1 σ of what was measured of
@@ -347,7 +347,7 @@ def read_sensor(path: Path) -> Sensor:
     Raises
     ------
     UsageError
-        If there is no such file, or what it says is none of these.
+        If there is no such file, or its content is none of these.
     """
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -361,7 +361,7 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def sensor_or_auto(name: str) -> Sensor | None:
-    """Find a sensor as `find_sensor` does; None for ``auto``, which stands for any."""
+    """Find a sensor as `find_sensor` does; None for ``auto``, which means any."""
     return None if name == "auto" else find_sensor(name)
 
 
@@ -369,8 +369,8 @@ def sensor_or_auto(name: str) -> Sensor | None:
 class Threshold:
     """Intensity from which a return is treated as retro-reflective, and how it was found.
 
-    ``value`` holds up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may,
-    with the square of the range, to ``least``; None if it holds at any range.
+    ``value`` applies up to `TAPE_RANGE`. Beyond it the threshold falls as the signal of tape may,
+    with the square of the range, to ``least``; None if it applies at any range.
     """
 
     value: float
@@ -389,7 +389,7 @@ TAPE_RANGE = 5.0
 """The table's thresholds are for tape at about this range, metres."""
 
 
-LITTLE = "little stands out"
+LITTLE = "little is conspicuous"
 """So ends how a threshold was found that lies among the diffuse returns: none is much brighter."""
 
 GIVEN = "given"
@@ -420,7 +420,7 @@ def auto_threshold(intensity: Array) -> Threshold:
     # scale.
     rank = min(6, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
-    # A few returns may have -1, or less, in the place of an intensity.
+    # A few returns may have -1, or less, instead of an intensity.
     bottom = min(0.0, float(np.quantile(intensity, BOTTOM)))
     low, high = (bottom + part * (top - bottom) for part in OF_BRIGHTEST)
     if tail > high:
@@ -431,10 +431,10 @@ def auto_threshold(intensity: Array) -> Threshold:
 
 
 def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ...]:
-    """What to try where a threshold shows too few poles: the cloud's own, and the end of diffuse.
+    """What to try where a threshold shows too few poles: that of the cloud, and the end of diffuse.
 
     A sensor's figure is for fresh tape at about 5 m. Old or far tape returns less, and a glint may
-    hold the cloud's own threshold above it as well. What was given stays as it is.
+    have the cloud's threshold above it as well. What was given stays as it is.
 
     Parameters
     ----------
@@ -460,14 +460,14 @@ def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ..
 
 def _end_of_diffuse(intensity: Array) -> float:
     median, high = np.quantile(intensity, [0.5, 0.95])
-    # So many times the spread of the diffuse returns above their median.
+    # This many times the spread of the diffuse returns above their median.
     return float(median + 2.5 * (high - median))
 
 
 def threshold_for(
     intensity: Array, ranges: Array, sensor: Sensor | None, given: float | None
 ) -> Threshold:
-    """Choose the threshold: the one given, else the sensor's, else the cloud's own.
+    """Choose the threshold: the one given, else the sensor's, else the cloud's.
 
     A sensor's figure is used on the scale the cloud has it: a driver that divides by the full
     scale leaves no intensity above 1. It falls with the range where that leaves all diffuse returns
@@ -478,7 +478,7 @@ def threshold_for(
     intensity, ranges
         (N,) of the cloud; ranges from where the beams start, metres.
     sensor, given
-        What recorded it, and what the user says; None if either is not known.
+        What recorded it, and what the user states; None if either is not known.
     """
     if given is not None:
         return Threshold(float(given), GIVEN)

@@ -12,8 +12,8 @@ true return lies at::
                + elevation + elevation_scale·ε + ring_elevation(ring),    k = 2, 3,
 
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
-A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show. What
-the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
+A constant error of the azimuth is a rotation of the LiDAR's frame, which no scan can show. What
+the rings' errors of it have in common is one too: it stays in, since with σ/√n for n rings it
 is as small as unmodelled errors.
 
 If a mast sways while its LiDAR records, the mean pose may be off the one where it rests
@@ -54,9 +54,9 @@ power and others that at an eighth, 1.7 times as much."""
 SPINNING_BEND = float(np.radians(0.003))
 """1 σ of how scan lines bend where a LiDAR turns about one axis, rad: then only its bearing bends
 them, by less than it lets the axis wobble. Mirrors that turn about two axes, and lenses, distort a
-whole field of view. With 0.002, 0.003 and 0.006° the region holds 79, 86 and 95 % of truths where
-lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors where they are
-not are 5, 7 and 14 % larger than without (tuning families, seeds 0 to 23)."""
+whole field of view. With 0.002, 0.003 and 0.006° the region contains 79, 86 and 95 % of truths
+where lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors where
+they are not are 5, 7 and 14 % larger than without (tuning families, seeds 0 to 23)."""
 
 SPINNING_ELEVATION = float(np.radians(0.01))
 """1 σ of what the elevations of all beams are off by where each laser is adjusted by itself, rad.
@@ -95,7 +95,7 @@ class Sizes:
     zero
         Range offset that all returns share, metres.
     scale
-        Error of the range as a part of it.
+        Relative error of the range.
     slant
         Range error by range and tangent of the incidence, rad: a wide beam on a slanted surface.
     encoder, wobble
@@ -115,7 +115,7 @@ class Sizes:
         Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
         or a separate delay.
     width
-        Of the beam, as a part of it: of its logarithm.
+        Of the beam, relative: of its logarithm.
     """
 
     zero: float = 0.010
@@ -148,7 +148,7 @@ def spinning(sizes: Sizes) -> Sizes:
 def sizes_of(sensor: Sensor | None) -> Sizes:
     """Give the sizes of the errors of a sensor: those measured, else as its manufacturer states.
 
-    The defaults are for what neither says.
+    The defaults are for what neither states.
     """
     if sensor is None:
         return Sizes()
@@ -200,7 +200,7 @@ TAPE, WIDTH = DEVICE - 2, DEVICE - 1
 """Parameters of a whole LiDAR, and which of them only tape has, and only edges show."""
 
 RADIUS = 2 * DEVICE
-"""Where the error of the poles' radius stands, after those of the target and of the source."""
+"""Index of the error of the poles' radius, after those of the target and of the source."""
 
 SHARED_ERRORS = RADIUS + 1
 """Parameters that are no single ring's."""
@@ -224,11 +224,11 @@ class Layout:
         return SHARED_ERRORS + RING * (len(self.bands[0]) + len(self.bands[1]))
 
     def device(self, lidar: int) -> slice:
-        """Where the errors of the whole target (0) or source (1) stand."""
+        """Indices of the errors of the whole target (0) or source (1)."""
         return slice(DEVICE * lidar, DEVICE * (lidar + 1))
 
     def rings(self, lidar: int, kind: int) -> slice:
-        """Where the errors of one of `RING_KINDS` of the bands of a LiDAR stand."""
+        """Indices of the errors of one of `RING_KINDS` of the bands of a LiDAR."""
         first = SHARED_ERRORS + RING * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
         return slice(first, first + len(self.bands[lidar]))
 
@@ -331,7 +331,7 @@ class ErrorModel:
     left: tuple[Array, ...] = ()
 
     def sigmas(self, groups: Groups) -> Array:
-        """(G,) 1 σ of each group of errors, in its own unit."""
+        """(G,) 1 σ of each group of errors, in its unit."""
         known = np.array(
             [
                 self.radius_sigma if lidar is None else getattr(self.sizes[lidar], kind.field)
@@ -351,7 +351,7 @@ whose top bends by less. Where nothing measures the shift this is taken for it."
 
 
 class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):
-    """Motion of one LiDAR about its rest while it recorded, axes of its own frame.
+    """Motion of one LiDAR about its rest while it recorded, axes of its frame.
 
     Attributes
     ----------
@@ -418,7 +418,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
 
 def stated_sway(sigma: float) -> Sway:
-    """Give what a mast is said to sway by, where a recording shows nothing of it.
+    """Give the stated sway of a mast, where a recording does not show it.
 
     `sigma` is the root mean square of its angle from rest, rad. A mast turns about level axes, half
     of the variance about each; which axes of the LiDAR are level is not known: any may be.
@@ -427,14 +427,14 @@ def stated_sway(sigma: float) -> Sway:
     return Sway(sigma, None, 0.0, covariance)
 
 
-def left_of(sways: Sequence[Sway | None]) -> Array:
+def remaining_sway(sways: Sequence[Sway | None]) -> Array:
     """(6, 6) covariance of what is left of the sway of one LiDAR in the mean of its recordings."""
     left = sum((each.covariance for each in sways if each is not None), np.zeros((6, 6)))
     return np.asarray(left / max(len(sways), 1) ** 2)
 
 
-def left_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
-    """`left_of` each LiDAR's recordings; none if none moved."""
+def remaining_sway_of_each(rows: Sequence[Sequence[Sway | None]]) -> tuple[Array, ...]:
+    """`remaining_sway` each LiDAR's recordings; none if none moved."""
     if not any(each for row in rows for each in row):
         return ()
-    return tuple(left_of(row) for row in rows)
+    return tuple(remaining_sway(row) for row in rows)

@@ -155,7 +155,7 @@ def in_metres(site: Site) -> Site:
 
 
 def to_frame(frame: Frame, xyz: Array) -> Array:
-    """Take places of the site (N, 3) to the frame's own coordinates, metres: undoes `to_site`."""
+    """Take places of the site (N, 3) to the coordinates of the frame, metres: undoes `to_site`."""
     full = np.asarray(xyz, dtype=float) + frame.offset
     if frame.epsg is None or frame.geodetic is None:
         return np.asarray(full)
@@ -244,9 +244,9 @@ def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
 
 
 def pose_in_frame(frame: Frame, T_site_lidar: Array) -> Array:
-    """Pose of a LiDAR (4, 4) in the frame's own coordinates, its axes east, north, up there.
+    """Pose of a LiDAR (4, 4) in the coordinates of the frame, its axes east, north, up there.
 
-    In a projected system the place is exact, and headings count from grid north. A point that the
+    In a projected system the position is exact, and headings are from grid north. A point that the
     LiDAR sees is then off by the scale of the grid: 12 mm at 30 m where it is 0.9996.
     """
     place = T_site_lidar[:3, 3]
@@ -255,7 +255,7 @@ def pose_in_frame(frame: Frame, T_site_lidar: Array) -> Array:
 
 
 def site_in_frame(frame: Frame) -> Array:
-    """Pose of the site's own axes (4, 4) in the frame's coordinates: rigid, with its true lengths.
+    """Pose of the axes of the site (4, 4) in the frame's coordinates: rigid, with its true lengths.
 
     At the origin of the site's coordinates it agrees with `pose_in_frame`. Away from it, it differs
     by the scale of the grid.

@@ -1,9 +1,9 @@
 """What a carrier that moves between two recordings makes of the pose between their LiDARs.
 
-A vehicle that is said to stand may creep. Where its LiDARs recorded some time apart, it was
-elsewhere in between, and the pose between them is off by its motion: that is no movement of the
+A vehicle reported as stationary may creep. Where its LiDARs recorded at different times, it was
+at another pose, and the pose between them is off by its motion: that is no movement of the
 rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is removed. A
-single sweep shows none; then only how fast a carrier creeps that is taken to stand bounds it.
+single sweep shows none; then only the assumed speed of a stationary carrier bounds it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from ..surfaces.sway import velocity_of, without_velocity
 from .movement import FALSE_ALARM, ROTATION, TRANSLATION, least_certain
 
 CREEP = 0.07
-"""1 σ of the speed, along each axis, of a carrier that is taken to stand, m/s. Vehicles of 13
-recordings that were taken to stand crept at up to 0.24 m/s; the test
+"""1 σ of the speed, along each axis, of a carrier that is assumed stationary, m/s. Vehicles of 13
+recordings that were assumed stationary crept at up to 0.24 m/s; the test
 explains 4.1 σ, 0.29 m/s, less the noise of the poses."""
 
 FASTEST = 0.5
@@ -35,7 +35,7 @@ LEVER = 10.0
 """A carrier that creeps turns as about a point so far away, metres, 1 σ."""
 
 SWEEP = 0.2
-"""Recordings whose middles are further apart in time than a sweep of the slowest LiDARs takes, s,
+"""Recordings whose middles differ in time by more than a sweep of the slowest LiDARs takes, s,
 and than either recording took, are not of one moment: a motion between them is unknown."""
 
 
@@ -65,7 +65,7 @@ class CarrierMotion:
         """(6,) ``[φ, δ]`` that it adds to the pose, rad and m, target axes."""
         return self.velocity * self.apart
 
-    def taken_out(
+    def without_motion(
         self, T: Array, target: PointCloud, source: PointCloud
     ) -> tuple[PointCloud, PointCloud]:
         """Bring both recordings to the middle of the target's."""
@@ -126,7 +126,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     T
         (4, 4) the pose of the source in the target's frame, as it was.
     target, source
-        Recordings of both, each in its own frame.
+        Recordings of both, each in the frame of its LiDAR.
 
     Returns
     -------
@@ -137,9 +137,9 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     when = time_of_recording(target), time_of_recording(source)
     if when[0] is None or when[1] is None:
         return None
-    apart = sum(when[1]) / 2 - sum(when[0]) / 2
+    seconds = sum(when[1]) / 2 - sum(when[0]) / 2
     lengths = [last - first for first, last in (when[0], when[1])]
-    if apart == 0.0 or abs(apart) > max(SWEEP, *lengths):
+    if seconds == 0.0 or abs(seconds) > max(SWEEP, *lengths):
         return None
     prior = np.diag(np.repeat([CREEP / LEVER, CREEP], 3) ** 2)
     seen, pull = np.zeros((6, 6)), np.zeros(6)
@@ -154,7 +154,7 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     if speed > FASTEST or rate * max(lengths) > MAX_TURN:
         return None
     is_seen = bool(velocity @ seen @ velocity > chdtri(6, FALSE_ALARM))
-    return CarrierMotion(apart, velocity, covariance * apart**2, is_seen)
+    return CarrierMotion(seconds, velocity, covariance * seconds**2, is_seen)
 
 
 def _of_origins(T: Array, target: PointCloud, source: PointCloud) -> Iterator[Array]:

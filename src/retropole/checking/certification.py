@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from scipy.special import ndtri
 
-from ..adjustment.axes import OwnAxes, find_axes
+from ..adjustment.axes import LidarAxes, find_axes
 from ..alignment.origins import beam_origins
 from ..base.bounded import Count, Number, Size
 from ..base.datatypes import Array, Placement, Pole, Scan
@@ -40,7 +40,7 @@ from .distances import (
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """Which poles of one placement are the same, and which way round.
+    """Which poles of one placement are the same, and in which direction.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Correspondence:
 def correspond(target: Sequence[Pole], source: Sequence[Pole]) -> Correspondence:
     """Say which poles are the same, by their distances and angles alone.
 
-    Poles that stand up to half a metre from where the others say they are count as the same:
+    Poles up to half a metre from where the others place them are treated as the same:
     that they do not fit is for the test to find.
 
     Raises
@@ -108,7 +108,7 @@ class DistanceTest(msgspec.Struct, frozen=True):
     Attributes
     ----------
     placement
-        Index of the placement that the poles stand in.
+        Index of the placement of the poles.
     poles
         Numbers of both poles in the target's detection.
     target_m, source_m, u_target_m, u_source_m
@@ -151,7 +151,7 @@ class FieldTest:
     Attributes
     ----------
     status
-        ``pass``, ``fail``, or ``refused`` where there is too little to tell.
+        ``pass``, ``fail``, or ``refused`` where there are too few data.
     reasons
         Why it was refused, or else which placements are not compared.
     distances
@@ -347,7 +347,7 @@ def _seen(used: Sequence[tuple[Placement, Correspondence]], lidar: int) -> Seen:
     ]
 
 
-def _axes(seen: Seen, radius: float, radius_sigma: float) -> OwnAxes:
+def _axes(seen: Seen, radius: float, radius_sigma: float) -> LidarAxes:
     return find_axes(
         [(pole, scan.cloud) for scan, poles in seen for pole in poles],
         sensor=seen[0][0].sensor,
@@ -357,7 +357,7 @@ def _axes(seen: Seen, radius: float, radius_sigma: float) -> OwnAxes:
 
 
 def _targets(
-    used: Sequence[tuple[Placement, Correspondence]], axes: tuple[OwnAxes, OwnAxes]
+    used: Sequence[tuple[Placement, Correspondence]], axes: tuple[LidarAxes, LidarAxes]
 ) -> tuple[list[Targets], list[Targets]]:
     """Say for each LiDAR which of its axes belong together, and where on them to measure."""
     targets: tuple[list[Targets], list[Targets]] = [], []

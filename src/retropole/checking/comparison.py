@@ -12,7 +12,7 @@ import numpy as np
 from ..base.datatypes import Array, Calibration, PointCloud
 from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
-from ..pipeline import NOTHING_KNOWN, Options, calibrate
+from ..pipeline import NO_OPTIONS, Options, calibrate
 from .methods import ALL_METHODS, OURS, missing_extra
 from .metrics import KERNEL_WIDTH, Alignment, Errors, errors_of, evaluate
 from .rivals import FUNCTIONS
@@ -59,18 +59,18 @@ def compare(
     source: PointCloud,
     methods: Sequence[str],
     *,
-    options: Options = NOTHING_KNOWN,
+    options: Options = NO_OPTIONS,
     T_true: Array | None = None,
     sigma: float = KERNEL_WIDTH,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Compared]:
-    """Run methods one after the other on the same clouds, and score their answers alike.
+    """Run methods one after the other on the same clouds, and score their answers in the same way.
 
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     methods
         Names from `methods.ALL_METHODS`.
     options

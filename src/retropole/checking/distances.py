@@ -1,14 +1,14 @@
 """Distances between poles that need no transform: how certain they are, and how well they repeat.
 
-A line has no points of its own, and its taped part ends for each LiDAR elsewhere. So each pole gets
-a point that only the poles themselves define: the place on its axis from which the squared
+A line has no distinct points, and its taped part ends differently for each LiDAR. So each pole gets
+a point that only the poles themselves define: the point on its axis from which the squared
 distances to all other axes are least. It may lie metres above the ground; from there both LiDARs go
 the same way along the axis, to the middle of what they see of it. What is compared is the distance
 of two such points. Where on the axis they lie is only as certain as the poles lean against each
 other, but it hardly changes a distance across them.
 
 Each sweep of a recording measures all distances again. Their scatter is compared with what the
-returns of a sweep allow, since a LiDAR that stands nearer, or has more beams, repeats a distance
+returns of a sweep allow, since a LiDAR that is nearer, or has more beams, repeats a distance
 better without being better than is stated of it.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtr, fdtri
 
-from ..adjustment.axes import OwnAxes, maximise_alone
+from ..adjustment.axes import LidarAxes, maximise_alone
 from ..alignment.expansion import find_view
 from ..alignment.observations import beams_of
 from ..alignment.posterior import SHARED, State
@@ -81,7 +81,7 @@ class Measured:
 
 
 def places(points: Array, directions: Array) -> Array:
-    """Find on each axis the place from which the squared distances to all others are least.
+    """Find on each axis the point from which the squared distances to all others are least.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def middles(state: State, poles: Sequence[Pole], index: IntArray, signs: Array) 
     return np.asarray(np.einsum("ki,ki->k", seen, directions))
 
 
-def measure(axes: OwnAxes, placements: Sequence[Targets]) -> Measured:
+def measure(axes: LidarAxes, placements: Sequence[Targets]) -> Measured:
     """Measure all distances between poles of the same placement."""
     lengths, by_axes = distances_of(axes.state, placements)
     return Measured(
@@ -219,7 +219,7 @@ def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -
 
 
 def spread_of_sweeps(
-    seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: OwnAxes, placements: Sequence[Targets]
+    seen: Sequence[tuple[Scan, Sequence[Pole]]], axes: LidarAxes, placements: Sequence[Targets]
 ) -> Spread | None:
     """Measure the distances of every placement in each sweep alone; None if none has several.
 
@@ -255,7 +255,7 @@ def spread_of_sweeps(
 
 
 def _of_placement(
-    scan: Scan, poles: Sequence[Pole], axes: OwnAxes, targets: Targets
+    scan: Scan, poles: Sequence[Pole], axes: LidarAxes, targets: Targets
 ) -> list[tuple[Array, Array]]:
     """Distances (D,) of each sweep of a placement, and the covariance (D, D) its returns allow."""
     frames = scan.cloud.frame

@@ -1,10 +1,10 @@
 """Is an installed site still where it was? New recordings against a stored calibration.
 
 The pose is found again, with the poles where they are there, by the scene alone where they are not.
-Only the new clouds are registered to each other, so the place itself may have changed since.
+Only the new clouds are registered to each other, so the surroundings may have changed since.
 Whether the new pose is the stored one is tested by `movement`.
 
-Where target and source were given the other way round, the stored pose reversed fits
+Where target and source were given in reverse order, the stored pose reversed fits
 (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
 chance where the pose reversed is.
 """
@@ -36,14 +36,14 @@ from ..hypotheses.choice import MIN_OVERLAP
 from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict, scenes_of
 from ..hypotheses.placements import left_in
 from ..hypotheses.prior import PosePrior
-from ..pipeline import NOTHING_KNOWN, Options, calibrate
+from ..pipeline import NO_OPTIONS, Options, calibrate
 from ..surfaces.consistency import Standing
 from ..surfaces.registration import MIN_CLOUD_POINTS
 from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare_views, view_of
 from ..verdict.preference import preferences
 from .carrier import CarrierMotion, carrier_motion
 from .movement import FALSE_ALARM, ROTATION, TRANSLATION, CheckResult, Method, compare_poses
-from .tolerance import NOT_ASKED, Asked
+from .tolerance import NO_REQUEST, RequestedTolerance
 
 PARTS = ROTATION, TRANSLATION
 
@@ -52,29 +52,29 @@ NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide compared with what the
-scene holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in
-what it does not hold. Surfaces correspond over three times as much, and more."""
+scene constrains, so that the answer is not drawn back to the stored pose, and too wide for *same*
+in what it does not hold. Surfaces correspond over three times as much, and more."""
 
 NEAR_STORED_ROTATION = float(np.radians(10.0))
 """1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
 
 MAX_FREE_SPACE_VIOLATION = 0.05
-"""Share of the points that may stand, under the new pose, where the other LiDAR looked through. The
+"""Largest share of points, under the new pose, where the other LiDAR looked through. The
 right pose has up to 0.02 of them, at the edges of objects; wrong ones that cling to the ground have
 0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewPose:
-    """A pose found again, or None, and what there is to say of it.
+    """A pose found again, or None, and remarks on it.
 
-    `unsure` says that it must not be taken for a movement, nor for none.
+    `is_uncertain` says that it must not be taken for a movement, nor for none.
     """
 
     pose: PoseEstimate | None
     uncertainty: Uncertainty | None = None
     reasons: tuple[Reason, ...] = ()
-    unsure: bool = False
+    is_uncertain: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +116,10 @@ def by_poles(
     wrong = [misfit] if misfit is not None else []
     wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
     if wrong:
-        said = [Reason("poles_not_trusted", r.message, r.values) for r in wrong]
-        return NewPose(None, reasons=tuple(said))
-    said = [r for r in answer.reasons if r.code == "not_converged"]
-    return NewPose(pose, answer.uncertainty, tuple(said))
+        warnings = [Reason("poles_not_trusted", r.message, r.values) for r in wrong]
+        return NewPose(None, reasons=tuple(warnings))
+    warnings = [r for r in answer.reasons if r.code == "not_converged"]
+    return NewPose(pose, answer.uncertainty, tuple(warnings))
 
 
 def is_ambiguous(answer: Calibration) -> bool:
@@ -194,11 +194,11 @@ NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
 range over which `drift` searches about the stored pose."""
 
 MORE = 3.0
-"""So many times more voxels agree with the stored pose reversed than with the stored one. In six
+"""This many times more voxels agree with the stored pose reversed than with the stored one. In six
 simulated scenes, swapped, it was 10 and more."""
 
-APART = 3.0
-"""The stored pose and its reverse must be so many times farther from each other. Where they are
+SEPARATION = 3.0
+"""The stored pose and its reverse must be this many times farther from each other. Where they are
 not, as of two LiDARs back to back at one height, either order gives the same answer."""
 
 
@@ -235,11 +235,11 @@ def swapped_clouds(
     scenes
         Objects in the target's and in the source's scene.
     found
-        What that says of the stored pose.
+        Conclusion about the stored pose.
     """
     reverse = se3.inverse(T_stored)
     rotation, translation = _apart(T_stored, reverse)
-    if rotation < APART * NEAR_ROTATION and translation < APART * NEAR_TRANSLATION:
+    if rotation < SEPARATION * NEAR_ROTATION and translation < SEPARATION * NEAR_TRANSLATION:
         return None
     there = count(scenes, reverse)
     agrees = (
@@ -283,19 +283,19 @@ NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor
 """Refusals of a new calibration that leave the scene nothing to answer by either."""
 
 PREFERRED = 2.0
-"""So many σ better the surfaces must fit under the new pose than under the stored one before it has
-moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
+"""The surfaces must fit this many σ better under the new pose than under the stored one before it
+has moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
 hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8 and
 more, corridors of few places least (seeds 0 to 12)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """What is stored, by which devices, and how small a movement must be told."""
+    """What is stored, by which devices, and how small a movement must be detected."""
 
     stored: PoseEstimate
     uncertainty: Uncertainty | None
-    tolerance: Asked
+    tolerance: RequestedTolerance
     sensors: tuple[Sensor | None, Sensor | None]
     carrier: CarrierMotion | None
 
@@ -305,9 +305,9 @@ def check(
     target: PointCloud,
     source: PointCloud,
     *,
-    options: Options = NOTHING_KNOWN,
+    options: Options = NO_OPTIONS,
     uncertainty: Uncertainty | None = None,
-    tolerance: Asked = NOT_ASKED,
+    tolerance: RequestedTolerance = NO_REQUEST,
 ) -> CheckResult:
     """Find the pose again and test it against the stored one.
 
@@ -323,9 +323,9 @@ def check(
         What is known of both, as for `pipeline.calibrate`.
     uncertainty
         The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
-        None, as of a pose from elsewhere, shares no errors with the new one.
+        None, as of a pose of another source, shares no errors with the new one.
     tolerance
-        The movement that matters, or as small a one as these data can tell.
+        The movement that matters, or as small a one as these data can show.
 
     Raises
     ------
@@ -338,7 +338,7 @@ def check(
         raise UsageError("the stored pose has no covariance: its uncertainty is unknown")
     carrier = carrier_motion(stored.T_target_source, target, source)
     if carrier is not None and carrier.is_seen:
-        target, source = carrier.taken_out(stored.T_target_source, target, source)
+        target, source = carrier.without_motion(stored.T_target_source, target, source)
     question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
     # Surfaces about the stored pose show more than candidate poles, in a thirtieth of the time.
     confirmed = replace(options, candidates=False)
@@ -369,7 +369,7 @@ def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckRe
         return answer
     reason = carrier.explains(answer.step)
     if answer.status == "moved":
-        return answer.untold(reason)
+        return answer.withdrawn(reason)
     return replace(answer, reasons=(*answer.reasons, reason))
 
 
@@ -395,7 +395,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
         swapped = swapped_clouds(T_stored, T_poles, scenes, found)
         if swapped is not None:
             return CheckResult("cannot_tell", (swapped,), confirmation=found)
-    return _held_against_scene(replace(answer, confirmation=found), found)
+    return _checked_against_scene(replace(answer, confirmation=found), found)
 
 
 def _is_off(answer: CheckResult) -> bool:
@@ -431,11 +431,11 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     answer = _compared(question, found, "scene", reasons)
     doubt = _doubt(stored, clouds, answer)
     if doubt is not None:
-        return answer.untold(doubt.reason)
-    return answer.untold() if found.unsure else answer
+        return answer.withdrawn(doubt.reason)
+    return answer.withdrawn() if found.is_uncertain else answer
 
 
-def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
+def _checked_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
     """Take back that nothing moved where the scene conflicts with the stored pose."""
     if answer.status != "same" or not is_in_conflict(found):
         return answer
@@ -451,7 +451,7 @@ def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult
             "allowed": MAX_CONFLICTING,
         },
     )
-    return answer.untold(contradicted)
+    return answer.withdrawn(contradicted)
 
 
 def _compared(
@@ -480,7 +480,7 @@ class _Doubt(NamedTuple):
 def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
     """Doubt a movement under which the surfaces fit no better; None if there is nothing to.
 
-    They could have seen it where one of the same size the other way makes them fit worse.
+    They could have seen it where one of the same size in the other direction makes them fit worse.
     """
     if answer.status != "moved" or answer.T_target_source is None or answer.step is None:
         return None
@@ -503,13 +503,13 @@ def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt 
 def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
     """Whether the surfaces alone, from about the stored pose, conflict with a pose of the poles.
 
-    Poles that were carried alike between the recordings draw the surfaces along, into a minimum
-    that is none without them. What the search alone would hold is no denial.
+    Poles that were carried in the same way between the recordings draw the surfaces along, into a
+    minimum that is none without them. What the search alone would hold is no denial.
     """
-    if found.pose is None or found.unsure:
+    if found.pose is None or found.is_uncertain:
         return False
     assert found.pose.covariance is not None
-    held = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())
-    values, vectors = np.linalg.eigh(held)
-    apart = vectors.T @ se3.local(found.pose.T_target_source, pose.T_target_source)
-    return bool(np.maximum(values, 0.0) @ apart**2 > chdtri(6, FALSE_ALARM))
+    gained = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())
+    values, vectors = np.linalg.eigh(gained)
+    difference = vectors.T @ se3.local(found.pose.T_target_source, pose.T_target_source)
+    return bool(np.maximum(values, 0.0) @ difference**2 > chdtri(6, FALSE_ALARM))

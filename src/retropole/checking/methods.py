@@ -33,10 +33,10 @@ RIVALS = {
 """Every rival by its name; `rivals.FUNCTIONS` runs them."""
 
 OURS = {"poles": "retropole, the poles alone", "poles+scene": "retropole, poles and scene"}
-"""Our own methods, and what each is."""
+"""Our methods, and what each is."""
 
 ALL_METHODS: tuple[str, ...] = (*OURS, *RIVALS)
-"""Our own, then the rivals: all that `comparison.compare` runs."""
+"""Ours, then the rivals: all that `comparison.compare` runs."""
 
 
 def missing_extra(name: str) -> str | None:

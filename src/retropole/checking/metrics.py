@@ -112,7 +112,7 @@ def rqe(xyz: Array, sigma: float = KERNEL_WIDTH, *, tolerance: float = RQE_TOLER
             total += (1.0 if a == b else 2.0) * float(np.exp(block, out=block).sum())
         return total
 
-    # Blocks are spread over threads here, so that BLAS needs none of its own.
+    # Blocks are spread over threads here, so that BLAS needs none.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(CORES) as pool:
         total = sum(pool.map(row, range(len(pairs.near))))
     argument = total / len(points) ** 2 / (4 * np.pi * sigma**2) ** 1.5
@@ -244,7 +244,7 @@ def evaluate(
     Parameters
     ----------
     target, source
-        The clouds, each in its own frame.
+        The clouds, each in the frame of its LiDAR.
     T
         (4, 4) target from source.
     rng
@@ -275,12 +275,12 @@ def evaluate(
         residual = float(np.median(np.abs(across)))
     # In the clouds as they are, the dense ground near each LiDAR would be most of the sum, and a
     # pose that puts one LiDAR on the other the sharpest.
-    together = np.concatenate([surface.xyz, aligned])
-    if len(together) > RQE_POINTS:
-        together = together[rng.choice(len(together), RQE_POINTS, replace=False)]
+    joint = np.concatenate([surface.xyz, aligned])
+    if len(joint) > RQE_POINTS:
+        joint = joint[rng.choice(len(joint), RQE_POINTS, replace=False)]
     shared = overlap([distances, back], OVERLAP_DISTANCE)
     confirmation = _confirmation(target, source, T, poles)
-    return Alignment(shared, residual, rqe(together, sigma), confirmation)
+    return Alignment(shared, residual, rqe(joint, sigma), confirmation)
 
 
 def _confirmation(
@@ -291,8 +291,8 @@ def _confirmation(
 ) -> Confirmation:
     """Compare a pose with the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
-    standing = [
+    objects = [
         standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)
         for cloud, of_cloud in zip((target, source), poles, strict=True)
     ]
-    return consistency(standing[0], standing[1], T)
+    return consistency(objects[0], objects[1], T)

@@ -11,12 +11,12 @@ answered only within a tolerance: by as much as it has not moved with a confiden
 
 What scatter leaves in both poses is drawn anew and adds up. What the instruments err by is the same
 in both, and cancels in the step as far as both poses were found the same way: by poles at the same
-places, say. By poles elsewhere, or by the scene alone, the same errors move the pose another way.
-How an error passes into each pose is not stored, only what all errors make together; but along a
-direction in which both are equally uncertain they were probably found alike, and one in which only
-the one is uncertain is nothing they can share. So with variances a and b along each of the
-directions in which both systematic parts are uncorrelated (their generalised eigenvectors), the
-step keeps
+places, say. By poles at other positions, or by the scene alone, the same errors move the pose
+another way. How an error passes into each pose is not stored, only what all errors make together;
+but along a direction in which both are equally uncertain they were probably found in the same way,
+and one in which only the one is uncertain is nothing they can share. So with variances a and b
+along each of the directions in which both systematic parts are uncorrelated (their generalised
+eigenvectors), the step keeps
 
     a + b − 2 ρ √(a b),
 
@@ -40,14 +40,14 @@ from ..base.quantities import error, percent
 from ..base.reasons import Code
 from ..base.uncertainty import Uncertainty, floor
 from ..base.uncertainty.confirmation import Confirmation
-from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
+from .tolerance import NO_REQUEST, WIDEST_TOLERANCE, RequestedTolerance, Tolerance
 
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
 warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
-recordings is at most 5 with the poles where they were, 10 with poles elsewhere and 8 without (field
-and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the simulator's devices
-repeat all of their errors."""
+recordings is at most 5 with the poles where they were, 10 with poles at other positions and 8
+without (field and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the
+simulator's devices repeat all of their errors."""
 
 
 def step_covariance(stored: Uncertainty, new: Uncertainty) -> Array:
@@ -85,16 +85,16 @@ FALSE_ALARM = 0.01
 """How often the test may find a movement where there was none."""
 
 CONFIDENCE = 0.95
-"""With which it has moved by less than the tolerance before *same* is said: of movements of the
-tolerance, so many at least are not answered by *same*."""
+"""With which it has moved by less than the tolerance before *same* is reported: of movements of the
+tolerance, at least this share is not answered by *same*."""
 
-SURE = f"with {percent(CONFIDENCE)} confidence"
+CONFIDENTLY = f"with {percent(CONFIDENCE)} confidence"
 
 MIN_POWER = 0.95
-"""Probability of finding a movement of the tolerance, below which its size counts as uncertain."""
+"""Probability of finding a movement of the tolerance, below which its size is uncertain."""
 
 ONE_SIDED = float(ndtri(CONFIDENCE))
-"""So many σ beyond a normal variable its mean lies with that confidence: 1.645."""
+"""Number of σ from a normal variable to its mean with that confidence: 1.645."""
 
 MAX_NONCENTRALITY = 1000.0
 """Beyond, the power is 1 to all digits and SciPy's noncentral χ² is not reliable."""
@@ -168,36 +168,36 @@ class Weakness:
     ----------
     stored, new
         Both poses' uncertainties.
-    told
+    reported
         By how much it has moved at most, with `CONFIDENCE`.
-    asked
+    requested
         The tolerance requested, or the default.
     """
 
     stored: Uncertainty
     new: Uncertainty
-    told: Tolerance
-    asked: Tolerance
+    reported: Tolerance
+    requested: Tolerance
 
     def too_weak(self, widest: Tolerance) -> Reason:
-        """Say that nothing is confirmed: what these data tell is wider than the widest they may."""
+        """Report that nothing is confirmed: the bound by these data is wider than allowed."""
         parts = (
-            (self.told.rotation > widest.rotation, widest.rotation_in_words),
-            (self.told.translation > widest.translation, widest.translation_in_words),
+            (self.reported.rotation > widest.rotation, widest.rotation_in_words),
+            (self.reported.translation > widest.translation, widest.translation_in_words),
         )
         missing = " and ".join(words for is_missing, words in parts if is_missing)
         return self._reason(
             "too_weak",
-            f"no movement was found, but these data tell only, {SURE}, that it moved by no more "
-            f"than {self.told.in_words} ({missing} must be told): ",
+            f"no movement was found, but these data show only, {CONFIDENTLY}, that it moved by no "
+            f"more than {self.reported.in_words} ({missing} must be detectable): ",
         )
 
     def wider_tolerance(self) -> Reason:
-        """Say that *same* holds within more than the default, and why within no less."""
+        """Report that *same* applies within more than the default, and why within no less."""
         return self._reason(
             "wider_tolerance",
-            f"the same within {self.told.in_words}, {SURE}; the default, {self.asked.in_words}, "
-            "cannot be determined by these data: ",
+            f"the same within {self.reported.in_words}, {CONFIDENTLY}; the default, "
+            f"{self.requested.in_words}, cannot be determined by these data: ",
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
@@ -214,9 +214,9 @@ class Weakness:
             code,
             f"{words}{directions_in_words(covariance)}; {remedy}",
             {
-                "tolerance_rad": self.told.rotation,
-                "tolerance_m": self.told.translation,
-                "power": detection_power(covariance, self.asked),
+                "tolerance_rad": self.reported.rotation,
+                "tolerance_m": self.reported.translation,
+                "power": detection_power(covariance, self.requested),
                 "sigma_rad": least_certain(covariance, ROTATION).sigma,
                 "sigma_m": least_certain(covariance, TRANSLATION).sigma,
                 "stored_share": share,
@@ -228,9 +228,11 @@ class Weakness:
 
         What does not cancel is blamed on the poses by what they would have had alone.
         """
-        told, asked = self.told, self.asked
+        reported, requested = self.reported, self.requested
         # Whichever part is the farther beyond its tolerance.
-        by_rotation = told.rotation / asked.rotation > told.translation / asked.translation
+        by_rotation = (
+            reported.rotation / requested.rotation > reported.translation / requested.translation
+        )
         part = ROTATION if by_rotation else TRANSLATION
         worst = least_certain(step_covariance(self.stored, self.new), part).direction
         alone = [
@@ -253,7 +255,7 @@ def directions_in_words(covariance: Array) -> str:
 
 
 BOUND_SIGMAS = 3.0
-"""A movement that was found is certainly below the tolerance where so many σ more would be."""
+"""A movement that was found is certainly below the tolerance where this many σ more would be."""
 
 Status = Literal["same", "moved", "cannot_tell"]
 Method = Literal["poles", "scene"]
@@ -269,14 +271,14 @@ class Movement:
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """Whether the source still stands where it was, as seen by the target.
+    """Whether the source is still where it was, as seen by the target.
 
     Attributes
     ----------
     status
         ``same``, ``moved`` or ``cannot_tell``.
     reasons
-        Why it cannot tell, and what stood in the way of a better answer.
+        Why it is undecided, and what prevented a better answer.
     used
         What the new pose was found by: ``poles`` (and the scene), ``scene`` alone, or None.
     T_target_source
@@ -290,14 +292,14 @@ class CheckResult:
         (6, 6) of that what each new check draws anew; the rest is the same in all checks that find
         the pose the same way.
     chi2, p_value
-        The test, and how often so much comes about where nothing moved.
+        The test, and how often chance alone makes this much where nothing moved.
     power
         Probability that a movement of the tolerance requested, or else of the default, would have
         been found, in the worst direction.
     tolerance
         If nothing moved: the least that these data confirm, no less than what was requested. By
-        more it has not moved, with `CONFIDENCE`. Of *same*, what it is said within. None if
-        another reason speaks against any.
+        more it has not moved, with `CONFIDENCE`. Of *same*, the bound that it is reported within.
+        None if another reason speaks against any.
     confirmation
         What the new recordings show about the stored pose; None if there are none.
     """
@@ -325,7 +327,7 @@ class CheckResult:
         """How far it was translated, metres."""
         return self._part(TRANSLATION)
 
-    def untold(self, *more: Reason) -> CheckResult:
+    def withdrawn(self, *more: Reason) -> CheckResult:
         """The same answer, taken back: for some reason nothing is to be confirmed by it."""
         reasons = *self.reasons, *more
         return replace(self, status="cannot_tell", reasons=reasons, tolerance=None)
@@ -341,7 +343,7 @@ def compare_poses(
     stored: PoseEstimate,
     new: PoseEstimate,
     used: Method,
-    asked: Asked = NOT_ASKED,
+    requested: RequestedTolerance = NO_REQUEST,
     reasons: Sequence[Reason] = (),
     uncertainties: tuple[Uncertainty | None, Uncertainty | None] = (None, None),
 ) -> CheckResult:
@@ -353,7 +355,7 @@ def compare_poses(
         The poses, both with a covariance.
     used
         What the new one was found by.
-    asked
+    requested
         The movement that matters, or as small a one as these data can resolve.
     reasons
         Further reasons to report.
@@ -366,32 +368,32 @@ def compare_poses(
     covariance = step_covariance(*parts)
     chi2 = float(step @ np.linalg.solve(covariance, step))
     p_value = float(chdtrc(6, chi2))
-    power = detection_power(covariance, asked.least)
-    said = list(reasons)
+    power = detection_power(covariance, requested.least)
+    listed = list(reasons)
     status: Status = "moved" if p_value < FALSE_ALARM else "same"
-    told: Tolerance | None = None
-    least, widest = asked.least, asked.widest
+    reported: Tolerance | None = None
+    least, widest = requested.least, requested.widest
     if used == "scene":
         # Beyond, the search about the stored pose would confirm itself.
         least, widest = (each.or_narrower(WIDEST_TOLERANCE) for each in (least, widest))
     limit = upper_limit(step, covariance)
     if status == "same":
-        told = asked.least.or_wider(limit)
+        reported = requested.least.or_wider(limit)
         if not limit.is_within(widest):
             status = "cannot_tell"
-            said.append(Weakness(*parts, limit, asked.least).too_weak(widest))
-        elif told != asked.least:
-            said.append(Weakness(*parts, told, asked.least).wider_tolerance())
+            listed.append(Weakness(*parts, limit, requested.least).too_weak(widest))
+        elif reported != requested.least:
+            listed.append(Weakness(*parts, reported, requested.least).wider_tolerance())
     elif upper_limit(step, covariance, BOUND_SIGMAS).is_within(least):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
-        status, told = "same", asked.least
+        status, reported = "same", requested.least
         message = "it moved, but certainly by less than the tolerance"
-        said.append(Reason("within_tolerance", message, {}))
+        listed.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
         words = directions_in_words(covariance)
         message = f"that it moved is certain, but not by how much: {words}"
-        said.append(Reason("size_unsure", message, {}))
+        listed.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(
-        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, told
+        status, tuple(listed), used, T, step, covariance, random, chi2, p_value, power, reported
     )

@@ -1,4 +1,4 @@
-"""Other ways to the same transform, to compare with our own.
+"""Other ways to the same transform, to compare with ours.
 
 Each is a function ``(target, source, rng) -> PoseEstimate`` that raises `Refusal` where it has no
 answer. None of them uses the poles. To add one, write it here, and name it in `FUNCTIONS` and in
@@ -75,7 +75,7 @@ def register_clouds(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     starts
         (4, 4) each, target from source; at least one. The answer is from the one that ends with
         the most points that correspond, of those that converge.
@@ -165,7 +165,7 @@ def icp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> Pos
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame. Intensities are not used.
+        Clouds, each in the frame of its LiDAR. Intensities are not used.
     rng
         Not used: nothing is drawn.
 
@@ -186,7 +186,7 @@ def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> Po
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame. Intensities are not used.
+        Clouds, each in the frame of its LiDAR. Intensities are not used.
     rng
         Not used: nothing is drawn.
 
@@ -207,7 +207,7 @@ ENOUGH_INLIERS = 15
 """With this many final inliers no further voxel is tried (see docs/evidence/compare.md)."""
 
 MIN_INLIERS = 5
-"""With fewer final inliers, its authors' own examples call the answer a failure."""
+"""With fewer final inliers, its authors' examples call the answer a failure."""
 
 
 class Matched(NamedTuple):
@@ -225,12 +225,12 @@ def kiss_matcher(
 ) -> PoseEstimate:
     """Match the clouds by KISS-Matcher with the best of several voxels, and refine by GICP.
 
-    Its other settings are its own defaults.
+    Its other settings are its defaults.
 
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame. Intensities are not used.
+        Clouds, each in the frame of its LiDAR. Intensities are not used.
     rng
         Not used: KISS-Matcher draws by itself.
     voxels
@@ -279,7 +279,7 @@ def best_match(
     matching
         The module ``kiss_matcher``.
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     voxels
         To try, metres.
 
@@ -343,9 +343,9 @@ def fpfh_ransac(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame. Intensities are not used.
+        Clouds, each in the frame of its LiDAR. Intensities are not used.
     rng
-        Seeds Open3D's own generator; with more than one thread its draws still vary.
+        Seeds the generator of Open3D; with more than one thread its draws still vary.
     voxels
         To try, metres.
 

@@ -1,4 +1,4 @@
-"""The movement that matters: what a check must tell, and its command line offers as a default."""
+"""The movement that matters: what a check must detect, and its command line offers as a default."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ DEFAULT_TOLERANCE = Tolerance(radians(0.3), 0.03)
 
 WIDEST_TOLERANCE = Tolerance(radians(1.0), 0.1)
 """The widest that is confirmed where none was requested, and by the scene alone whatever was
-requested: 1 σ of where `by_scene` searches it about the stored pose. What no surface holds stays as
-uncertain as that, and is not within it with `CONFIDENCE`."""
+requested: 1 σ of where `by_scene` searches it about the stored pose. What no surface constrains
+stays as uncertain as that, and is not within it with `CONFIDENCE`."""
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestedTolerance:
     """The tolerance that a user requested, rad and m; None for a part that is left to the data.
 
     What was requested is kept. A part that was not is the default, or else the least beyond it
@@ -79,5 +79,5 @@ class Asked:
         )
 
 
-NOT_ASKED = Asked()
+NO_REQUEST = RequestedTolerance()
 """All is left to the data."""

@@ -32,7 +32,7 @@ COMMANDS = tuple(sorted(name for names in GROUPS.values() for name in names))
 class LazyCommands(UserDict[str, Any]):
     """Modules by the names of their commands, which are imported when they are needed.
 
-    So a command pays its own imports alone.
+    So a command pays only for its imports.
     """
 
     def __getitem__(self, key: str) -> Any:

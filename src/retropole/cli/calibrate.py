@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from ..result import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE, RunConfig
-from .common import BY_SITE_FILE, command_line, listening, result_told, say
-from .level import LEVEL, level_beside
+from .common import BY_SITE_FILE, command_line, listening, report_result, say
+from .level import LEVEL, write_level
 from .options import (
     CLOUD,
     READING,
@@ -94,22 +94,22 @@ def calibrate(
     targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
     # Of a walk every sweep is searched, whatever the page shows.
-    asked = config.frames or (config.carried or None)
-    with listening(quiet, asked, units=False) as listener:
+    requested = config.frames or (config.carried or None)
+    with listening(quiet, requested, units=False) as listener:
         result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, "TARGET", "SOURCE"),
     }
-    code = result_told(
+    code = report_result(
         result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
     )
     if wanted is not None and not quiet:
         for line in cost_of(wanted, result):
             say(f"plan: {line}")
     if with_level and result.status != "refused":
-        level_beside(out, quiet or as_json)
+        write_level(out, quiet or as_json)
     return code
 
 
@@ -161,8 +161,8 @@ def site_calibrate(
     """
     from ..api.calibration import calibrate_site
 
-    asked = "as the site file says"
-    with listening(quiet, asked, BY_SITE_FILE) as listener:
+    requested = "as the site file says"
+    with listening(quiet, requested, BY_SITE_FILE) as listener:
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")
         written = result.save(out)
@@ -173,9 +173,9 @@ def site_calibrate(
         **({} if result.document.config.carried else field_test),
         "later, with new recordings": command_line("site", "check", out, "SITE"),
     }
-    code = result_told(
+    code = report_result(
         result, written, following, as_json=as_json, verbose=verbose, quiet=quiet, strict=strict
     )
     if with_level and result.status != "refused":
-        level_beside(written[0], quiet or as_json)
+        write_level(written[0], quiet or as_json)
     return code

@@ -48,7 +48,7 @@ def certify(
     TARGET and SOURCE are recordings of the same poles, as for 'calibrate'. Each LiDAR measures the
     distances between the poles for itself. If they differ by more than the stated errors of both
     LiDARs allow, the pair fails. Four poles, or several placements, are needed. Name the sensors:
-    their stated errors set the limits. A site file (.toml), or the folder that holds site.toml,
+    their stated errors set the limits. A site file (.toml), or the folder of site.toml,
     alone as TARGET tests every pair of its LiDARs.
 
     \b
@@ -102,7 +102,7 @@ def _is_site(path: Path) -> bool:
 
 
 def _refuse_options() -> None:
-    """Refuse what a site file says itself: an option that is ignored is a silent error."""
+    """Refuse options that a site file states: an option that is ignored is a silent error."""
     context = click.get_current_context()
     given = [
         param.opts[0]

@@ -33,7 +33,7 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 
 SITE_CHECK_SCHEMA = "retropole/site-check/1"
 
-SAID_OF_ANSWERS = ("recordings_of_result", "carrier_moved")
+REPORTED_REASONS = ("recordings_of_result", "carrier_moved")
 """Reasons that are reported of a pair that is the same or moved, too: what the answer is worth."""
 
 
@@ -103,7 +103,7 @@ def check(
 ) -> int:
     """Determine whether the LiDARs have moved since RESULT was made.
 
-    RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
+    RESULT is result.json, its folder, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
     recordings of the same two LiDARs. With poles, the poles are used; without, the scene. Radius,
     sensors, thresholds, units, fields of the intensity and angles are those of RESULT.
@@ -143,10 +143,10 @@ def check(
             answer = CheckResult("cannot_tell", (refusal.reason.prefixed("stored"),))
         else:
             answer = check_recordings(stored, target, source, listener=listener, **asked)
-    return _told(answer, answer_fields, in_words, as_json=as_json, quiet=quiet)
+    return _report(answer, answer_fields, in_words, as_json=as_json, quiet=quiet)
 
 
-def _told(
+def _report(
     answer: Answer,
     fields: Callable[[Answer], dict[str, Any]],
     words: Callable[[Answer], str],
@@ -169,7 +169,7 @@ def _verdict(answer: CheckResult) -> str:
     return verdict
 
 
-def _said(reasons: Sequence[Reason]) -> Iterator[str]:
+def _reason_lines(reasons: Sequence[Reason]) -> Iterator[str]:
     """Write reasons, whose words may come from files."""
     from ..base.errors import printable
     from ..report.text import reason_lines
@@ -227,7 +227,7 @@ def in_words(answer: CheckResult) -> str:
         words = answer.confirmation.words
         lines.append(f"  scene check under the stored pose: {words}")
     lines = [part for line in lines for part in wrapped(line, "    ")]
-    return "\n".join([*lines, *_said(answer.reasons)])
+    return "\n".join([*lines, *_reason_lines(answer.reasons)])
 
 
 def _direction(
@@ -260,8 +260,8 @@ def site_check(
 ) -> int:
     """Say which LiDARs of a site have moved since RESULT was made.
 
-    RESULT is site-result.json, or the folder that holds it. SITE.toml is the site file of new
-    recordings, or the folder that holds it; 'retropole site init' writes one. One placement is
+    RESULT is site-result.json, or its folder. SITE.toml is the site file of new
+    recordings, or its folder; 'retropole site init' writes one. One placement is
     enough, with or without poles, and its LiDARs have the names that they have in RESULT. Each pair
     that shared poles is checked as by 'retropole check'; the site is the same where such pairs join
     all LiDARs.
@@ -284,7 +284,7 @@ def site_check(
         answer = check_site(
             result, site, rotation=rotation, translation=translation, listener=listener
         )
-    return _told(answer, site_fields, site_in_words, as_json=as_json, quiet=quiet)
+    return _report(answer, site_fields, site_in_words, as_json=as_json, quiet=quiet)
 
 
 def site_fields(answer: SiteCheck) -> dict[str, Any]:
@@ -308,21 +308,21 @@ def site_in_words(answer: SiteCheck) -> str:
     from ..report.text import table, wrapped
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
-    said = []
+    text = []
     if answer.moved:
-        said.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
+        text.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
     elif answer.status == "moved":
-        said.append("these pairs do not show which LiDAR of a moved pair it was")
+        text.append("these pairs do not show which LiDAR of a moved pair it was")
     if answer.untold:
-        said.append(f"undecided whether moved: {', '.join(answer.untold)}")
-    lines += [part for words in said for part in wrapped(f"  {printable(words)}", "    ")]
+        text.append(f"undecided whether moved: {', '.join(answer.untold)}")
+    lines += [part for words in text for part in wrapped(f"  {printable(words)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")
         lines.append(table(header, [_pair_row(each) for each in answer.pairs]))
-    lines += _said([*answer.reasons, *_worth_saying(answer)])
+    lines += _reason_lines([*answer.reasons, *_worth_saying(answer)])
     for target, source, each in answer.pairs:
         if each.status == "cannot_tell":
-            lines += [f"  {printable(f'{target}, {source}')}:", *_said(each.reasons)]
+            lines += [f"  {printable(f'{target}, {source}')}:", *_reason_lines(each.reasons)]
     return "\n".join(lines)
 
 
@@ -332,7 +332,7 @@ def _worth_saying(answer: SiteCheck) -> Iterator[Reason]:
     found: dict[str, tuple[Reason, list[str]]] = {}
     for target, source, each in answer.pairs:
         for reason in each.reasons:
-            if each.status != "cannot_tell" and reason.code in SAID_OF_ANSWERS:
+            if each.status != "cannot_tell" and reason.code in REPORTED_REASONS:
                 found.setdefault(reason.message, (reason, []))[1].append(f"{target}, {source}")
     for reason, pairs in found.values():
         yield replace(reason, message=f"{'; '.join(pairs)}: {reason.message}")

@@ -32,7 +32,7 @@ EXIT_INTERRUPTED, EXIT_PIPE = 130, 128 + 13
 
 ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
-"""What stands for our own signs where a terminal has them not."""
+"""Replacements of our signs where a terminal does not have them."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
 
@@ -144,7 +144,7 @@ def listening(
     Parameters
     ----------
     quiet
-        Says nothing.
+        No output.
     frames
         Which were requested; None for none.
     advice
@@ -179,8 +179,8 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
     yield from cloud.notes
     if read is not None and read.left_out:
         yield (
-            f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
-            f"{read.numbers.step // read.asked.step}, since all have too many points; "
+            f"read {len(read.numbers)} of {len(read.requested)} frames, one in "
+            f"{read.numbers.step // read.requested.step}, since all have too many points; "
             f"{advice.to_keep} reads more"
         )
     elif read is not None and not asked and not read.is_whole:
@@ -212,7 +212,7 @@ def echo_warning(code: str, message: str) -> None:
     say(f"retropole: warning ({code}): {message}")
 
 
-def result_told(
+def report_result(
     result: CalibrationResult | SiteResult,
     written: Sequence[Path],
     following: Mapping[str, str],
@@ -250,7 +250,7 @@ def result_told(
         if refused and unseen:
             echo_refusal(reason.code, reason.message)
         elif refused and not sys.stdout.isatty():
-            # Why is on stdout, wherever that leads: a pipe may end on the same terminal.
+            # Why is on stdout, wherever that goes: a pipe may end on the same terminal.
             say(f"retropole: refused ({reason.code})")
         elif unseen and not refused:
             echo_warning(reason.code, reason.message)

@@ -37,7 +37,7 @@ TO_LOOK_AT = {
         "docs/fleet.md",
     ),
     "retropole": (
-        "check the path and the file; 'retropole info FILE' says what a recording holds",
+        "check the path and the file; 'retropole info FILE' describes a recording",
         "docs/troubleshooting.md",
     ),
 }

@@ -279,11 +279,11 @@ def in_words(found: Sequence[Compared], target: Path, source: Path) -> str:
         maps = f"T_target_source maps points of {source} into the frame of {target}"
         parts += ["", *wrapped(printable(maps), "  ")]
         parts.append(table(("method", "x m", "y m", "z m", "roll °", "pitch °", "yaw °"), poses))
-    said: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for each in found:
         if each.status in ("warn", "refused"):
             words = f"{each.status} ({', '.join(each.codes)}): {each.message}"
-            said.setdefault(words, []).append(each.method)
-    for words, names in said.items():
+            by_reason.setdefault(words, []).append(each.method)
+    for words, names in by_reason.items():
         parts += ["", *wrapped(f"{' and '.join(names)}: {words}", "  ")]
     return "\n".join(parts)

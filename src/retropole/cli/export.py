@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..api.inputs import Input
 
 MCAP = "mcap"
-"""The one that holds the clouds too; it is written to a file, and no transform is read from it."""
+"""The one with the clouds too; it is written to a file, and no transform is read from it."""
 
 TITLES = {name: each.title for name, each in FORMATS.items()}
 TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"
@@ -71,7 +71,7 @@ def export(
 ) -> int:
     """Write the transform of RESULT, or all of a site, in the format of another program.
 
-    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
+    RESULT is result.json, its folder, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
     the parent, and is the pose of the child in the parent. Every output states this. --parent
     and --child name the frames of the LiDARs, never a robot's base: for the pose in base_link give
@@ -110,7 +110,7 @@ def export(
     Exit code:
       0    written
       2    a file or an option is wrong
-      3    RESULT was refused: it holds no transform
+      3    RESULT was refused: it has no transform
     """
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
@@ -166,7 +166,7 @@ def export(
         from ..api.inputs import Listener
         from ..api.stored import recording_of
 
-        listener = Listener(on_read=_tell_origin)
+        listener = Listener(on_read=_report_origin)
         _write(recording_of(transform, result, clouds, _note, listener), out)
     else:
         _write(FORMATS[fmt or "urdf"].write(transform), out)
@@ -195,7 +195,7 @@ def _note(words: str) -> None:
     say(f"retropole: {words}")
 
 
-def _tell_origin(given: Input) -> None:
+def _report_origin(given: Input) -> None:
     """Say on stderr where the beams of a cloud start if that is not its origin."""
     if given.cloud.origin.any():
         _note(

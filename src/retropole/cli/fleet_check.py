@@ -151,7 +151,7 @@ def fleet_check(
         show(in_words(found, len(sites_found)))
     if any(site.changes for site in found.sites):
         return EXIT_MOVED
-    return 0 if any(site.is_told for site in found.sites) else EXIT_REFUSED
+    return 0 if any(site.is_decided for site in found.sites) else EXIT_REFUSED
 
 
 def json_line(found: FleetCheck, sites: int) -> str:
@@ -180,7 +180,7 @@ def json_line(found: FleetCheck, sites: int) -> str:
                     "message": site.newest.message,
                 }
                 for site in found.sites
-                if not site.is_told
+                if not site.is_decided
             ],
             "damaged": found.damaged,
         }
@@ -204,27 +204,27 @@ def in_words(found: FleetCheck, sites: int) -> str:
     """Write what was found at the sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
-        said = [site.words(event) for event in site.changes]
+        text = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
-            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
-        if not site.is_told:
-            said.append(_untold(site.newest))
-        if said:
-            lines.append(printable(f"{site.id}: {'; '.join(said)}"))
+            text.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
+        if not site.is_decided:
+            text.append(_undecided(site.newest))
+        if text:
+            lines.append(printable(f"{site.id}: {'; '.join(text)}"))
     lines += [printable(f"left out of the history: {fault}") for fault in found.damaged]
     changed = sum(bool(site.changes) for site in found.sites)
-    untold = sum(not site.is_told for site in found.sites)
+    undecided = sum(not site.is_decided for site in found.sites)
     pairs = "" if len(found.sites) == sites else f"{counted(len(found.sites), 'pair')} of "
     lines.append(
         f"{pairs}{counted(sites, 'site')}, {counted(found.appended, 'new check')}; changed "
-        f"since their calibration: {changed}, undecided: {untold}"
+        f"since their calibration: {changed}, undecided: {undecided}"
     )
     return "\n".join(lines)
 
 
-def _untold(newest: CheckRow) -> str:
-    """Say why a check gave no answer; of what cannot be determined the codes say it shortly."""
+def _undecided(newest: CheckRow) -> str:
+    """Give the reason why a check gave no answer; by codes where it cannot be determined."""
     codes = ", ".join(newest.codes)
     if newest.status == "error":
         return f"error ({codes}: {newest.message})"

@@ -19,7 +19,7 @@ from .options import CLOUD, FILE, Brief, run_option, run_options
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON, and only that.")
 def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
-    """Say what FILE holds: topics, frames, fields, intensities, and which sensor it may be of.
+    """Describe FILE: topics, frames, fields, intensities, and which sensor it may be of.
 
     FILE is whatever calibrate reads: a point cloud, a folder of them, a bag, or packets.
 

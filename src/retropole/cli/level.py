@@ -55,7 +55,7 @@ def level(
 ) -> int:
     """Find roll, pitch and height over the ground of the LiDARs of RESULT.
 
-    RESULT is a result.json, a site-result.json, or the folder that holds it. Its recordings are
+    RESULT is a result.json, a site-result.json, or its folder. Its recordings are
     looked for as 'report' does; give them where they are at another place now. The plane is the
     one that fits the ground best within a disc below the LiDARs.
 
@@ -103,7 +103,7 @@ LEVEL = more_option(
 )
 
 
-def level_beside(result: Path, quiet: bool) -> None:
+def write_level(result: Path, quiet: bool) -> None:
     """Level the LiDARs of a result that was just written, and write that next to it.
 
     If that is refused, the calibration stays what it is: the reason is printed.

@@ -171,7 +171,7 @@ def merge(
 ) -> int:
     """Merge the clouds of all LiDARs of RESULT into one.
 
-    RESULT is result.json, site-result.json or the folder that holds it. Its recordings are looked
+    RESULT is result.json, site-result.json or its folder. Its recordings are looked
     for; or give others of the same LiDARs: TARGET and SOURCE of a pair, --recording of a site.
     They are read as the calibration read them, but all frames. Of each point LiDAR, ring, time and
     intensity are kept. Sweeps are not corrected for motion.
@@ -188,7 +188,7 @@ def merge(
     Exit code:
       0    written; with --live, all recordings that were played have ended
       2    a file or an option is wrong
-      3    RESULT was refused: it holds no pose
+      3    RESULT was refused: it has no pose
       130  interrupted; nothing is written, but with --live all until then
     """
     if sources:

@@ -174,7 +174,7 @@ METAVARS = {
     "intensity": "NAME",
     "angles": "FILE",
 }
-"""What stands for the values of options in the help, where their type says too little."""
+"""Names of the values of options in the help, where their type is too vague."""
 
 NAMES = {
     "need_m": "--need-cm",
@@ -281,9 +281,9 @@ def run_option(
     settings |= {"help": words, "default": default} | changes
     if not isinstance(field, Pair):
         return click.option(name or NAMES.get(field) or typed(field), field, **settings)
-    said, mark, default = settings["help"].partition("  [default")
+    described, mark, default = settings["help"].partition("  [default")
     once = "Once: TARGET's. " if field.name == "angles" else ""
-    words = f"{said} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
+    words = f"{described} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
     settings |= {"cls": Both, "pair": field, "default": None, "help": words}
     return click.option(f"--{field.name}", field.name, **settings)
 

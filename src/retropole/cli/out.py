@@ -60,7 +60,7 @@ WRITES: dict[Any, tuple[tuple[str, ...], Path | None, str]] = {}
 
 
 @contextmanager
-def alone_beside(file: Path) -> Iterator[None]:
+def locked_folder(file: Path) -> Iterator[None]:
     """Keep other runs from the folder of a result that a command writes to, where there is one."""
     with run_alone(file.parent, _command_path()) if file.exists() else nullcontext():
         yield
@@ -77,19 +77,19 @@ def _without_older(folder: Path, names: Sequence[str]) -> Iterator[None]:
     files = [folder / name for name in names]
     are_there = any(map(Path.is_file, files))
 
-    def tell_at_once() -> None:
+    def report_at_once() -> None:
         words = _moved_in_words([path.with_name(f"older-{path.name}") for path in files])
         os.write(2, f"{words}\n".encode(errors="backslashreplace"))
 
     if are_there:
-        leaving.append(tell_at_once)
+        leaving.append(report_at_once)
     left: list[Path] = []
     try:
         with without_older(files) as left:
             yield
     finally:
         if are_there:
-            leaving.remove(tell_at_once)
+            leaving.remove(report_at_once)
         if left:
             say(_moved_in_words(left))
 

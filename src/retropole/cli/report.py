@@ -10,7 +10,7 @@ import click
 
 from .common import progress_on_terminal, say, show_written
 from .options import CLOUD, FILE, Brief
-from .out import alone_beside
+from .out import locked_folder
 
 
 @click.command(cls=Brief)
@@ -42,7 +42,7 @@ def report(
     serials: tuple[tuple[str, str], ...],
     quiet: bool,
 ) -> int:
-    """Make the report of RESULT, result.json, site-result.json or the folder that holds it, again.
+    """Make the report of RESULT, result.json, site-result.json or its folder, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
     and from the folder of RESULT; give TARGET and SOURCE where they are at another place now (and
@@ -72,8 +72,8 @@ def report(
     from ..result import result_file
 
     file = result_file(result)
-    beside = nullcontext() if out else alone_beside(file)
-    with beside, progress_on_terminal(quiet) as progress:
+    lock = nullcontext() if out else locked_folder(file)
+    with lock, progress_on_terminal(quiet) as progress:
         older = {"target": serial_target, "source": serial_source}
         named = {lidar: number for lidar, number in older.items() if number} | dict(serials)
         page, name, notes = page_of(file, clouds, progress, site or "", named)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def view(files: tuple[Path, ...], out: Path | None, quiet: bool, **options: Any) -> int:
     """Look at FILES in a browser: the clouds, what is bright, and which poles are found.
 
-    FILES are recordings, or one result: result.json, site-result.json or the folder that holds it.
+    FILES are recordings, or one result: result.json, site-result.json or its folder.
     Of recordings the page has a slider for the threshold, the poles as detect finds them, and why
     every other bright cluster is none. Of a result it is the report. The page needs no network.
 

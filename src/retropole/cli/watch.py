@@ -210,20 +210,20 @@ def watch(
         if not sources:
             return stopped.code or EXIT_INTERRUPTED
         made = (WalkWatch if options["carried"] else Watch)(sources, wish, out)
-        stack.callback(lambda: _told(made.finish(), quiet))
+        stack.callback(lambda: _report(made.finish(), quiet))
         if not no_page:
             server = _served(lambda: latest[0], port, listen=listen)
             stack.callback(server.stop)
         view = stack.enter_context(_view(quiet))
         shown = None
-        said: WatchDoc | None = None
+        state: WatchDoc | None = None
         with stopped.breaking():
             while not (made.is_over or stopped.is_set()):
                 begun = time.monotonic()
                 # Topics, frames and faults are what others wrote.
-                said = legible(made.step())
-                latest[0] = encode(said)
-                view(said)
+                state = legible(made.step())
+                latest[0] = encode(state)
+                view(state)
                 if to_publish and stored is None and made.result is None:
                     made.frames()
                 if made.result is not shown:
@@ -241,7 +241,7 @@ def watch(
         if made.published is not None and not stopped.is_set():
             say("retropole: published on /tf_static; Ctrl-C ends")
             stopped.wait()
-    return _exit_code(made, said, stopped)
+    return _exit_code(made, state, stopped)
 
 
 def _exit_code(made: Watch, said: WatchDoc | None, stopped: Stopped) -> int:
@@ -299,7 +299,7 @@ def _served(state: Callable[[], bytes], port: int, *, listen: bool) -> WatchServ
     return server
 
 
-def _told(written: list[Path], quiet: bool) -> None:
+def _report(written: list[Path], quiet: bool) -> None:
     if written and not quiet:
         show_written(*written)
 

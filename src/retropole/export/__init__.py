@@ -1,6 +1,6 @@
 """The transform in the forms that other programs take, and the way back.
 
-`FORMATS` holds a writer and a reader for each; `read_transform` reads any of them, a result
+`FORMATS` has a writer and a reader for each; `read_transform` reads any of them, a result
 document, or the truth that ``retropole simulate`` writes. `TREE_FORMATS` hold the frames of a whole
 site, which `read_tree` gives.
 """
@@ -162,9 +162,9 @@ def read_transform(
     Parameters
     ----------
     path
-        A file, or a folder that holds ``result.json`` or ``site-result.json``.
+        A file, or a folder with ``result.json`` or ``site-result.json``.
     fmt
-        Name of the format; None or ``auto`` to tell it by the suffix and the content.
+        Name of the format; None or ``auto`` to recognize it by the suffix and the content.
     parent, child
         Which transform to take where the file names its frames, also over several transforms of
         it; what the frames are called where it does not (then ``target`` and ``source`` unless
@@ -178,7 +178,7 @@ def read_transform(
     Raises
     ------
     ReadError
-        If the file is not of that format, holds none or several transforms that fit, or one
+        If the file is not of that format, has none or several transforms that fit, or one
         that is not rigid; the reason says so in numbers.
     UsageError
         If a frame of two LiDARs is given the name of a robot's (`transform.NO_LIDARS`).
@@ -194,7 +194,7 @@ def read_transform(
 
 
 def _found_in(file: Path, data: bytes, fmt: str | None = None) -> list[Found]:
-    """Transforms of a file that holds `data`, by the name of its format or by what it is."""
+    """Transforms of a file with `data`, by the name of its format or by its content."""
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
@@ -256,7 +256,7 @@ def read_verdict(path: Path) -> list[ReasonDoc]:
 
 
 def read_tree(path: Path) -> Tree | None:
-    """Read the frames of a site from its result document, or the folder that holds it.
+    """Read the frames of a site from its result document, or its folder.
 
     Returns
     -------
@@ -278,13 +278,13 @@ def read_tree(path: Path) -> Tree | None:
         document = result_in(data)
         if not isinstance(document, SiteDoc):
             return None
-    level, beside = None, file.with_name(LEVEL_FILE)
-    if document.status != "refused" and beside.exists():
+    level, level_file = None, file.with_name(LEVEL_FILE)
+    if document.status != "refused" and level_file.exists():
         # It loads the steps that made it, which nothing else here needs.
         from ..result.level import level_of
 
-        with naming(beside):
-            level = level_of(read_document(beside), document.lidars)
+        with naming(level_file):
+            level = level_of(read_document(level_file), document.lidars)
     with naming(file):
         return tree_of(document, level)
 
@@ -318,15 +318,15 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
     if before is None:
         return robot, f"{words} new"
     try:
-        apart = se3.difference(before.pose(), after.pose())
+        difference = se3.difference(before.pose(), after.pose())
     except ReadError as fault:
         return robot, f"{words} replaced: before, {fault}"
-    change = f"{error(apart.translation)} and {error(apart.rotation, 'rad')}"
+    change = f"{error(difference.translation)} and {error(difference.rotation, 'rad')}"
     return robot, f"{words} changed by {change}"
 
 
 def detect_format(path: Path, data: bytes) -> str:
-    """Tell a format by its suffix, else by what the file holds."""
+    """Recognize a format by its suffix, else by the content of the file."""
     if _LIVOX.search(data):
         return "livox"
     if path.suffix.lower() in _SUFFIXES:

@@ -54,7 +54,7 @@ Lines = Callable[[int], list[str]]
 
 @dataclass(frozen=True, eq=False)
 class About:
-    """What a file says of its points.
+    """Description of the points in a file.
 
     Attributes
     ----------

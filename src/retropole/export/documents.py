@@ -94,7 +94,7 @@ def read_json(data: bytes) -> list[Found]:
     Raises
     ------
     Refusal
-        If the document is a refused result: it holds no transform.
+        If the document is a refused result: it has no transform.
     """
     try:
         document = msgspec.json.decode(data)
@@ -134,7 +134,8 @@ class _Named(msgspec.Struct):
 
 
 def is_result(data: bytes, schema: str = RESULT_SCHEMA) -> bool:
-    """Tell a result document of any version by its schema; whether it is sound, `decode` says."""
+    """Recognize a result document of any version by its schema; `decode` checks whether it is
+    sound."""
     try:
         named = msgspec.json.decode(data, type=_Named)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
@@ -196,9 +197,9 @@ def _pose(document: dict[str, Any], key: str) -> Array:
         if "quaternion" in document and "translation_m" in document:
             t = np.array([document["translation_m"][name] for name in "xyz"], dtype=float)
             q = np.array([document["quaternion"][name] for name in "xyzw"], dtype=float)
-            apart = float(np.abs(from_quaternion(t, q) - T).max())
-            if apart > 1e-6:
-                raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
+            difference = float(np.abs(from_quaternion(t, q) - T).max())
+            if difference > 1e-6:
+                raise ReadError(f"{key} and quaternion or translation_m differ by {difference:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise ReadError(f"{key} and what is next to it are no transform: {said(error)}") from None
     return T
@@ -231,7 +232,7 @@ def _square(values: Any) -> Array:
 def write_yaml(*transforms: Transform, notes: Sequence[str] = ()) -> str:
     """Write Autoware's ``sensors_calibration.yaml``: ``parent: child: x y z roll pitch yaw``.
 
-    Transforms of one parent stand together; above all, as comments, notes and what each maps.
+    Transforms of one parent are adjacent; above all, as comments, notes and what each maps.
     """
     text = comments((*notes, *notes_on(transforms), RPY_MEANING))
     for parent in dict.fromkeys(each.parent for each in transforms):

@@ -56,7 +56,7 @@ class Track(NamedTuple):
 
 
 def frames_of(read: ReadRecording) -> list[Frame]:
-    """Take a cloud apart into the frames that it was read from, those with points."""
+    """Split a cloud into the frames that it was read from, those with points."""
     number = read.cloud.frame
     if number is None:
         return [Frame(0, read.cloud, read.headers[0].stamp)]
@@ -285,7 +285,7 @@ def _smallest_floats(values: Array) -> NDArray[Any]:
 
 @dataclass(eq=False)
 class Published:
-    """What is published, for as long as this is kept: those who come late are told all the same."""
+    """What is published, for as long as this is kept: late subscribers receive it all the same."""
 
     writer: Any
 

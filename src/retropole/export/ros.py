@@ -43,7 +43,7 @@ _NODE = """
 
 
 def write_ros1(transform: Transform) -> str:
-    """Write a ``rosrun`` line; names that a shell would take apart are quoted."""
+    """Write a ``rosrun`` line; names that a shell would split are quoted."""
     if any(":=" in name for name in (transform.parent, transform.child)):
         raise UsageError("ROS 1 takes a name with := for a remapping; name the frame without")
     values = list(pose_values(transform, QUATERNION).values())
@@ -64,7 +64,7 @@ def _flags(transform: Transform) -> list[str]:
 
 
 def write_ros2(transform: Transform) -> str:
-    """Write a ``ros2 run`` line; names that a shell would take apart are quoted."""
+    """Write a ``ros2 run`` line; names that a shell would split are quoted."""
     line = shlex.join(_flags(transform))
     return f"{comments(transform.notes)}ros2 run tf2_ros {PROGRAM} {line}\n"
 
@@ -72,7 +72,7 @@ def write_ros2(transform: Transform) -> str:
 def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
     """Write a Python launch file for ROS 2 that publishes transforms.
 
-    Notes and what each transform maps stand as comments below the imports: in one of the first two
+    Notes and what each transform maps are comments below the imports: in one of the first two
     lines, Python takes ``coding:`` in a name for the encoding of the file.
     """
     nodes = ""
@@ -83,8 +83,8 @@ def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
             program=PROGRAM,
             arguments="".join(f"\n{' ' * 20}{flag!r}, {value!r}," for flag, value in pairs),
         )
-    said = comments((*notes, *notes_on(transforms)))
-    return _LAUNCH.format(comments=said, nodes=nodes)
+    notes_text = comments((*notes, *notes_on(transforms)))
+    return _LAUNCH.format(comments=notes_text, nodes=nodes)
 
 
 def read_ros1(data: bytes) -> list[Found]:

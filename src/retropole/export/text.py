@@ -49,7 +49,7 @@ def write_matrix(transform: Transform) -> str:
 def write_cloudcompare(transform: Transform) -> str:
     """Write the matrix for CloudCompare's Edit > Apply Transformation, on the child's cloud.
 
-    The note stands after the numbers, in square brackets: pasted, CloudCompare drops what is in
+    The note is after the numbers, in square brackets: pasted, CloudCompare drops what is in
     such brackets; from a file it reads sixteen numbers and stops.
     """
     return f"{_rows(transform.T_parent_child)}[ {'; '.join(transform.notes)} ]\n"
@@ -65,7 +65,7 @@ _WRAPPING = re.compile(r"\b(?:(?:np|numpy)\.)?(?:array|matrix)\s*\(|,?\s*dtype\s
 def read_matrix(data: bytes) -> list[Found]:
     """Read sixteen numbers, row by row, also in brackets with commas, as NumPy prints them.
 
-    Comments start with # or //, or stand in [ ] with more than numbers.
+    Comments start with # or //, or are in [ ] with more than numbers.
     """
     text = data.decode()
     parent, child = names_in_words(text)
@@ -155,13 +155,13 @@ def _echoed(text: str) -> Array:
     if len(angles) != 3:
         return T
     sharper = _from_degrees(t, np.array([to_float(word) for word in angles]))
-    apart = se3.difference(T, sharper).rotation
-    if apart <= 4 * rounding:
+    difference = se3.difference(T, sharper).rotation
+    if difference <= 4 * rounding:
         return sharper
     # With the nose straight up or down tf2 loses an angle, not the quaternion.
     if abs(abs(to_float(angles[1])) - 90) < 0.1:
         return T
-    raise ReadError(f"quaternion and roll-pitch-yaw of tf2_echo differ by {apart:.3g} rad")
+    raise ReadError(f"quaternion and roll-pitch-yaw of tf2_echo differ by {difference:.3g} rad")
 
 
 def pose_of(values: dict[str, str], *, unit_is_known: bool = True) -> Array:

@@ -252,7 +252,7 @@ class Found(NamedTuple):
         Names of its frames in the file; None if the file names none.
     pose
         Gives ``T_parent_child`` (4, 4). Called for the chosen one alone, so that nothing that is
-        wrong elsewhere in a file is in the way.
+        wrong in the rest of a file is in the way.
     covariance
         (6, 6) over ``[φ, δ]``, axes of the parent, or None.
     roles, verdict
@@ -293,7 +293,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
     Returns
     -------
     Way or None
-        None if no way leads from one to the other.
+        None if no path connects them.
     """
     above: dict[str, list[Found]] = {}
     for each in found:
@@ -301,7 +301,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
             above.setdefault(each.child, []).append(each)
 
     def up(frame: str) -> dict[str, list[Found]]:
-        """Each frame from one upwards, with the transform that leads on from it, if any."""
+        """Each frame from one upwards, with the transform to the next, if any."""
         frames: dict[str, list[Found]] = {}
         while frame not in frames:
             over = above.get(frame, [])

@@ -2,7 +2,7 @@
 
 ``site`` is the frame of the calibration, in metres on the ground, and small: what lies in it, a
 viewer may hold in float32. ``map`` is written where the coordinates of the user's frame are others:
-large ones, or those of a projected system. Then the large numbers stand in one transform alone.
+large ones, or those of a projected system. Then the large numbers are in one transform alone.
 Where the LiDARs were leveled, ``site`` has ``ground`` too, and that the vehicle's
 ``base_footprint`` where this was measured.
 """
@@ -84,7 +84,7 @@ def tree_of(document: SiteDoc, level: LevelDoc | None = None) -> Tree:
     Raises
     ------
     Refusal
-        If the site was refused: it holds no poses.
+        If the site was refused: it has no poses.
     UsageError
         If a LiDAR is named as another frame is, or no frame can be named so.
     MissingExtraError
@@ -142,7 +142,7 @@ def found_in_site(document: SiteDoc) -> list[Found]:
     if tree.has_map:
         frames[MAP] = se3.inverse(tree.edges[0].T_parent_child)
     size = len(tree.joint)
-    # The frames that are exact stand last, with no variance.
+    # The frames that are exact are last, with no variance.
     joint = np.zeros((size + 6, size + 6))
     joint[:size, :size] = tree.joint
 

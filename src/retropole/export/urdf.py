@@ -128,7 +128,7 @@ def _three(text: str, name: str) -> Array:
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     """Put a transform into a robot, and leave all else that the file says as it is.
 
-    The joint that leads to the child is written. Where it starts at another link than the parent,
+    The joint to the child is written. Where it starts at another link than the parent,
     its origin is the way there from that link, over fixed joints, times the transform: the robot
     then has both LiDARs as the transform says. Where the child has no joint yet, one is added at
     the end of the robot, and the child's link with it if that is missing. Needs the extra ``urdf``.
@@ -183,7 +183,7 @@ def _from_link(link: str, robot: Element, transform: Transform) -> Transform:
 
 
 def _check_joint(mine: list[Any], robot: Any) -> None:
-    """Refuse where what leads to the child is not one fixed joint that is written out."""
+    """Refuse where the path to the child is not one fixed joint that is written out."""
     names = ", ".join(repr(joint.get("name", "?")) for joint in mine)
     if len(mine) > 1:
         child = _link(mine[0], "child")
@@ -255,7 +255,7 @@ def _add_joint(robot: Any, transform: Transform) -> None:
 
 
 def is_xml(data: bytes) -> bool:
-    """Tell XML, in any encoding, by how it begins."""
+    """Recognize XML, in any encoding, by how it begins."""
     return data.lstrip().startswith((b"<", b"\xef\xbb\xbf<", b"\xff\xfe", b"\xfe\xff"))
 
 

@@ -21,9 +21,9 @@ MIN_POLE_RINGS = MIN_LINE_POINTS
 """Fewest rings that hit a pole: one for each point that a line needs."""
 
 MIN_LENGTH = 0.25
-"""Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 ·
-3.6 m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles lost,
-3 of them recorded posts, 10 fewer false."""
+"""Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° between them, at 3.6
+m (2 · 3.6 m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles
+lost, 3 of them recorded posts, 10 fewer false."""
 
 MAX_LENGTH = 4.0
 """Largest extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
@@ -53,7 +53,7 @@ FEW_POLE_POINTS = 10
 returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
 more found, 1 fewer false."""
 
-MAX_SURE_RMS = 0.03
+MAX_CONFIRMED_RMS = 0.03
 """Largest scatter of the returns of a confirmed pole about their line, metres, and of a
 line with few points: 12 mm of a cylinder
 of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
@@ -109,7 +109,7 @@ def shape_failure(
         return Failure("too_wide", reason)
     if line.rms > MAX_RMS + line.thicker or is_long_and_thick:
         return Failure("too_wide", f"{size}, more than any post")
-    if line.rms > line.with_beams(MAX_SURE_RMS) and count < FEW_POLE_POINTS:
+    if line.rms > line.with_beams(MAX_CONFIRMED_RMS) and count < FEW_POLE_POINTS:
         reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
         return Failure("too_wide", reason)
     along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings
@@ -130,7 +130,7 @@ def _runs_along_rings(cloud: PointCloud, line: Line) -> bool:
 
 
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
-    """Whether one beam, seen from the cloud's origin, met all points of the line."""
+    """Whether one beam, seen from the cloud's origin, hit all points of the line."""
     rays = cloud.xyz[line.index] - cloud.origin
     in_sight = line.length > ONE_BEAM_ELEVATION * np.linalg.norm(rays[0])
     return bool(in_sight and np.ptp(elevations(rays, cloud.axis)) < ONE_BEAM_ELEVATION)

@@ -1,6 +1,6 @@
 """Candidate poles: lines that a strict rule rejects, but that are as probably poles as not.
 
-They stand near a wall, next to a vest or another bright thing, have three to five returns, or tape
+They are near a wall, next to a vest or another bright thing, have three to five returns, or tape
 that is too dim for the threshold. Nothing rests on them until the other LiDAR and the scene confirm
 them (`hypotheses.candidate_confirmation`; docs/evidence/detection.md, Candidate poles).
 """
@@ -20,7 +20,7 @@ from ..io.beams import with_trusted_rings
 from ..io.scan_lines import with_rings
 from .acceptance_shape import Failure
 from .certainty import too_thick_for_radius
-from .line_search import MAX_POLES, Sought, find_lines, near_box, parts_of
+from .line_search import MAX_POLES, LineSearch, find_lines, near_box, parts_of
 from .lines import LINK, MANY, MIN_LINE_POINTS, MIN_POLE_POINTS, SEARCH_ROOM, TUBE, clusters
 from .poles import extract_poles, is_too_low, pole_on
 from .sensor_pattern import beams_by
@@ -70,7 +70,7 @@ def with_candidates(
     bright = free.copy()
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    sought = Sought(
+    search = LineSearch(
         radius,
         beams_by(sensor),
         partial(_failure_of, radius=radius),
@@ -92,7 +92,7 @@ def with_candidates(
         for part in parts:
             near = near_box(columns, part)
             is_bright = failure is not None or len(part) > MANY
-            lines, _ = find_lines(cloud, near, part, free, bright, sought, is_bright)
+            lines, _ = find_lines(cloud, near, part, free, bright, search, is_bright)
             found += [pole_on(cloud, each) for each in lines]
     return replace(detection, candidates=_best_of(found, len(cloud)))
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.datatypes import PointCloud
-from .acceptance_shape import MAX_SURE_RMS, Failure
-from .lines import HALF, RING_GAP, Line, distance_and_place
+from .acceptance_shape import MAX_CONFIRMED_RMS, Failure
+from .lines import HALF, RING_GAP, Line, line_coordinates
 from .surroundings import piece_of, worn_by_a_body
 
 MAX_GAP_STEPS = 3.5
@@ -19,7 +19,7 @@ may be lost in each, and half a step of unevenness where the cloud has no rings.
 
 MIN_SIGHT_ANGLE = float(np.radians(15.0))
 """A line that the sensor sees at a smaller angle, rad, lies on the ground or is the edge of
-something: a pole that stands 3 m away and leans by 35° towards a sensor 1.5 m above its middle is
+something: a pole that is 3 m away and leans by 35° towards a sensor 1.5 m above its middle is
 seen at 28°."""
 
 
@@ -46,7 +46,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
     """Say that a line is thicker than a pole of a radius, metres; None if it is not."""
-    limit = line.with_beams(MAX_SURE_RMS)
+    limit = line.with_beams(MAX_CONFIRMED_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:
         return None
@@ -61,7 +61,7 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
     """Scatter of the middle one of the line's pieces, metres, or of all where that is less: a hand
     or a pole that crosses widens a few pieces only.
     """
-    distance, along = distance_and_place(cloud.xyz[line.index], line.point, line.direction)
+    distance, along = line_coordinates(cloud.xyz[line.index], line.point, line.direction)
     piece = piece_of(along, along.min(), along.max())
     count = np.bincount(piece)
     square = np.bincount(piece, distance**2)
@@ -70,7 +70,8 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
 
 
 def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
-    """A pole has no gap as long as half of it, except between rings that are far apart."""
+    """A pole has no gap as long as half of it, except between rings that are far from each
+    other."""
     order = np.argsort(line.along, kind="stable")
     gaps = np.diff(line.along[order])
     widest = int(np.argmax(gaps))

@@ -1,6 +1,6 @@
 """Whether the points of a cloud can be what a LiDAR saw from where its beams are said to start.
 
-Clouds in the frame of a map are far from its origin. Where the LiDAR stood, only the file or its
+Clouds in the frame of a map are far from its origin. Where the LiDAR was, only the file or its
 rings can say; a pose depends on it, and so does what is known of it.
 """
 
@@ -19,8 +19,9 @@ from .lines import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0
 """No pose is given about an origin that is farther from the points, metres. One that is known to
-1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are 1e-14 apart:
-doubles tell no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000, data sheet)."""
+1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are a factor of
+1e-14 apart: doubles resolve no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000,
+data sheet)."""
 
 THINNEST_POLE = 0.0004
 """No pole is seen where it is thinner, rad: 100 m away with a radius of 2 cm. The narrowest beam of
@@ -39,7 +40,7 @@ def check_coordinates(cloud: PointCloud) -> None:
 
 
 def located(cloud: PointCloud, radius: float) -> PointCloud:
-    """Give the cloud the rings that are rings and the beam origin they tell, or say it is too far.
+    """Give the cloud its valid rings and the beam origin by them, or refuse it as too far.
 
     Parameters
     ----------
@@ -61,8 +62,8 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     if not _is_near(found, within) and cloud.ring is not None:
         # Seen from far away all points of a ring have one elevation, from wherever they were seen.
         middle = replace(cloud, origin=np.median(cloud.xyz, axis=0))
-        told = with_beam_origin(middle)
-        found = found if told is middle else told
+        reported = with_beam_origin(middle)
+        found = found if reported is middle else reported
     if not _is_near(found, within):
         near = _count_near(found, within)
         away = float(np.median(_ranges(cloud)))
@@ -111,7 +112,7 @@ def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
 
 
 def _is_near(cloud: PointCloud, within: float) -> bool:
-    """Whether enough points are within a range, metres: of a large cloud a part mostly tells."""
+    """Whether enough points are within a range, metres: of a large cloud a part mostly suffices."""
     some = PointCloud(every_nth(cloud.xyz, RING_SAMPLE), origin=cloud.origin)
     needed = min(MIN_POLE_POINTS, len(cloud))
     return any(_count_near(each, within) >= needed for each in (some, cloud))

@@ -1,6 +1,7 @@
 """One search for lines in a group of bright points: propose, fit, judge, take the best, repeat.
 
-Confirmed poles (`poles`) and candidates (`candidates`) are found by it; `Sought` says how strictly.
+Confirmed poles (`poles`) and candidates (`candidates`) are found by it; `LineSearch` sets how
+strictly.
 
 What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
@@ -26,7 +27,7 @@ from .acceptance_shape import (
 from .lines import (
     HALF,
     MANY,
-    MAX_BESIDE,
+    MAX_NEIGHBOUR_DISTANCE,
     MIN_LINE_POINTS,
     MIN_POLE_POINTS,
     MOST,
@@ -49,13 +50,13 @@ ones; what is left then is rejected with a reason that says so. Sensitivity from
 effect."""
 
 
-class Sought(NamedTuple):
+class LineSearch(NamedTuple):
     """What lines are looked for, and how strictly.
 
     Attributes
     ----------
     radius, beams
-        Of the poles, metres, and what is known of the beams that met them.
+        Of the poles, metres, and what is known of the beams that hit them.
     failure_of
         Says why a line in its surroundings is none of them; None if it is one.
     fewest, shortest
@@ -99,7 +100,7 @@ def parts_of(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Fail
         return [cluster], None
     flat = on_surface(cloud.xyz[cluster])
     rest = cluster[~flat]
-    parts = [rest[group] for group in clusters(cloud.xyz[rest], MAX_BESIDE)]
+    parts = [rest[group] for group in clusters(cloud.xyz[rest], MAX_NEIGHBOUR_DISTANCE)]
     share = np.count_nonzero(flat) / len(cluster)
     if share <= HALF:
         return parts, None
@@ -125,7 +126,7 @@ def find_lines(
     part: IntArray,
     free: BoolArray,
     bright: BoolArray,
-    sought: Sought,
+    search: LineSearch,
     is_saturated: bool,
 ) -> tuple[list[Judged], Failure | None]:
     """Find lines among bright points, the best first, and say why the rest is none.
@@ -143,7 +144,7 @@ def find_lines(
         found are removed from it.
     bright
         (N,) which are evidence against a line near them.
-    sought
+    search
         What to look for.
     is_saturated
         Whether a bright surface is most of the cluster, so that lines abound in it.
@@ -156,12 +157,12 @@ def find_lines(
     found: list[Judged] = []
     for _ in range(MAX_POLES):
         left = part[free[part]]
-        if len(left) < sought.fewest:
+        if len(left) < search.fewest:
             break
         left = in_canonical_order(cloud.xyz, left)
         best: Judged | None = None
         first: Judged | None = None
-        for each in _judged(cloud, near, left, free, bright, sought, is_saturated):
+        for each in _judged(cloud, near, left, free, bright, search, is_saturated):
             if each.failure is not None:
                 first = first or each
             elif best is None or each.log_odds > best.log_odds:
@@ -179,19 +180,19 @@ def _judged(
     left: IntArray,
     free: BoolArray,
     bright: BoolArray,
-    sought: Sought,
+    search: LineSearch,
     is_saturated: bool,
 ) -> Iterator[Judged]:
     """Fit lines to points, and judge each; in a wider room those that fail in the first.
 
     A plate or a vest reaches into the wide room, and turns the line.
     """
-    radius, beams = sought.radius, sought.beams
+    radius, beams = search.radius, search.beams
     tube = radius + SEARCH_ROOM
     guesses = propose_lines(
-        cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, sought.proposals
+        cloud.xyz[left], search.shortest, MAX_LENGTH, tube, search.shell, search.proposals
     )
-    for room in sought.rooms:
+    for room in search.rooms:
         failed = []
         known: set[bytes] = set()
         lines = fit_lines(cloud, left, guesses, radius, beams, room)
@@ -201,7 +202,7 @@ def _judged(
             if same in known:
                 continue
             known.add(same)
-            judged = _judge(cloud, near, free, bright, line, room, sought)
+            judged = _judge(cloud, near, free, bright, line, room, search)
             if judged.failure is None and is_saturated:
                 judged = judged._replace(failure=_failure_in_brightness(judged.line))
             if judged.failure is not None:
@@ -217,25 +218,25 @@ def _judge(
     bright: BoolArray,
     line: Line,
     room: float,
-    sought: Sought,
+    search: LineSearch,
 ) -> Judged:
     """Take in all that lies on a line, and judge it."""
-    line = _from_afar(cloud, line, sought.pointing)
-    failure = shape_failure(cloud, line, sought.fewest, sought.shortest)
+    line = _from_afar(cloud, line, search.pointing)
+    failure = shape_failure(cloud, line, search.fewest, search.shortest)
     if failure is not None:
         return Judged(line, -np.inf, failure)
     # A pole that something hides in part is two clusters, and of one next to a plate a part may
     # are treated as surface.
     on = near[free[near]]
-    whole = fit_line(cloud, on, line.point, line.direction, sought.radius, sought.beams, room)
+    whole = fit_line(cloud, on, line.point, line.direction, search.radius, search.beams, room)
     if len(whole.index) > len(line.index):
-        whole = _from_afar(cloud, whole, sought.pointing)
-        if shape_failure(cloud, whole, sought.fewest, sought.shortest) is None:
+        whole = _from_afar(cloud, whole, search.pointing)
+        if shape_failure(cloud, whole, search.fewest, search.shortest) is None:
             line = whole
     around = surroundings_of(cloud, near, bright, line)
-    odds, failure = log_odds(around, sought.radius), sought.failure_of(around)
-    if failure is None and odds < sought.least_odds:
-        reason = f"log-odds of {odds:.1f} that it is a pole, {sought.least_odds:g} are needed"
+    odds, failure = log_odds(around, search.radius), search.failure_of(around)
+    if failure is None and odds < search.least_odds:
+        reason = f"log-odds of {odds:.1f} that it is a pole, {search.least_odds:g} are needed"
         failure = Failure("part_of_a_surface", reason)
     return Judged(line, odds, failure)
 
@@ -269,7 +270,7 @@ def _failure_of_all(cloud: PointCloud, left: IntArray, first: Judged | None) -> 
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
 
 
-def left_over(free: BoolArray, parts: list[IntArray]) -> Failure:
+def why_left(free: BoolArray, parts: list[IntArray]) -> Failure:
     """Say why points are left where no line was tried and found wanting."""
     most = max((int(np.count_nonzero(free[part])) for part in parts), default=0)
     if most >= MIN_POLE_POINTS:

@@ -27,13 +27,13 @@ LINK = 1.2
 a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring divides no pole.
 Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
-MAX_BESIDE = 0.35
-"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
-of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
-5 of them recorded posts, 16 fewer false."""
+MAX_NEIGHBOUR_DISTANCE = 0.35
+"""A return from the edge of the tube to this distance of the line is its neighbour, metres: the
+spacing of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17
+poles lost, 5 of them recorded posts, 16 fewer false."""
 
 MANY = 400
-"""Of more points than this, some stand for all: here one for each occupied `SEARCH_ROOM`, in a
+"""Of more points than this, a sample represents all: here one for each occupied `SEARCH_ROOM`, in a
 search for lines every second, third … It bounds their pairs: 400 points have 80,000, a bright
 ground of 5,000 points 12 million. Larger clusters are searched without the bright surfaces in them.
 Sensitivity at 280: 1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
@@ -146,20 +146,20 @@ ends, and the group has the failure of the first. Sensitivity at 4: 4 poles lost
 8: 6 more false."""
 
 MIN_LINE_POINTS = 3
-"""Two points always lie in line; the third is the first that supports it. So many rings hit a pole,
-and so many returns has a candidate. Sensitivity of the rings at 2: no effect; at 4: 1 pole
-lost."""
+"""Two points always lie in line; the third is the first that supports it. At least this many rings
+hit a pole, and a candidate has this many returns. Sensitivity of the rings at 2: no effect; at 4: 1
+pole lost."""
 
 TUBE = 0.10
 """Room about the pole's radius in which its returns lie, metres. With a radius of 2 cm the tube has
-0.12 m. It holds the returns of a post of 9 cm radius, whose edges are 1.27 radii from their line,
-and of a pole seen with the ±3 cm that the manuals of VLP-16 and C16 state. Sensitivity at 0.07: 10
-recorded posts lost, 4 more found, 25 more false; at 0.14: 15 poles lost, 1 of them a recorded post,
-2 more found, 14 fewer false."""
+0.12 m. It contains the returns of a post of 9 cm radius, whose edges are 1.27 radii from their
+line, and of a pole seen with the ±3 cm that the manuals of VLP-16 and C16 state. Sensitivity at
+0.07: 10 recorded posts lost, 4 more found, 25 more false; at 0.14: 15 poles lost, 1 of them a
+recorded post, 2 more found, 14 fewer false."""
 
 SEARCH_ROOM = 0.04
 """The same in which a proposed line has its points, metres: 4 σ of 10 mm, the range noise of most
-sensors of the table. What lies so far from something is apart from it. Sensitivity at 0.028: 6
+sensors of the table. What is this far from something is separate from it. Sensitivity at 0.028: 6
 poles lost, 13 fewer false; at 0.056: 3 more found, 6 more false."""
 
 FIT_ROUNDS = 4
@@ -296,13 +296,13 @@ def propose_lines(
     centroid = xyz.mean(axis=0)
     points = xyz[:: 1 + (len(xyz) - 1) // MANY] - centroid
     i, j = np.triu_indices(len(points), 1)
-    apart = lengths(points[i] - points[j])
-    usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
+    lengths_between = lengths(points[i] - points[j])
+    usable = np.flatnonzero((lengths_between >= shortest) & (lengths_between <= longest))
     if len(usable) == 0:
         return []
     usable = usable[:: 1 + (len(usable) - 1) // MAX_PROPOSING_PAIRS]
     start = points[i[usable]]
-    direction = (points[j[usable]] - start) / apart[usable, None]
+    direction = (points[j[usable]] - start) / lengths_between[usable, None]
     # Squared distance of every point from every line: |v|² − (v·n)², expanded to matrix products.
     # In place: these are the largest arrays of the search.
     along = direction @ points.T
@@ -313,9 +313,9 @@ def propose_lines(
     across += np.einsum("pi,pi->p", start, start)[:, None]
     across -= along
     inside = across <= tube**2
-    beside = (across > shell[0] ** 2) & (across < shell[1] ** 2)
+    in_shell = (across > shell[0] ** 2) & (across < shell[1] ** 2)
     size = np.count_nonzero(inside, axis=1)
-    score = (size - np.count_nonzero(beside, axis=1)).astype(float)
+    score = (size - np.count_nonzero(in_shell, axis=1)).astype(float)
     inside = inside.astype(np.float32)
     lines = []
     for _ in range(most):
@@ -327,19 +327,19 @@ def propose_lines(
     return lines
 
 
-class DistanceAndPlace(NamedTuple):
+class LineCoordinates(NamedTuple):
     """Distances (N,) of points from a line, and their places (N,) along it, metres."""
 
     distances: Array
     places: Array
 
 
-def distance_and_place(xyz: Array, point: Array, direction: Array) -> DistanceAndPlace:
+def line_coordinates(xyz: Array, point: Array, direction: Array) -> LineCoordinates:
     """Measure points (N, 3) from a line through ``point`` (3,) with a unit direction (3,)."""
     offset = xyz - point
     along = offset @ direction
     square = np.einsum("ni,ni->n", offset, offset) - along * along
-    return DistanceAndPlace(np.sqrt(np.maximum(square, 0.0)), along)
+    return LineCoordinates(np.sqrt(np.maximum(square, 0.0)), along)
 
 
 class PrincipalLine(NamedTuple):
@@ -424,7 +424,7 @@ def fit_lines(
         if not len(left):
             break
         before[left] = inside
-        # Neighbours that touch the pole are many near it but few along it: the median holds.
+        # Neighbours that touch the pole are many near it but few along it: the median is robust.
         sigma = MAD_TO_SIGMA * _medians(distance, inside)
         tubes[left] = radius + np.minimum(room, FIT_ROOM + FIT_SIGMAS * sigma)
         points[left], directions[left] = _principal_lines(xyz, inside)

@@ -34,14 +34,14 @@ def measures_of(around: Surroundings, radius: float) -> Array:
         goes on without tape beyond the end where it does less, and beyond the other.
     """
     line = around.line
-    bright = around.is_retro & around.beside
+    bright = around.is_retro & around.nearby
     close = ~around.on_line & (around.distance < radius + TUBE + SEARCH_ROOM)
     goes_on = _goes_on(around)
-    others = around.beside & ~around.is_retro
+    others = around.nearby & ~around.is_retro
     in_surface = cluttered_share(line, around.along[others], MOST)
     if in_surface:
-        beside, own = (around.cloud.xyz[index] for index in (around.near[others], line.index))
-        in_surface *= not is_wall_behind(beside, own)
+        nearby, own = (around.cloud.xyz[index] for index in (around.near[others], line.index))
+        in_surface *= not is_wall_behind(nearby, own)
     return np.array(
         [
             1.0,

@@ -1,13 +1,13 @@
 """From a cloud to its taped poles: threshold, cluster, look for lines, test each.
 
 The first step of Xue et al. 2019, with rules for what else shines (docs/evidence/detection.md).
-Nothing here asks which way is up or where the sensor stood: a cloud gives the same poles after any
-rigid motion, and in whatever order its points come.
+Nothing here depends on the vertical or on where the sensor was: a cloud gives the same poles after
+any rigid motion, and in whatever order its points come.
 
-A vest beside a pole, or two crossing poles, are one cluster. So lines are looked for inside the
+A vest next to a pole, or two crossing poles, are one cluster. So lines are looked for inside the
 clusters, and what a line leaves is looked at again, until nothing long and thin is left.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from ..io.scan_lines import with_rings
 from .acceptance_shape import MIN_LENGTH, Failure
 from .certainty import doubt_of
 from .extent import check_coordinates
-from .line_search import Judged, Sought, find_lines, left_over, near_box, parts_of
-from .lines import HALF, LINK, MAX_BESIDE, MIN_POLE_POINTS, PROPOSALS, TUBE, clusters
+from .line_search import Judged, LineSearch, find_lines, near_box, parts_of, why_left
+from .lines import HALF, LINK, MAX_NEIGHBOUR_DISTANCE, MIN_POLE_POINTS, PROPOSALS, TUBE, clusters
 from .sensor_pattern import DEPTH_PER_RADIUS, RMS_PER_RADIUS, Beams, beams_by, check_sensor
 from .surroundings import surroundings_failure
 
@@ -62,7 +62,7 @@ def extract_poles(
     sensor
         What recorded it; gives the threshold where none is given. None asks the cloud itself.
     threshold
-        Intensity from which a return counts as retro-reflective.
+        Intensity from which a return is retro-reflective.
     radius
         Of the poles, metres. Thicker posts are doubtful: to about 0.07 m, and to 0.1 m where they
         are short.
@@ -104,24 +104,24 @@ def extract_poles(
     free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    sure: list[Judged] = []
+    accepted: list[Judged] = []
     doubtful: list[tuple[Judged, Failure]] = []
     failures: list[tuple[IntArray, Failure]] = []
-    sought = confirmed(radius, beams_by(sensor))
+    search = confirmed(radius, beams_by(sensor))
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
-        found, failure = _search(cloud, columns, cluster, free, sought)
+        found, failure = _search(cloud, columns, cluster, free, search)
         for each in found:
             doubt = doubt_of(cloud, each.line, radius, knows_origin)
             if doubt is None:
-                sure.append(each)
+                accepted.append(each)
             else:
                 doubtful.append((each, doubt))
         failures.append((cluster, failure))
     rejected = _rejected(cloud, free, failures)
     rejected += [_rejected_cluster(cloud, np.sort(each.line.index), why) for each, why in doubtful]
     return Detection(
-        _poles_on(cloud, sure),
+        _poles_on(cloud, accepted),
         tuple(sorted(rejected, key=lambda cluster: -len(cluster.index))),
         chosen.value,
         chosen.found,
@@ -131,9 +131,9 @@ def extract_poles(
     )
 
 
-def confirmed(radius: float, beams: Beams) -> Sought:
+def confirmed(radius: float, beams: Beams) -> LineSearch:
     """What passes all rules, of poles of a radius, metres."""
-    return Sought(
+    return LineSearch(
         radius,
         beams,
         surroundings_failure,
@@ -142,7 +142,7 @@ def confirmed(radius: float, beams: Beams) -> Sought:
         least_odds=-np.inf,
         proposals=PROPOSALS,
         rooms=(TUBE,),
-        shell=(radius + TUBE, MAX_BESIDE),
+        shell=(radius + TUBE, MAX_NEIGHBOUR_DISTANCE),
     )
 
 
@@ -159,8 +159,8 @@ def _without_intensity(cloud: PointCloud) -> Refusal:
         what = f"has the intensity {cloud.intensity[0]:g} in all of its {len(cloud)} points"
     return Refusal(
         "no_intensity",
-        f"{name} {what}: retro-reflective tape cannot be told from the rest; record it with "
-        "intensity",
+        f"{name} {what}: retro-reflective tape cannot be distinguished from the rest; record it "
+        "with intensity",
         values,
     )
 
@@ -172,7 +172,7 @@ def is_too_low(intensity: Array, threshold: float) -> bool:
 
 
 def _search(
-    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, sought: Sought
+    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, search: LineSearch
 ) -> tuple[list[Judged], Failure]:
     """Find the poles of one cluster, line by line, and say why the rest is not one.
 
@@ -186,10 +186,10 @@ def _search(
     is_saturated = failure is not None
     found: list[Judged] = []
     for part in parts:
-        lines, why = find_lines(cloud, near, part, free, free, sought, is_saturated)
+        lines, why = find_lines(cloud, near, part, free, free, search, is_saturated)
         found += lines
         failure = failure or why
-    return found, failure or left_over(free, parts)
+    return found, failure or why_left(free, parts)
 
 
 def _poles_on(cloud: PointCloud, found: Sequence[Judged]) -> tuple[Pole, ...]:

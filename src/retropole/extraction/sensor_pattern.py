@@ -42,8 +42,8 @@ ORDINARY_DIVERGENCE = 0.003
 
 
 ORDINARY_NOISE, NOISY = 0.010, 0.015
-"""1 σ of the ranges of most sensors, metres, for which the limits are; with up to so much more they
-were set, and nothing is granted."""
+"""1 σ of the ranges of most sensors, metres, for which the limits are; with up to this much more
+they were set, and nothing is granted."""
 
 
 NEAR_POLES_END = 8.0
@@ -52,7 +52,7 @@ NEAR_POLES_END = 8.0
 
 @dataclass(frozen=True)
 class Beams:
-    """What is known of the beams that met a line: full angle, rad, and 1 σ of the ranges,
+    """What is known of the beams that hit a line: full angle, rad, and 1 σ of the ranges,
     metres.
 
     Zero where it is not known: nothing is then granted for it.
@@ -115,7 +115,7 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     Parameters
     ----------
     cloud
-        With rings that are rings, or none, and the beam origin and axis that they tell.
+        With valid rings, or none, and the beam origin and axis by them.
     sensor
         What was named; None is any.
 
@@ -163,7 +163,7 @@ def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
     Parameters
     ----------
     cloud
-        With rings that are rings, or none, and the beam origin and axis that they tell.
+        With valid rings, or none, and the beam origin and axis by them.
     sensor
         What was named; None is any.
     """
@@ -239,8 +239,8 @@ def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
     """
     low, high = sensor.elevation_span
     upright = (elevation < low - BEYOND_VIEW) | (elevation > high + BEYOND_VIEW)
-    hanging = (-elevation < low - BEYOND_VIEW) | (-elevation > high + BEYOND_VIEW)
-    return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
+    downward = (-elevation < low - BEYOND_VIEW) | (-elevation > high + BEYOND_VIEW)
+    return upright if np.count_nonzero(upright) <= np.count_nonzero(downward) else downward
 
 
 def _refusal(cloud: PointCloud, what: str, values: dict[str, Any]) -> Refusal:

@@ -1,13 +1,13 @@
-"""Does a line stand free? One function for each rule, and what is about a line.
+"""Is a line isolated? One function for each rule, and what is about a line.
 
 Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
-something. A pole has free air beside it. Points about it may be a second pole, or a wall behind it.
+something. A pole has free air around it. Points about it may be a second pole, or a wall behind it.
 
 A band is worn, or held, as by a person: the body goes on above it and below it, and has air around.
-A pole stands on the ground and is as high as a person, so that nothing near it goes on beyond both
-of its ends. A wall does, but has no end beside the line either.
+A pole reaches the ground and is as high as a person, so that nothing near it goes on beyond both
+of its ends. A wall does, but has no end next to the line either.
 
-What *Sensitivity* means beside a constant: docs/evidence/detection.md.
+What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from .lines import (
     HALF,
     LITTLE,
     MANY,
-    MAX_BESIDE,
+    MAX_NEIGHBOUR_DISTANCE,
     MIN_LINE_POINTS,
     MOST,
     SEARCH_ROOM,
     Line,
-    distance_and_place,
     in_canonical_order,
+    line_coordinates,
     principal_line,
     propose_lines,
     to_nearest,
@@ -69,13 +69,13 @@ plane that is scanned evenly. It was 0.82 to 0.94 about lines along the rings of
 Range noise as large as a step turns single ones, but hardly their sum."""
 
 
-def on_crossing_line(beside: Array, line: Line) -> BoolArray:
-    """Tell which of the points beside a line lie on one other line that is not parallel to it.
+def on_crossing_line(nearby: Array, line: Line) -> BoolArray:
+    """Find which of the points next to a line lie on one other line that is not parallel to it.
 
     Parameters
     ----------
-    beside
-        (K, 3) points beside the line, metres.
+    nearby
+        (K, 3) points next to the line, metres.
     line
         The line itself.
 
@@ -84,34 +84,35 @@ def on_crossing_line(beside: Array, line: Line) -> BoolArray:
     BoolArray
         (K,) all false where no two of the points give such a line.
     """
-    order = in_canonical_order(beside, np.arange(len(beside)))
+    order = in_canonical_order(nearby, np.arange(len(nearby)))
     tube = DEFAULT_RADIUS + SEARCH_ROOM
-    for guess in propose_lines(beside[order], MIN_LENGTH, MAX_LENGTH, tube, (tube, tube)):
+    for guess in propose_lines(nearby[order], MIN_LENGTH, MAX_LENGTH, tube, (tube, tube)):
         if abs(guess[1] @ line.direction) <= np.cos(MIN_CROSSING_ANGLE):
-            inside = distance_and_place(beside, *guess).distances <= tube
-            other = principal_line(beside[inside])
-            return np.asarray(distance_and_place(beside, *other).distances <= tube)
-    return np.zeros(len(beside), dtype=bool)
+            inside = line_coordinates(nearby, *guess).distances <= tube
+            other = principal_line(nearby[inside])
+            return np.asarray(line_coordinates(nearby, *other).distances <= tube)
+    return np.zeros(len(nearby), dtype=bool)
 
 
-def is_wall_behind(beside: Array, own: Array) -> bool:
-    """Whether the points beside a line lie on one plane that passes part of the line at a distance.
+def is_wall_behind(nearby: Array, own: Array) -> bool:
+    """Whether the points next to a line lie on one plane that passes part of the line at a
+    distance.
 
     A stripe lies in the plane all along; a pole that leans on the wall does not. At a corner or a
     rounded edge there is no single plane.
 
     Parameters
     ----------
-    beside
-        (K, 3) points beside the line, metres.
+    nearby
+        (K, 3) points next to the line, metres.
     own
         (N, 3) points of the line, metres.
     """
-    kept = np.ones(len(beside), dtype=bool)
+    kept = np.ones(len(nearby), dtype=bool)
     for _ in range(FIT_ROUNDS):
-        centre, axes = principal_axes(beside[kept])
+        centre, axes = principal_axes(nearby[kept])
         normal = axes[:, 0]
-        distance = np.abs((beside - centre) @ normal)
+        distance = np.abs((nearby - centre) @ normal)
         kept = distance <= max(SEARCH_ROOM, PLANE_MEDIANS * float(np.median(distance)))
     gap = float(np.quantile(np.abs((own - centre) @ normal), MOST))
     share = float(np.mean(distance <= SEARCH_ROOM))
@@ -123,7 +124,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
 
     The returns of one ring are much nearer to each other than to those of the next: around a line
     along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
-    say nothing. Of the squared steps to them, the share along the line counts.
+    give no information. Of the squared steps to them, the share along the line counts.
 
     Parameters
     ----------
@@ -139,13 +140,13 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
         return False
     points = xyz[others]
     # A sample that does not depend on the order of the points: those nearest to the line.
-    distance, _ = distance_and_place(points, line.point, line.direction)
+    distance, _ = line_coordinates(points, line.point, line.direction)
     order = np.argsort(distance, kind="stable")[:MANY]
     sample = points[order]
     # Of a dense cloud few points are so near to the sample that they can be its neighbours.
-    around = points[distance <= distance[order[-1]] + MAX_BESIDE]
+    around = points[distance <= distance[order[-1]] + MAX_NEIGHBOUR_DISTANCE]
     away, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
-    if away.max() > MAX_BESIDE:
+    if away.max() > MAX_NEIGHBOUR_DISTANCE:
         around = points
         _, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
     span = around[neighbour[:, 1:]] - sample[:, None]
@@ -158,7 +159,7 @@ of lamps are. It is the least length of tape that the advice in `reasons` asks f
 0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
 
 PIECES = 8
-"""Pieces that a line is cut into, to see along how much of it other returns are beside it.
+"""Pieces that a line is cut into, to see along how much of it other returns are next to it.
 Sensitivity at 6: 3 recorded posts lost, 1 more found, 3 fewer false; at 11: 1 pole lost, 4 fewer
 false."""
 
@@ -175,16 +176,16 @@ class Surroundings:
         (M,) index of the points about the line.
     distance, along
         (M,) their distances from the line, and their places along it, metres.
-    beside_limit
-        Up to which distance from the line points are beside it, metres.
+    neighbour_limit
+        Up to which distance from the line points are its neighbours, metres.
     is_retro
         (M,) which of them are retro-reflective and on no other pole.
     on_line
         (M,) which lie on the line, taped or not.
     untaped
         (M,) which are too dim for tape.
-    beside
-        (M,) which lie beside the line, outside its tube and between its ends.
+    nearby
+        (M,) which lie next to the line, outside its tube and between its ends.
     is_thick, is_short, has_few_points
         What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
     """
@@ -194,11 +195,11 @@ class Surroundings:
     near: IntArray
     distance: Array
     along: Array
-    beside_limit: float
+    neighbour_limit: float
     is_retro: BoolArray
     on_line: BoolArray
     untaped: BoolArray
-    beside: BoolArray
+    nearby: BoolArray
     is_thick: bool
     is_short: bool
     has_few_points: bool
@@ -209,11 +210,11 @@ class Surroundings:
         return self.is_thick or self.is_short or self.has_few_points
 
     @cached_property
-    def retro_beside(self) -> BoolArray:
-        """The retro-reflective ones of those beside (M,), without a pole that crosses: one other
-        line, where that leaves next to nothing beside this one.
+    def retro_neighbours(self) -> BoolArray:
+        """The retro-reflective neighbours (M,), without a pole that crosses: one other
+        line, where that leaves almost no neighbours of this one.
         """
-        found = self.beside & self.is_retro
+        found = self.nearby & self.is_retro
         if self.is_suspect or cluttered_share(self.line, self.along[found], LITTLE) <= HALF:
             return found
         rest = found.copy()
@@ -238,11 +239,11 @@ def surroundings_of(
         One that `shape_failure` finds nothing wrong with.
     """
     assert cloud.intensity is not None
-    distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
-    # Where rings are farther apart, so may be the columns of a sign.
-    limit = max(MAX_BESIDE, line.step)
-    beside = (distance > line.tube) & (distance < limit)
-    beside &= (along >= line.low) & (along <= line.high)
+    distance, along = line_coordinates(cloud.xyz[near], line.point, line.direction)
+    # Where rings are sparser, so may be the columns of a sign.
+    limit = max(MAX_NEIGHBOUR_DISTANCE, line.step)
+    nearby = (distance > line.tube) & (distance < limit)
+    nearby &= (along >= line.low) & (along <= line.high)
     retro = is_retro[near]
     dimmest = cloud.intensity[line.index].min()
     return Surroundings(
@@ -251,11 +252,11 @@ def surroundings_of(
         near=near,
         distance=distance,
         along=along,
-        beside_limit=limit,
+        neighbour_limit=limit,
         is_retro=retro,
         on_line=distance <= line.width / 2 + FIT_ROOM,
         untaped=~retro & (cloud.intensity[near] < HALF * dimmest),
-        beside=beside,
+        nearby=nearby,
         is_thick=line.rms > line.with_beams(THICK_RMS),
         # Rings half a step beyond either end may just have missed it.
         is_short=line.length + line.step < SHORT_LENGTH,
@@ -307,7 +308,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     reach = float(np.hypot(half, AIR))
     near = cloud.xyz.take(np.flatnonzero(np.abs(cloud.xyz[:, 0] - line.point[0]) < reach), axis=0)
     near = near[lengths(near - line.point) < reach]
-    distance, along = distance_and_place(near, line.point, line.direction)
+    distance, along = line_coordinates(near, line.point, line.direction)
     body = (distance > line.tube) & (distance <= BODY_REACH)
     around = (distance > BODY_REACH) & (distance <= AIR)
 
@@ -335,18 +336,18 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
 
 EDGE_QUANTILE = 0.9
-"""A dim return is from the edge of a pole where it lies farther to the side than so many of the
+"""A dim return is from the edge of a pole where it lies farther to the side than this many of the
 bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
 post without tape one in ten does by chance."""
 
 
 def surroundings_failure(around: Surroundings) -> Failure | None:
-    """Say what a line is part of; None where it stands free.
+    """Find what a line is part of; None where it is isolated.
 
-    The line is cut into pieces, and in each the returns beside it are weighed against its own. A
-    stripe on a wall has the wall beside it all along. A pole that is held or touched somewhere does
-    not; the stray returns about a bright edge are few; and the wall that a pole leans on passes
-    behind it.
+    The line is cut into pieces, and in each the returns next to it are weighed against its own. A
+    stripe on a wall has the wall next to it all along. A pole that is held or touched somewhere
+    does not; the stray returns about a bright edge are few; and the wall that a pole leans on
+    passes behind it.
     """
     return (
         retro_clutter(around)
@@ -359,10 +360,10 @@ def surroundings_failure(around: Surroundings) -> Failure | None:
 
 def retro_clutter(around: Surroundings) -> Failure | None:
     """A pole has no retro-reflective returns all along it, except those of a pole that crosses."""
-    line, beside = around.line, around.retro_beside
-    share = cluttered_share(line, around.along[beside], LITTLE)
+    line, nearby = around.line, around.retro_neighbours
+    share = cluttered_share(line, around.along[nearby], LITTLE)
     if around.has_few_points:
-        share = max(share, min(1.0, np.count_nonzero(beside) / len(line.index)))
+        share = max(share, min(1.0, np.count_nonzero(nearby) / len(line.index)))
     if share <= (LITTLE if around.is_suspect else HALF):
         return None
     return Failure(
@@ -376,12 +377,12 @@ def untaped_between(around: Surroundings) -> Failure | None:
     """A pole is taped all along: few returns without tape lie between its points.
 
     A dim one at the height of a bright one, or farther to the side, is from the edge of the pole,
-    where tape is met at a grazing angle.
+    where tape is hit at a grazing angle.
     """
     between = (around.along > around.line.low) & (around.along < around.line.high)
     dim = around.untaped & around.on_line & between
-    apart = to_nearest(around.line.along, around.along[dim])
-    alone = apart > max(LITTLE * around.line.step, FIT_ROOM)
+    distance = to_nearest(around.line.along, around.along[dim])
+    alone = distance > max(LITTLE * around.line.step, FIT_ROOM)
     own = len(around.line.index)
     if np.count_nonzero(alone) <= HALF * own:
         return None
@@ -413,15 +414,15 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
 def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
     """A pole has no returns of any kind all along it, except those of a wall behind it."""
     line, xyz = around.line, around.cloud.xyz
-    beside = around.beside & (~around.is_retro | around.retro_beside)
-    share = cluttered_share(line, around.along[beside], MOST)
+    nearby = around.nearby & (~around.is_retro | around.retro_neighbours)
+    share = cluttered_share(line, around.along[nearby], MOST)
     is_strict = around.is_suspect and not around.is_thick
     if share <= (LITTLE if is_strict else HALF):
         return None
     close = ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
     is_close = cluttered_share(line, around.along[close], MOST) > HALF
     if not (around.is_short or is_close) and is_wall_behind(
-        xyz[around.near[beside]], xyz[line.index]
+        xyz[around.near[nearby]], xyz[line.index]
     ):
         return None
     return Failure(
@@ -432,7 +433,7 @@ def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
 
 
 def along_the_sweeps(around: Surroundings) -> Failure | None:
-    """A pole runs across the rings; rings themselves say so better, where the cloud has them."""
+    """A pole runs across the rings; rings themselves show it better, where the cloud has them."""
     cloud, line = around.cloud, around.line
     if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
         return None
@@ -445,7 +446,7 @@ def _goes_on_without_tape(around: Surroundings) -> Failure | None:
     if not around.is_short or around.is_thick:
         return None
     line = around.line
-    untaped = around.untaped & (around.distance < around.beside_limit)
+    untaped = around.untaped & (around.distance < around.neighbour_limit)
     above, below = around.along - line.high, line.low - around.along
     needed = MOST * min(PIECES, SHORT_LENGTH / line.step)
     if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
@@ -460,4 +461,4 @@ def _pieces_hit(places: Array) -> int:
 
 
 def _where(around: Surroundings) -> str:
-    return f"{around.line.tube:.2f} to {around.beside_limit:.2f} m beside it"
+    return f"{around.line.tube:.2f} to {around.neighbour_limit:.2f} m beside it"

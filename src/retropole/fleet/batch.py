@@ -12,10 +12,10 @@ from typing import TypeVar
 
 from ..api import quantities
 from . import TIME_LIMIT
-from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
+from .dataset import Row, known_answers, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
 from .storage import absolute, alone_in, is_url
-from .work import Outcome, Task, lost, task_of
+from .work import Outcome, Task, task_of, unanswered
 
 Key = TypeVar("Key")
 Of = TypeVar("Of")
@@ -89,7 +89,7 @@ def calibrate_fleet(
     # At a URL, the dataset's is enough to remove by hand where a run was killed.
     own_reports = reports is not None and reports != out and not is_url(reports)
     with alone_in(out), alone_in(reports) if own_reports and reports else nullcontext():
-        known = known_in(out)
+        known = known_answers(out)
         others = known.keys() - {site.id for site in sites}
         parts: dict[str, list[FleetSite]] = {
             partition_of(each): [] for each in others if drop_others
@@ -97,7 +97,7 @@ def calibrate_fleet(
         for site in sorted(sites, key=lambda site: site.id):
             parts.setdefault(partition_of(site.id), []).append(site)
 
-        # One that is to be tried again has no row that holds.
+        # One that is to be tried again has no valid row.
         holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
         tasks = (
             task_of(site, time_limit, known=holds.get(site.id), reports=reports)
@@ -140,7 +140,7 @@ def outcomes_of(
         Called with how many of the sites are done, and when the rest may be.
     """
     faulty = [site for site in sites if site.fault]
-    yield from ((site.id, lost(site, "usage", site.fault)) for site in faulty)
+    yield from ((site.id, unanswered(site, "usage", site.fault)) for site in faulty)
     start = time.monotonic()
     for over, outcome in enumerate(done, len(faulty) + 1):
         yield outcome.id, outcome

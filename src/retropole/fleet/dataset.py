@@ -1,6 +1,6 @@
 """The answers of a fleet as partitioned Parquet, schema ``retropole/fleet/1``.
 
-``answers/part-3f.parquet`` holds the rows of all sites whose id has a SHA-256 that begins with
+``answers/part-3f.parquet`` has the rows of all sites whose id has a SHA-256 that begins with
 ``3f``, in the order of the ids: nothing but the rows decides what a file is, byte for byte. What
 differs from run to run, times and machines, lies next to it in ``runs/part-3f.parquet``.
 """
@@ -115,7 +115,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     attempts: int = 1
 
 
-class Known(msgspec.Struct, frozen=True):
+class KnownAnswer(msgspec.Struct, frozen=True):
     """What a dataset has of a site: the key of its inputs, and how it ended."""
 
     key: str | None
@@ -135,7 +135,7 @@ def partitions_in(out: str, folder: str = ANSWERS) -> list[str]:
     return [name for name in names_in(below(out, folder)) if name.endswith(".parquet")]
 
 
-def known_in(out: str) -> dict[str, Known]:
+def known_answers(out: str) -> dict[str, KnownAnswer]:
     """Read what a dataset has of each site, by id.
 
     Raises
@@ -143,9 +143,9 @@ def known_in(out: str) -> dict[str, Known]:
     ReadError
         If a partition is damaged or of another schema.
     """
-    known: dict[str, Known] = {}
+    known: dict[str, KnownAnswer] = {}
     for name in partitions_in(out):
-        known |= read_as(out, ANSWERS, name, Known)
+        known |= read_as(out, ANSWERS, name, KnownAnswer)
     return known
 
 
@@ -155,7 +155,7 @@ def read_rows(out: str, partition: str) -> dict[str, Row]:
     Raises
     ------
     ReadError
-        As `known_in`.
+        As `known_answers`.
     """
     return read_as(out, ANSWERS, partition, Row) if partition in partitions_in(out) else {}
 
@@ -166,7 +166,7 @@ def read_runs(out: str, partition: str) -> dict[str, Run]:
     Raises
     ------
     ReadError
-        As `known_in`.
+        As `known_answers`.
     """
     return read_as(out, RUNS, partition, Run) if partition in partitions_in(out, RUNS) else {}
 
@@ -188,7 +188,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     Raises
     ------
     ReadError
-        As `known_in`.
+        As `known_answers`.
     """
     place = below(out, folder, partition)
     with opened(place, "damaged ({})", LARGEST_PARTITION, FLEET_SCHEMA, AGAIN) as file:

@@ -26,7 +26,7 @@ import msgspec
 
 from ..base.errors import MissingExtraError, RetropoleError, UsageError, quoting, said
 from .process import Reader
-from .work import Outcome, Task, environment, lost
+from .work import Outcome, Task, environment, unanswered
 
 ANSWER_WITHIN = 60.0
 """Seconds that a cluster may take to have a worker, or a scheduler to be there again."""
@@ -213,7 +213,7 @@ def mapped(
 def _interrupts_are_ours() -> Iterator[None]:
     """Keep Ctrl-C, which a terminal sends to all processes, from those that are started here.
 
-    Threads and processes inherit what is blocked. One that comes meanwhile is met afterwards.
+    Threads and processes inherit what is blocked. One that comes meanwhile is handled afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -238,7 +238,7 @@ def _leftovers_unsaid() -> Iterator[None]:
 
 
 def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
-    """Have the workers of a cluster do tasks, and give what becomes of each as it comes.
+    """Have the workers of a cluster do tasks, and give the outcome of each as it comes.
 
     Parameters
     ----------
@@ -343,4 +343,4 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except Exception as error:
         words = quoting(f"{type(error).__name__}: {said(error)}")
         raise UsageError(f"a worker cannot do the work: {words}") from None
-    return lost(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None
+    return unanswered(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

@@ -69,7 +69,7 @@ class Changed:
     site
         Of the dataset; of many LiDARs, `change` is of a pair of them.
     change
-        What the history says.
+        The history.
     is_current
         Whether it was checked against the answer that is in the dataset.
     """

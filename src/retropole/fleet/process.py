@@ -1,6 +1,6 @@
 """Calibrating in a separate process, which is ended where it takes too long or too much.
 
-It may hang, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
+It may stall, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
 standard input and answers on its standard output, one after the other; `Reader` starts it. It ends
 when its input does.
 """
@@ -26,19 +26,19 @@ import msgspec
 from ..base.errors import RetropoleError
 from .history.check import check_site
 from .storage import also_following
-from .work import Hashed, Outcome, Task, answer, lost
+from .work import Hashed, Outcome, Task, answer, unanswered
 
 LENGTH = struct.Struct("<I")
 Message = Hashed | Outcome | None
 """None: started, and ready for a task."""
 
 
-def done(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
+def done(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
     """Do a task: check a site against its stored result, or calibrate it as `work.answer` does."""
     with also_following(task.protocols):
         if task.check is None:
-            return answer(task, tell)
-        return Outcome(task.site.id, check=check_site(task.site, task.check, tell))
+            return answer(task, report)
+        return Outcome(task.site.id, check=check_site(task.site, task.check, report))
 
 
 def send(stream: IO[bytes], message: object) -> None:
@@ -132,7 +132,7 @@ class Reader:
         if outcome is None:
             killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
             code, words = next(iter(why), killed)
-            outcome = lost(task.site, code, words, hashed, time.monotonic() - started)
+            outcome = unanswered(task.site, code, words, hashed, time.monotonic() - started)
         run = outcome.run and msgspec.structs.replace(outcome.run, attempts=attempts)
         return msgspec.structs.replace(outcome, run=run)
 
@@ -179,7 +179,7 @@ class Reader:
     def _watched(
         self, process: subprocess.Popen[bytes], limit: float
     ) -> Iterator[list[tuple[str, str]]]:
-        """End a process that takes too long or too much; what is given then says why."""
+        """End a process that takes too long or too much; the outcome gives the reason."""
         import psutil
 
         why: list[tuple[str, str]] = []

@@ -72,7 +72,7 @@ OUTDATED = (
 ERRORS = {
     "unreadable": (
         "A file is absent, damaged or no recording",
-        "`retropole info FILE` says what a recording holds.",
+        "`retropole info FILE` describes a recording.",
     ),
     "usage": (
         "An option or a line of the list is invalid",
@@ -110,7 +110,7 @@ EARTH = 6_371_009.0
 """Mean radius of the Earth, m (IUGG, Moritz 2000): a map of a city to 0.3 %."""
 
 WIDTH, HEIGHTS = 520, (200.0, 560.0)
-"""Of a picture in its own units; the least and the greatest height of the map."""
+"""Of a picture in its units; the least and the greatest height of the map."""
 
 MARGIN = 44
 """Around what is drawn."""
@@ -122,7 +122,7 @@ FLAT_BELOW = 500e3
 """So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
 
 MOST_NAMED = 20_000
-"""So many sites, the worst first, say their names in the map: a page of 2 MB."""
+"""At most this many sites, the worst first, have their names in the map: a page of 2 MB."""
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
@@ -140,8 +140,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     Returns
     -------
     str
-        The page. It holds its style and code, asks no other address for anything, and works from a
-        file. The same dataset gives the same page.
+        The page. It contains its style and code, loads nothing from any other address, and works
+        from a file. The same dataset gives the same page.
     """
     link = cache(link)
     every = (
@@ -215,18 +215,18 @@ def _from(folder: str, to: str) -> str | None:
         except ValueError:  # On another drive.
             return None
     (scheme, _, here), (other, _, there) = folder.partition("://"), to.partition("://")
-    # The first name is a bucket: no relative link leads from one to another.
+    # The first name is a bucket: no relative link goes from one to another.
     if scheme != other or here.split("/")[0] != there.split("/")[0]:
         return None
     return posixpath.relpath(f"/{there}", f"/{here}")
 
 
 def _when(overview: Overview) -> str:
-    said = quantities.counted(len(overview.sites), "site")
+    text = quantities.counted(len(overview.sites), "site")
     if overview.first is None or overview.last is None:
-        return said
+        return text
     return (
-        f"{said} · calibrated {overview.first:%Y-%m-%d %H:%M} to {overview.last:%Y-%m-%d %H:%M} UTC"
+        f"{text} · calibrated {overview.first:%Y-%m-%d %H:%M} to {overview.last:%Y-%m-%d %H:%M} UTC"
     )
 
 
@@ -254,8 +254,8 @@ def _counts(overview: Overview) -> Html:
         acting = {site.id for site in overview.sites if site.status in FIRST}
         first, count = waiting[0], len(acting | {each.site.id for each in overview.changed})
         needs = "needs" if count == 1 else "need"
-        said = f"{quantities.counted(count, 'site')} {needs} action"
-        to_do = fill("fleet-to-do", said=said, name=first[0], title=first[1])
+        text = f"{quantities.counted(count, 'site')} {needs} action"
+        to_do = fill("fleet-to-do", said=text, name=first[0], title=first[1])
     sites = quantities.counted(every, "site")
     return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
@@ -307,9 +307,9 @@ def _reasons(overview: Overview) -> Html:
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
         more = ", …" if len(sites) > EXAMPLES else ""
-        said, to_do = _explained(code)
+        text, to_do = _explained(code)
         found = ", ".join(named) + more
-        rows.append((printable(code), said, to_do, found, f"{len(sites):,}"))
+        rows.append((printable(code), text, to_do, found, f"{len(sites):,}"))
         commonest = Counter(site.status for site in sites).most_common(1)[0][0]
         bars.append((commonest, len(sites) / len(overview.sites)))
     header = ("code", "what it says", "what to do", "for example", "sites")
@@ -337,7 +337,7 @@ def _listed(overview: Overview, status: Status, link: Callable[[Seen], str]) -> 
     if not sites:
         return EMPTY
     shown = sites[:MOST_FAILED]
-    rows = [(*_said(site), _next(site)) for site in shown]
+    rows = [(*_site_text(site), _next(site)) for site in shown]
     links = [link(site) for site in shown]
     parts = [fill("fleet-again")] if status == "error" else []
     parts.append(_table(FIRST[status][2], ("codes", "what is wrong"), rows, links))
@@ -372,7 +372,7 @@ def _listed_changes(overview: Overview, link: Callable[[Seen], str]) -> Html:
     return _table(CHANGED[2], ("kind", "what changed"), rows, links) if rows else EMPTY
 
 
-def _said(site: Seen) -> tuple[str, str, str]:
+def _site_text(site: Seen) -> tuple[str, str, str]:
     """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
     meant = "; ".join(_explained(code)[0] for code in site.codes)
     words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
@@ -432,7 +432,7 @@ def fleet_map(sites: Sequence[Seen], link: Callable[[Seen], str] = lambda site: 
         height=round(view.height),
         marks=join((*reversed(marks), view.scale_bar())),
         legend=join(reversed(keys)),
-        said=_map_said(len(placed), len(sites), view),
+        said=_map_text(len(placed), len(sites), view),
     )
 
 
@@ -469,9 +469,9 @@ class _View:
         """Draw a round length."""
         metres = quantities.round_below(0.25 * WIDTH / self._scale)
         size, unit = (metres, "m") if metres < 1000 else (metres / 1000, "km")
-        said = f"{quantities.large(size)} {unit}"
+        text = f"{quantities.large(size)} {unit}"
         y, above, length = self.height - 19, self.height - 24, metres * self._scale
-        return fill("fleet-scale", y=y, above=above, length=length, size=said)
+        return fill("fleet-scale", y=y, above=above, length=length, size=text)
 
 
 def _marks(
@@ -499,13 +499,13 @@ def _marks(
     return fill("fleet-marks", status=status, size=round(10 * size), marks=join(drawn))
 
 
-def _map_said(placed: int, sites: int, view: _View) -> str:
+def _map_text(placed: int, sites: int, view: _View) -> str:
     """Say what the map shows, also for those who do not see it."""
-    said = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    text = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
     if max(view.metres) > FLAT_BELOW:
-        said.append("The scale holds in the middle.")
+        text.append("The scale holds in the middle.")
     if sites > placed:
-        said.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
+        text.append(f"{quantities.counted(sites - placed, 'site')} of unknown position not drawn.")
     if placed > MOST_NAMED:
-        said.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
-    return " ".join(said)
+        text.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
+    return " ".join(text)

@@ -57,7 +57,7 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     site
         Place of the site file.
     config
-        Options of a pair; a site file has its own.
+        Options of a pair; a site file has separate ones.
     latitude, longitude
         Where it is, rad; None if that is not given.
     result
@@ -137,7 +137,7 @@ def _expanded(given: str) -> list[str]:
 
 
 def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
-    """Find the sites that a file or a folder stands for."""
+    """Find the sites that a file or a folder lists."""
     if exists(place, as_folder=True):
         yield from _in_folder(place, config)
     elif not exists(place):
@@ -185,7 +185,7 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
 
 
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:
-    """Make a site of a row; what is wrong with it is its own matter, and ends nothing."""
+    """Make a site of a row; what is wrong with it concerns it alone, and ends nothing."""
     kind: Kind = "site" if "site" in given else "pair"
     files = [key for key in (*ROLES, "site", "result") if key in given]
     names = {key: below(folder, str(given[key])) for key in files}

@@ -81,7 +81,7 @@ def filesystem(place: str) -> tuple[Any, str]:
         system, path = url_to_fs(place)
     except Exception as error:
         raise UsageError(f"{place}: {said(error)}") from None
-    # What goes wrong is said here, and once.
+    # Errors are reported here, and once.
     logging.getLogger(type(system).__module__.partition(".")[0]).setLevel(logging.CRITICAL)
     return system, str(path)
 
@@ -126,7 +126,7 @@ def _below(folder: str, name: str) -> str:
     if not is_url(folder):
         return str(Path(folder) / name)
     scheme, _, path = folder.partition("://")
-    # As the local system would: `..` leads one folder up.
+    # As the local system would: `..` goes one folder up.
     return f"{scheme}://{posixpath.normpath(posixpath.join('/', path, name))[1:]}"
 
 
@@ -145,13 +145,13 @@ def exists(place: str, *, as_folder: bool = False) -> bool:
     ReadError
         If the file system cannot be queried.
     """
-    with _asked(place, "cannot be looked for") as (system, path):
+    with _file_system(place, "cannot be looked for") as (system, path):
         system.invalidate_cache()
         return bool(system.isdir(path) if as_folder else system.exists(path))
 
 
 @contextmanager
-def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
+def _file_system(place: str, fault: str) -> Iterator[tuple[Any, str]]:
     """Open the file system of a place; of whatever it raises say where, and what cannot be done."""
     system, path = filesystem(place)
     try:
@@ -166,7 +166,7 @@ def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
 
 @contextmanager
 def _changed(place: str) -> Iterator[tuple[Any, str]]:
-    """Open the file system of a place; whatever it raises is an `OSError` that names the place."""
+    """Open the file system of a path; whatever it raises is an `OSError` that names the path."""
     system, path = filesystem(place)
     try:
         yield system, path
@@ -189,7 +189,7 @@ def found_below(folder: str) -> list[str]:
     ReadError
         If it cannot be listed.
     """
-    with _asked(folder, "cannot be listed") as (system, path):
+    with _file_system(folder, "cannot be listed") as (system, path):
         found = system.find(path, withdirs=True)
     return sorted(posixpath.relpath(each, path) for each in found if each.rstrip("/") != path)
 
@@ -202,7 +202,7 @@ def matching(pattern: str) -> list[str]:
     ReadError
         If the file system cannot be queried.
     """
-    with _asked(pattern, "cannot be listed") as (system, path):
+    with _file_system(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
     if not is_url(pattern):
         return found
@@ -220,7 +220,7 @@ def names_in(folder: str) -> list[str]:
     ReadError
         If it cannot be listed.
     """
-    with _asked(folder, "cannot be listed") as (system, path):
+    with _file_system(folder, "cannot be listed") as (system, path):
         system.invalidate_cache()
         try:
             found = system.ls(path, detail=False)
@@ -237,7 +237,7 @@ def written(place: str) -> datetime:
     ReadError
         If there is none, or the file system does not know.
     """
-    with _asked(place, "when it was written is not known") as (system, path):
+    with _file_system(place, "when it was written is not known") as (system, path):
         files = system.find(path) if system.isdir(path) else [path]
         last: datetime = max(system.modified(each) for each in files)
     return last.astimezone(UTC).replace(microsecond=0)
@@ -252,10 +252,10 @@ def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     ReadError
         If it cannot be read, or is longer than one would be.
     """
-    with _asked(place, "cannot be read") as (system, path):
+    with _file_system(place, "cannot be read") as (system, path):
         if not is_url(place):
             check_is_file(Path(path))
-    with _asked(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
+    with _file_system(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
         if file.seek(0, os.SEEK_END) > most:
             raise ReadError(f"{place}: more than {most} bytes")
         file.seek(0)
@@ -283,7 +283,7 @@ def write_bytes(place: str, data: bytes) -> None:
     Raises
     ------
     OSError
-        If it cannot be written; names the place.
+        If it cannot be written; names the path.
     """
     if not is_url(place):
         write_atomically(Path(absolute(place)), data)
@@ -336,7 +336,7 @@ def remove(place: str) -> None:
     Raises
     ------
     OSError
-        If it cannot be removed; names the place.
+        If it cannot be removed; names the path.
     """
     with _changed(place) as (system, path):
         system.rm_file(path)
@@ -361,11 +361,11 @@ def fetch(place: str, into: Path) -> Path:
     """
     local = into / posixpath.basename(place.rstrip("/"))
     into.mkdir(parents=True, exist_ok=True)
-    with _asked(place, "cannot be read") as (system, path):
-        beside = f"{path.removesuffix('.pcap')}.json"
+    with _file_system(place, "cannot be read") as (system, path):
+        metadata = f"{path.removesuffix('.pcap')}.json"
         system.get(path, str(local), recursive=system.isdir(path))
-        if path.endswith(".pcap") and system.exists(beside):
-            system.get(beside, str(into / posixpath.basename(beside)))
+        if path.endswith(".pcap") and system.exists(metadata):
+            system.get(metadata, str(into / posixpath.basename(metadata)))
     return local
 
 

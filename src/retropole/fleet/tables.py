@@ -59,7 +59,7 @@ def opened(
     place
         Path or URL.
     fault
-        What it is where it cannot be read, with the reason in the place of ``{}``.
+        What it is where it cannot be read, with the reason instead of ``{}``.
     most
         Bytes that it may have.
     schema

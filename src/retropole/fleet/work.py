@@ -51,11 +51,11 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     tolerance
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     tried
-        When the run began: the time of a site whose recordings tell none.
+        When the run began: the time of a site whose recordings have none.
     document
-        The stored result itself; None if it is at the place that the site names.
+        The stored result itself; None if it is at the path that the site names.
     lidars
         Target and source by their names, of the stored result of a site; None of a pair.
     known
@@ -81,7 +81,7 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker is told: the site, and the key of the row that there is of it.
+    """What a worker receives: the site, and the key of the row that there is of it.
 
     With a `check` the site is compared with its stored result, and not calibrated. Of `protocols`
     URLs are followed as by whoever gives it.
@@ -107,7 +107,7 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 class Outcome(msgspec.Struct, frozen=True, tag=True):
     """The outcome of a task: the row of a calibration, or that of a check.
 
-    Neither is there where the row that there is still holds.
+    Neither is there where the existing row is still valid.
     """
 
     id: str
@@ -130,14 +130,14 @@ def environment() -> str:
     return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
 
 
-def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
+def answer(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
     """Calibrate one site, unless the row that there is was made of the same.
 
     Parameters
     ----------
     task
         The site, and what there is of it.
-    tell
+    report
         Called with the hashes of its files before anything is read of what is in them.
 
     Returns
@@ -153,7 +153,7 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     try:
         with local_files(task.site) as local:
             hashed = _hashed(task.site, local)
-            tell(hashed)
+            report(hashed)
             if hashed.key == task.known and _is_reported(task, hashed):
                 return Outcome(task.site.id)
             row, steps = _calibrated(task, local, hashed)
@@ -204,7 +204,7 @@ def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
     )
 
 
-def lost(
+def unanswered(
     site: FleetSite, code: str, message: str, hashed: Hashed | None = None, seconds: float = 0.0
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
@@ -357,9 +357,9 @@ class LocalFiles:
         for lidar in file.lidar:
             for placement, name in zip(file.placements, lidar.recordings, strict=True):
                 if name:
-                    yield lidar.name, placement, self._beside(self.site, lidar.name, name)
+                    yield lidar.name, placement, self._brought(self.site, lidar.name, name)
 
-    def _beside(self, site: Path, lidar: str, name: str) -> Path:
+    def _brought(self, site: Path, lidar: str, name: str) -> Path:
         """Bring a recording that a site file names."""
         path, given = site.parent / name, self._given.get(str(site))
         if given is not None:
@@ -383,22 +383,22 @@ class LocalFiles:
         ReadError
             If one that is named cannot be read.
         """
-        beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
-        found = [path for path in beside if path.is_file()]
+        metadata = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
+        found = [path for path in metadata if path.is_file()]
         if self.site is not None:
             from ..api.site_file import read_site_file
 
             file = read_site_file(self.site)
             if file.survey is not None:
-                found.append(self._beside(self.site, "survey", file.survey))
+                found.append(self._brought(self.site, "survey", file.survey))
             for lidar in file.lidar:
                 if lidar.angles is not None:
                     name = os.path.relpath(lidar.angles, self.site.parent)
-                    found.append(self._beside(self.site, lidar.name, name))
+                    found.append(self._brought(self.site, lidar.name, name))
         return [hash_of(path) for path in found]
 
     def renamed(self, text: str) -> str:
-        """Call what lies in our own folder as it was given."""
+        """Call what lies in our folder as it was given."""
         for path in sorted(self._given, key=len, reverse=True):
             text = text.replace(path, self._given[path])
         return text

@@ -27,7 +27,7 @@ POINT = np.dtype(
 of its LiDAR."""
 
 NO_RING = 2**16 - 1
-"""Stands for a ring that is not known."""
+"""Number of a ring that is not known."""
 
 Points = NDArray[np.void]
 """Fused points (N,), of `POINT`."""
@@ -42,7 +42,7 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
     Parameters
     ----------
     cloud
-        In the LiDAR's own frame.
+        In the frame of the LiDAR.
     T_frame_lidar
         (4, 4) pose of the LiDAR.
     lidar
@@ -67,7 +67,7 @@ def fused(cloud: PointCloud, T_frame_lidar: Array, lidar: int = 0) -> Points:
     return points
 
 
-def together(parts: Sequence[Points]) -> Points:
+def joined_points(parts: Sequence[Points]) -> Points:
     """Join fused points (N,): as bytes, which is ten times as fast as field by field."""
     return np.concatenate([part.view(np.uint8) for part in parts]).view(POINT)
 
@@ -104,7 +104,7 @@ HALF = 2**18
 """Cells that a grid has from its middle to either end, along each axis."""
 
 LIDARS = 2**5
-"""Number of LiDARs that may have cells of their own in a grid: as many as bits of a number in
+"""Number of LiDARs that may have separate cells in a grid: as many as bits of a number in
 PLY."""
 
 

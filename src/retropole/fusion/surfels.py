@@ -2,8 +2,8 @@
 
 The points of each LiDAR are summed in small cubes, and a surfel is fitted to a cube and its 26
 neighbours together. So a surface is never cut where it passes through the border of a cube, which
-would draw the two halves of its noise apart. Where two LiDARs see one surface, how far their
-surfels are apart along the normal is what the calibration, and the LiDARs, are off there.
+would separate the two halves of its noise. Where two LiDARs see one surface, how far their
+surfels are from each other along the normal is what the calibration, and the LiDARs, are off there.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ..surfaces.patches import MAX_FLATNESS, MIN_ACROSS, MIN_SPREAD
 from .merging import LIDARS, Grid, Points, cell_keys, cells_at, summed
 
 DEFAULT_CELL = 0.3
-"""Side of the cubes, metres: three of them are as wide as the rings of most LiDARs are apart on a
-wall at 20 m. With 0.2 and 0.5 the distances are the same to a millimetre (benchmarks/merging.py,
-field, seeds 0 to 4)."""
+"""Side of the cubes, metres: three of them are as wide as the distance between rings of most LiDARs
+on a wall at 20 m. With 0.2 and 0.5 the distances are the same to a millimetre
+(benchmarks/merging.py, field, seeds 0 to 4)."""
 
 MIN_POINTS = 12
-"""A surfel has so many points of each LiDAR at least: four times what makes a plane."""
+"""A surfel has at least this many points of each LiDAR: four times what makes a plane."""
 
 MAX_SURFEL_THICKNESS = 0.05
 """RMS distance of points from the plane above which they are no surface, metres: single returns
@@ -95,8 +95,8 @@ class Surfels:
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
-    """How far apart the surfaces of two LiDARs are, place by place.
+class SurfaceDistance:
+    """Distances between the surfaces of two LiDARs, surfel by surfel.
 
     Attributes
     ----------
@@ -291,7 +291,8 @@ def surfels_of(moments: Moments, origins: Array) -> Surfels:
 def _surfels(
     middles: Array, windows: Array, origins: Array, size: float
 ) -> Iterator[tuple[Array | IntArray, ...]]:
-    """Make surfels of windows (L, C, 12): what `Surfels` holds, one side of the cells at a time."""
+    """Make surfels of windows (L, C, 12): the fields of `Surfels`, one side of the cells at a
+    time."""
     full = (windows[:, :, 0] >= MIN_POINTS).any(axis=0)
     middles, windows = middles[full], windows[:, full]
     fits = [_fit(own, middles, at) for own, at in zip(windows, origins, strict=True)]
@@ -320,7 +321,7 @@ def _surfels(
         left &= ~group
 
 
-def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apart]:
+def surface_distances(moments: Moments, origins: Array, up: Array) -> Iterator[SurfaceDistance]:
     """Compare the surfaces that two LiDARs see, for each two that share any.
 
     Both are planes with one normal n, that of the mean of their covariances, through their means
@@ -353,7 +354,7 @@ def surfaces_apart(moments: Moments, origins: Array, up: Array) -> Iterator[Apar
         kinds = _kinds(centres, normals, min(origins[i] @ up, origins[j] @ up), up)
         # One surfel for each column of cells along the axis nearest to the normal.
         areas = moments.size**2 / np.abs(normals).max(axis=1)
-        yield Apart((i, j), centres, normals, off, kinds, areas)
+        yield SurfaceDistance((i, j), centres, normals, off, kinds, areas)
 
 
 def _some(fit: _Fit, rows: IntArray) -> _Fit:
@@ -376,7 +377,7 @@ def _apart(middles: Array, first: _Fit, second: _Fit, size: float) -> tuple[Arra
 
 
 def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray:
-    """Tell ground, below both LiDARs, from walls and what is neither."""
+    """Distinguish ground, below both LiDARs, from walls and what is neither."""
     steep = normals @ up
     is_ground = (steep > NEAR_LEVEL) & (centres @ up < height)
     is_wall = np.abs(steep) < NEAR_VERTICAL
@@ -386,14 +387,14 @@ def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray
 def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
     """Find the vertical (3,) in the frame of the pose, by the ground that a LiDAR sees.
 
-    Its own axis where it sees none: most LiDARs stand upright.
+    Its own axis where it sees none: most LiDARs are upright.
     """
     normal = ground_normal(cloud, np.random.default_rng(0))
     normal = normal if normal @ cloud.axis >= 0 else -normal
     return np.asarray(T_frame_lidar[:3, :3] @ normal)
 
 
-def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array:
+def distance_at(surfels: Surfels, apart: Sequence[SurfaceDistance], reach: float) -> Array:
     """Give the distance (M,) that was found nearest to each surfel, NaN if none is in reach."""
     found = np.full(len(surfels.centres), np.nan)
     if not apart or not len(found):
@@ -409,7 +410,7 @@ def distance_at(surfels: Surfels, apart: Sequence[Apart], reach: float) -> Array
     return found
 
 
-def distances(apart: Iterable[Apart]) -> list[Distance]:
+def distances(apart: Iterable[SurfaceDistance]) -> list[Distance]:
     """Sum up the distances of surfaces, by pair of LiDARs and kind of surface; none is left out.
 
     Medians: single objects that moved, or that both see otherwise, move them little.

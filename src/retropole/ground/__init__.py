@@ -1,1 +1,1 @@
-"""The ground that LiDARs stand on: which returns are of it, and where they are over it."""
+"""The ground below LiDARs: which returns are of it, and where they are over it."""

@@ -3,7 +3,7 @@
 The plane of the ground is, by definition, the one that fits its surface best (least squares of the
 height, by area) within a disc about the foot of the LiDARs, and the surface is continued where
 none sees it: below a LiDAR there is always a blind cone. Heights z of the ground in cells, of each
-LiDAR its own, are one linear Gaussian model::
+LiDAR separately, are one linear Gaussian model::
 
     z = a + b x + c y + g(x, y) − D e − J δ + noise
 
@@ -72,8 +72,8 @@ NOISES = (0.001, 0.003, 0.01)
 grass."""
 
 LEAST_FALL = 0.02
-"""Beams fall by this part of their length at least, where they are counted by where they meet the
-plane: farther away the ground may rise to meet them."""
+"""Beams fall by this part of their length at least, where they are counted by where they hit the
+plane: farther away the ground may rise towards them."""
 
 PLANE_SIGMA = (1.0, 0.3, 0.3)
 """1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
@@ -86,13 +86,13 @@ MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.08
 metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
 
 WIDER = (1.0, 1.5, 2.25, 3.4)
-"""Where too little of the disc is seen, discs so many times as large are taken: 6 m high on a mast
+"""Where too little of the disc is seen, discs this many times as large are used: 6 m high on a mast
 a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
 """What is not known better, rad and m, is no answer."""
 
-ROUNDS, SETTLED = 3, 0.001
+ROUNDS, CONVERGED = 3, 0.001
 """The rough axes are those of the plane after at most this many rounds; they are where they are not
 tilted against it by more than this, rad: a LiDAR 6 m high has its foot 6 mm aside."""
 
@@ -228,7 +228,7 @@ def level(
         )
         plane, covariance = found.mean[:3], found.covariance
         # The disc is about the foot of the perpendicular on the plane itself.
-        if not left or np.hypot(*plane[1:]) < SETTLED:
+        if not left or np.hypot(*plane[1:]) < CONVERGED:
             break
         turned = ground_frame(plane, ground.T_rough_frame)
         ground = find_ground(viewers, radius, (turned, ground.ceiling))
@@ -287,7 +287,7 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
     up = ground.T_rough_frame[2, :3]
     while True:
         parts = [
-            _own_cells(viewer, index, ground.T_rough_frame, side)
+            _lidar_cells(viewer, index, ground.T_rough_frame, side)
             for viewer, index in zip(viewers, ground.points, strict=True)
         ]
         if sum(len(part.means) for part in parts) <= MOST_CELLS:
@@ -325,7 +325,7 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
     )
 
 
-class _OwnCells(NamedTuple):
+class _LidarCells(NamedTuple):
     """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), the mean square of their heights
     about the mean (n,), m², and (n, B) shares of the bands."""
 
@@ -335,17 +335,17 @@ class _OwnCells(NamedTuple):
     share: Array
 
 
-def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _OwnCells:
+def _lidar_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _LidarCells:
     xyz = viewer.cloud.xyz[index]
-    # By where the beams meet the plane: by the points, noise would choose the cell.
+    # By where the beams hit the plane: by the points, noise would choose the cell.
     T = rough @ viewer.T
     start, beams = (
         se3.apply(T, viewer.cloud.origin[None])[0],
         (xyz - viewer.cloud.origin) @ T[:3, :3].T,
     )
     fall = np.minimum(beams[:, 2], -LEAST_FALL * se3.lengths(beams))
-    met = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
-    at = np.floor(met / side).astype(np.int64)
+    reached_at = start[:2] - beams[:, :2] * (start[2] / fall)[:, None]
+    at = np.floor(reached_at / side).astype(np.int64)
     _, cell = np.unique(at, axis=0, return_inverse=True)
     cell, n = cell.ravel(), int(cell.max(initial=-1)) + 1
     count = np.bincount(cell, minlength=n).astype(float)
@@ -359,10 +359,10 @@ def _own_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _O
     np.add.at(share, (cell, band.ravel()), 1.0)
     off = (xyz - means[cell]) @ T[2, :3]
     scatter = np.bincount(cell, off**2, minlength=n) / count
-    return _OwnCells(means, count, scatter, share / count[:, None])
+    return _LidarCells(means, count, scatter, share / count[:, None])
 
 
-def _by_errors(viewer: Viewer, part: _OwnCells, up: Array) -> tuple[Array, Array]:
+def _by_errors(viewer: Viewer, part: _LidarCells, up: Array) -> tuple[Array, Array]:
     """Derivative (n, E) of measured heights by the errors of one LiDAR, and 1 σ (E,) of these."""
     axis, toward = viewer.cloud.axis, part.means - viewer.cloud.origin
     ranges = np.maximum(se3.lengths(toward), 1e-9)
@@ -486,8 +486,8 @@ def _shape(a: Array, b: Array, each: Array, road: float, radius: float) -> Array
     )
     if profile:
         axis = np.array([np.cos(road), np.sin(road)])
-        apart = np.abs((a @ axis)[:, None] - b @ axis)
-        found += profile**2 * _matern(apart / (across * radius))
+        widths = np.abs((a @ axis)[:, None] - b @ axis)
+        found += profile**2 * _matern(widths / (across * radius))
     return np.asarray(found)
 
 

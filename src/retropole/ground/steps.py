@@ -37,15 +37,15 @@ MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
 
 EDGE, SIDE = 0.05, 3
-"""Where the ground on both sides of a square, so many squares of each, continues to heights there
+"""Where the ground on both sides of a square, this many squares of each, continues to heights there
 that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at
 45°, a change of the slope by 10 %, 0.04 m."""
 
 CLOSED = 1
-"""Gaps of up to twice so many squares in the line of a step are closed: few rings show it whole.
-Two kerbs 3 m apart stay two."""
+"""Gaps of up to twice this many squares in the line of a step are closed: few rings show it whole.
+Two kerbs at 3 m distance stay two."""
 
-APART, DIFFERENT = 4, 0.06
+SEPARATION, DIFFERENT = 4, 0.06
 """Pieces that are within this many squares of each other are different levels where their heights
 there differ by more, metres, in the middle."""
 
@@ -53,13 +53,13 @@ SAME_LEVEL = 0.06
 """A piece is of a level where the middle of its heights is so near its surface, metres."""
 
 RIDGE = 10.0
-"""Weight with which a level is held parallel to the rough axes, cells times m²."""
+"""Weight with which a level is kept parallel to the rough axes, cells times m²."""
 
-PARTED, PARTING_ROUNDS = 0.2, 20
+SPLIT, PARTING_ROUNDS = 0.2, 20
 """Two levels are distinguished in one piece where both together are this thin, root mean square,
 as a part of the step between them; and rounds of parting it."""
 
-LEAST_PARTED = 80
+LEAST_SPLIT = 80
 """Pieces of more squares may be of two levels: 10 m² of each."""
 
 LEAST_SHARE = 0.05
@@ -69,18 +69,18 @@ MOST_LEVELS = 6
 """Number of the largest pieces that are tried for a beginning of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
-"""A level so much higher or lower, metres, and parallel, root mean square, may be the ground as
-well, a road next to a pavement,"""
+"""A level higher or lower by this much, metres, and parallel, root mean square, may be the ground
+as well, a road next to a pavement,"""
 
 KERB_AREA = 10.0
-"""… and seen on so much, m², where no step is seen between them,"""
+"""… and seen on this much, m², where no step is seen between them,"""
 
 NEAREST, NEARER = 0.05, 0.6
 """… where the ground is not on all sides of the foot at this part of the distance of that level, of
-which so much is nearer."""
+which this much is nearer."""
 
 ABRUPT, PAIRS, FARTHEST = 0.75, 20, 4.0
-"""At a step, levels are apart by this part of their distance in the middle of this many nearest
+"""At a step, levels differ by this part of their distance in the middle of this many nearest
 pairs of squares, no farther than this, metres: 0.9 at kerbs, 0.4 to 0.6 on cambers that two planes
 fit (seeds 0 to 199, 3065 and 3181 of the benchmark)."""
 
@@ -89,7 +89,7 @@ STRIP, STRIP_TURNS = 0.5, 90
 
 STRAYS, ALIKE = 0.05, 0.01
 """Part of the squares that may be of the other level than the rest of their strip, and by which
-directions are treated as alike."""
+directions are treated as equal."""
 
 REACHES = np.linspace(0.1, 2.0, 20)
 """Distances within which a level may lie on all sides of the foot, as parts of the radius."""
@@ -149,7 +149,7 @@ def _pieces(at: Array) -> IntArray:
 
 def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
     """(P, P) which pieces of cells (N, 3), of heights (N,), are next to each other with a step."""
-    a, b = _pairs(at, APART).T
+    a, b = _pairs(at, SEPARATION).T
     differ = pieces[a] != pieces[b]
     one, other = np.sort(np.stack([pieces[a], pieces[b]])[:, differ], axis=0)
     count = int(pieces.max(initial=-1)) + 1
@@ -195,10 +195,10 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
         ``two_grounds``.
     """
     none, pieces = np.zeros(len(at), dtype=bool), _pieces(at)
-    for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_PARTED):
+    for number in np.flatnonzero(np.bincount(pieces, minlength=1) > LEAST_SPLIT):
         own = pieces == number
-        if parted := _parted(at, own, [at[:, 2] > np.median(at[own, 2])]):
-            pieces[own & ~parted[0]] = pieces.max() + 1
+        if split := _split(at, own, [at[:, 2] > np.median(at[own, 2])]):
+            pieces[own & ~split[0]] = pieces.max() + 1
     size = np.bincount(pieces, minlength=1)
     weight = 1 / (np.sum(at[:, :2] ** 2, axis=1) + (radius / 4) ** 2)
     heavy = np.asarray(np.bincount(pieces, weight, minlength=1) * (size >= MIN_PIECE), np.float64)
@@ -219,13 +219,15 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
     best, *rest = sorted(found, key=lambda level: (level.around, -level.weight))
     on, left, others = best.on, none, list[Level]()
     for level in rest:
-        beside = level.on & ~best.on
-        if not beside.any():
+        other_level = level.on & ~best.on
+        if not other_level.any():
             continue
-        other = _level(at[:, 2] - best.heights, beside)
-        touching = conflicts[np.ix_(np.unique(pieces[best.on]), np.unique(pieces[beside]))].any()
+        other = _level(at[:, 2] - best.heights, other_level)
+        touching = conflicts[
+            np.ix_(np.unique(pieces[best.on]), np.unique(pieces[other_level]))
+        ].any()
         if touching and not left.any() and KERB[0] < abs(other.height) < KERB[1]:
-            two = _beside_a_kerb(at, best, level, over, other)
+            two = _along_kerb(at, best, level, over, other)
             if two is not None:
                 on, left = two
                 other = _level(at[:, 2] - plane_of_cells(at, on), left)
@@ -238,21 +240,21 @@ def _level(over: Array, on: BoolArray) -> Level:
     return Level(float(np.median(over[on])), float(np.count_nonzero(on)) * CELL**2)
 
 
-def _beside_a_kerb(
+def _along_kerb(
     at: Array, best: _Grown, level: _Grown, over: Array, other: Level
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N,) are ground, and which of the level a step from it; None if no kerb is.
 
     `best` and `level` are a first guess; heights (N,) are over a plane without lean.
     """
-    both, beside = best.on | level.on, level.on & ~best.on
-    upper = beside if other.height > 0 else ~beside
-    halfway = (np.median(over[best.on]) + np.median(over[beside])) / 2
-    parted = _parted(at, both, [upper, over > halfway])
-    is_parallel = np.std((at[:, 2] - best.heights)[beside]) < PARALLEL
-    two = parted or (both & ~upper, both & upper)
+    both, other_level = best.on | level.on, level.on & ~best.on
+    upper = other_level if other.height > 0 else ~other_level
+    halfway = (np.median(over[best.on]) + np.median(over[other_level])) / 2
+    split = _split(at, both, [upper, over > halfway])
+    is_parallel = np.std((at[:, 2] - best.heights)[other_level]) < PARALLEL
+    two = split or (both & ~upper, both & upper)
     is_step = _is_step(at, *two)
-    if not (parted and is_step) and not is_parallel:
+    if not (split and is_step) and not is_parallel:
         return None
     is_upper = _below(at[:, :2], *two) if is_step else None
     if is_upper is None:
@@ -271,7 +273,7 @@ def _beside_a_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels differ as much where they are nearest as elsewhere, unlike a slope."""
+    """Whether two levels differ as much where they are nearest as on average, unlike a slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]
@@ -333,7 +335,7 @@ def plane_of_cells(at: Array, on: BoolArray) -> Array:
     return np.asarray(table @ np.linalg.solve(rows.T @ rows + ridge, rows.T @ at[on, 2]))
 
 
-def _parted(
+def _split(
     at: Array, both: BoolArray, guesses: Sequence[BoolArray]
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N, 3) are of the lower and the upper of two parallel levels; None of one.
@@ -356,7 +358,7 @@ def _parted(
         found.append((np.sqrt(np.mean(off**2)), fit[3], off, upper))
     thick, step, off, upper = min(found, key=lambda each: each[0])
     share = min(upper.mean(), 1 - upper.mean())
-    if abs(step) < SAME_LEVEL or thick > PARTED * abs(step) or share < LEAST_SHARE:
+    if abs(step) < SAME_LEVEL or thick > SPLIT * abs(step) or share < LEAST_SHARE:
         return None
     clear, levels = np.abs(off) < abs(step) / 3, np.zeros((2, len(at)), dtype=bool)
     levels[0, both], levels[1, both] = clear & (upper == (step < 0)), clear & (upper == (step > 0))

@@ -26,7 +26,7 @@ LOW, HIGH = 0.1, 0.9
 err."""
 
 FLAT = 0.06
-"""Bottom and top of a square of ground are no further apart, metres: less than the least
+"""Bottom and top of a square of ground differ by no more, metres: less than the least
 kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3
@@ -39,8 +39,9 @@ MIN_CLEAR = 0.1
 """LiDARs are at least so high above the ground, metres."""
 
 OTHER_SIDE = 3.0
-"""A plane on the side of the LiDAR's −z axis is the ground, unless there are so many times as
-many places on one on the other side: a floor has a ceiling over it, a LiDAR may hang head down."""
+"""A plane on the side of the LiDAR's −z axis is the ground, unless there are this many times as
+many places on one on the other side: a floor has a ceiling over it, a LiDAR may be mounted upside
+down."""
 
 
 UPRIGHT = 0.1
@@ -145,13 +146,13 @@ def find_ground(
     middle[at_steps(middle)] = np.nan
     rows = np.stack(np.nonzero(np.isfinite(middle)), axis=1)
     at = np.c_[corner + (rows + 0.5) * CELL, middle[np.isfinite(middle)]]
-    on, beside, others = levels(at, radius)
+    on, other_level, others = levels(at, radius)
     if not on.any():
         raise little(0.0, 0.0, radius)
-    off = at[beside, 2] - plane_of_cells(at, on)[beside]
-    thick = min(FLAT, abs(float(np.median(off))) / 2) if beside.any() else FLAT
+    off = at[other_level, 2] - plane_of_cells(at, on)[other_level]
+    thick = min(FLAT, abs(float(np.median(off))) / 2) if other_level.any() else FLAT
     middle[tuple(rows[~on].T)] = np.nan
-    level = _wide(middle, tuple(rows[beside].T))
+    level = _wide(middle, tuple(rows[other_level].T))
     kept = tuple(k[_is_near(p[k], level, corner, thick)] for p, k in zip(points, near, strict=True))
     centre = np.zeros(2) if is_around(at[on, :2]) else at[on, :2].mean(axis=0)
     ground = at[on & (se3.lengths(at - np.r_[centre, 0.0]) < radius)]
@@ -159,7 +160,9 @@ def find_ground(
     if len(ground) > 1:
         spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
     area = len(ground) * CELL**2
-    return Ground(rough, kept, centre, radius, area, float(spread), at[beside, :2], others, ceiling)
+    return Ground(
+        rough, kept, centre, radius, area, float(spread), at[other_level, :2], others, ceiling
+    )
 
 
 def little(area: float, spread: float, radius: float) -> Refusal:
@@ -205,9 +208,9 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
 
 
 def level_axes(up: Array) -> Array:
-    """(3, 3) rows x, y, z, in a frame: z up (3,), and x the frame's own x laid along the ground.
+    """(3, 3) rows x, y, z, in a frame: z up (3,), and x that of the frame projected to the ground.
 
-    Where that stands upright, what is at right angles to the frame's y is taken for it.
+    Where that is upright, what is at right angles to the frame's y is taken for it.
     """
     x = np.array([1.0, 0.0, 0.0]) - up[0] * up
     if np.linalg.norm(x) < UPRIGHT:

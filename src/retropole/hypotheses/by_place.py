@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..alignment.adjustment import PLACE_SIGMA, BeamAlignment, leaves_little, widest
+from ..alignment.adjustment import SURROUNDINGS_SIGMA, BeamAlignment, is_nearly_determined, widest
 from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
@@ -39,8 +39,8 @@ from .prior import PosePrior, agreeing_with_prior
 
 HELD = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
-taken to give before (`alignment.adjustment.PLACE_SIGMA`): 0.5° and 5 cm. With twice that, an answer
-between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
+taken to give before (`alignment.adjustment.SURROUNDINGS_SIGMA`): 0.5° and 5 cm. With twice that, an
+answer between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
 
 MAX_CONTRADICTED = 0.06
 """Without any pole no more of the patches may contradict the pose. Two wrong poses of 88 recordings
@@ -356,14 +356,14 @@ def check_held(
         )
     assert refined.covariance is not None
     held = refined.covariance if held is None else held
-    if is_held(held) and leaves_little(refined.covariance):
+    if is_held(held) and is_nearly_determined(refined.covariance):
         return
     check_held_by_scene(refined.covariance, left=left, advice=advice)
 
 
 def is_held(covariance: Array) -> bool:
     """Whether a pose (6, 6) is known far better than the place was taken to give it."""
-    by_place = covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
+    by_place = covariance / np.outer(SURROUNDINGS_SIGMA, SURROUNDINGS_SIGMA)
     return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
 
 

@@ -28,7 +28,7 @@ from ..base import se3
 from ..base.datatypes import Array, Match, Pole
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..extraction.acceptance_shape import MAX_SURE_RMS
+from ..extraction.acceptance_shape import MAX_CONFIRMED_RMS
 from .placements import Share
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
@@ -199,7 +199,7 @@ def exact_rms(
         )
         count += len(other.xyz)
         variance += len(other.xyz) * (other.rms**2 + 9.0 * open_variance)
-    return float(np.sqrt(EXACT_RMS**2 + max(variance / count - MAX_SURE_RMS**2, 0.0)))
+    return float(np.sqrt(EXACT_RMS**2 + max(variance / count - MAX_CONFIRMED_RMS**2, 0.0)))
 
 
 EXTENSION_RMS = 3 * EXACT_RMS

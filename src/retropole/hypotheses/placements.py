@@ -21,7 +21,7 @@ from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..base.errors import Refusal
-from ..base.systematic import left_of_each
+from ..base.systematic import remaining_sway_of_each
 from ..extraction.sensor_pattern import error_sizes
 
 
@@ -265,7 +265,7 @@ def align(
 def left_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
     """What is left of the sway of target and source, (6, 6) each; empty if neither swayed."""
     both = zip(*(each.scans for each in placements), strict=True)
-    return left_of_each([[scan.sway for scan in own] for own in both])
+    return remaining_sway_of_each([[scan.sway for scan in own] for own in both])
 
 
 def is_by_place(paired: Sequence[PairedPlacement]) -> bool:

@@ -67,7 +67,7 @@ def open_recording(
         Of a bag, the topic to read; needed where several have point clouds. Of a capture, the
         ``IP:port`` of a LiDAR; needed where several sent.
     wanted
-        The field of the intensity, and of packets the unit's own angles.
+        The field of the intensity, and of packets the angles of the unit.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def open_recording(
         Naming the file and what was expected.
     UsageError
         If a topic is given, and the path is neither a bag nor a capture; where angles are, and
-        it holds no packets.
+        it has no packets.
     MissingExtraError
         If the format needs an extra that is not installed.
     """
@@ -90,7 +90,7 @@ def open_recording(
         from .packets import open_packets
 
         return open_packets(path, topic, wanted)
-    wanted.refuse_angles(f"{path}: holds no packets, angles are of no use")
+    wanted.refuse_angles(f"{path}: has no packets, angles are of no use")
     if path.suffix.lower() in LVX and path.is_file():
         from .lvx import open_lvx
 
@@ -185,7 +185,7 @@ def read_cloud(
     Returns
     -------
     PointCloud
-        In the file's own frame, in metres; points that are not finite or at zero range are dropped
+        In the frame of the file, in metres; points that are not finite or at zero range are dropped
         and counted.
 
     Raises
@@ -235,12 +235,12 @@ def read_recording(
     recording = open_recording(path, topic=topic, wanted=wanted)
     if unit != "m" and (recording.model or recording.path.suffix.lower() in CAPTURES):
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
-    asked = chosen_frames(recording, frames)
+    requested = chosen_frames(recording, frames)
     most = sys.maxsize if max_points is None else max_points
-    numbers, read = read_within(recording, asked, most, progress)
+    numbers, read = read_within(recording, requested, most, progress)
     headers = tuple(frame.header for frame in read)
     cloud = in_metres(joined(recording, read), unit)
-    return ReadRecording(recording, asked, numbers, headers, cloud)
+    return ReadRecording(recording, requested, numbers, headers, cloud)
 
 
 def _files(path: Path) -> list[Path]:
@@ -275,7 +275,7 @@ def frames_of(folder: Path) -> list[Path]:
     """
     named = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_dir()]
     for path in named:
-        # A frame that is a pipe, or leads nowhere, is not left out without a word.
+        # A frame that is a pipe, or a broken link, is not left out without a word.
         if path.suffix.lower() in READERS:
             check_is_file(path)
     files = [p for p in named if p.is_file()]

@@ -120,17 +120,17 @@ def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[
     reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = reader(file)
     if dtype.hasobject:
-        raise ReadError("holds Python objects, expected numbers")
+        raise ReadError("has Python objects, expected numbers")
     if not dtype.itemsize or any(n < 0 for n in shape):
         raise ReadError(f"an array of {dtype} and shape {shape}, expected numbers")
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
-        raise ReadError(f"promises {size} bytes of data, the file holds {left} in all")
+        raise ReadError(f"promises {size} bytes of data, the file has {left} in all")
     # A number in a point cloud takes 8 bytes.
     spend(max(size, 8 * size // dtype.itemsize))
     body = file.read(size)
     if len(body) < size:
-        raise ReadError(f"promises {size} bytes of data, the file holds {len(body)}")
+        raise ReadError(f"promises {size} bytes of data, the file has {len(body)}")
     return np.frombuffer(body, dtype).reshape(shape, order="F" if fortran else "C")
 
 
@@ -150,7 +150,7 @@ def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
-    # So much in all, and so many times its size; coordinates compress 2 to 10 fold.
+    # This much in all, and this many times its size; coordinates compress 2 to 10 fold.
     spend = allowance(len(data), 2**28, 20)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
     with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -220,8 +220,8 @@ def _read_lines(path: Path, wanted: Wanted, wide: tuple[tuple[str, ...], ...] = 
         raise LineError(head.line, f"{columns:,} columns, expected {MAX_COLUMNS:,} at most")
     table = read_table(body, columns, line=head.line, separator=separator)
     if head.promised is not None and len(table) != head.promised:
-        said = f"promises {head.promised} points, {len(table)} lines of numbers follow"
-        raise LineError(head.counted_at, said)
+        stated = f"promises {head.promised} points, {len(table)} lines of numbers follow"
+        raise LineError(head.counted_at, stated)
     names = head.names or next((list(own) for own in wide if len(own) == columns), [])
     if not names:
         return noted(_from_table(table, wanted), *notes)
@@ -263,7 +263,7 @@ def _check_colours(values: Array) -> None:
 def _whole(column: Array) -> NDArray[Any]:
     """Give whole numbers as such: a text has no types, and of times they are ticks."""
     with np.errstate(invalid="ignore"):
-        # Up to this, a float64 holds every whole number.
+        # Up to this, a float64 represents every whole number.
         is_whole = np.all(np.abs(column) <= 2**53) and np.all(column == np.rint(column))
     return column.astype(np.int64) if is_whole else column
 
@@ -311,7 +311,7 @@ def _head(body: bytes) -> _Head:
             names = words
         position += len(raw)
     raise ReadError(
-        f"holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
+        f"has no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
         "expected x y z and more in columns"
     )
 
@@ -398,7 +398,7 @@ FOUR, FIVE = PLAIN_COLUMNS, (*PLAIN_COLUMNS, "ring")
 """Columns of KITTI's velodyne files, and of nuScenes' ``.pcd.bin`` files."""
 
 FLOAT, LONG_RECORD = 4, 32
-"""Bytes of a value; and of a point as PCL holds it in memory, x y z and intensity each padded."""
+"""Bytes of a value; and of a point as in PCL's memory, x y z and intensity each padded."""
 
 TINIEST = 1e-20
 """No coordinate but zero is smaller, or above `LARGEST`, metres or millimetres: halves of float64,
@@ -466,8 +466,8 @@ def _alternate(rows: NDArray[Any]) -> bool:
     low, high = np.minimum(*spreads), np.maximum(*spreads)
     length = np.maximum(np.linalg.norm(ground, axis=1), TINIEST)
     cosine = np.sum(ground[:-1] * ground[1:], axis=1) / (length[:-1] * length[1:])
-    # Points of one sweep spread alike, and lie in one direction: the upper and the lower lasers of
-    # a VLP-16 alternate, and may see 4 m and 16 m.
+    # Points of one sweep spread equally, and lie in one direction: the upper and the lower lasers
+    # of a VLP-16 alternate, and may see 4 m and 16 m.
     return bool(np.any(high > 8.0 * low) and np.median(cosine) < 0.9)
 
 

@@ -255,7 +255,7 @@ FOOTER = 37
 """Bytes of the last record and of the mark at the end of the file."""
 
 RECORD_COST = 512
-"""Bytes that a record is counted as besides its own: so much memory and time it takes."""
+"""Bytes that a record costs in addition to its own, by the memory and time that it takes."""
 
 MAX_WAITING = 2**28
 """Bytes of messages that may wait to be sorted by time, where chunks overlap."""
@@ -329,7 +329,7 @@ def _index(file: BinaryIO) -> Summary:
 
 
 def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
-    """Give the messages as they stand: to sort those of a whole file would take its memory."""
+    """Give the messages in file order: to sort those of a whole file would take its memory."""
     from mcap.stream_reader import StreamReader
     from mcap.summary import Summary
 
@@ -340,7 +340,7 @@ def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
 
 
 def entries_of(record: Any, index: Summary, spend: Spend) -> Iterator[Entry]:
-    """Give the messages of a record, and keep in the index what it says of topics and types."""
+    """Give the messages of a record, and keep its topics and types in the index."""
     from mcap.records import Channel, Message, Schema
 
     for each in _parts(record, spend):
@@ -357,7 +357,7 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, Message
 
-    # Of a chunk, the time of its first message stands for all that it holds.
+    # Of a chunk, the time of its first message is used for all messages in it.
     waiting: list[tuple[int, int, int, Any]] = [
         (chunk.message_start_time, chunk.chunk_start_offset, -1, None)
         for chunk in index.chunk_indexes
@@ -366,11 +366,11 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
         or any(index.channels[n].topic == name for n in chunk.message_index_offsets)
     ]
     heapq.heapify(waiting)
-    held = 0
+    buffered = 0
     while waiting:
         _, start, _, message = heapq.heappop(waiting)
         if message is not None:
-            held -= len(message.data) + RECORD_COST
+            buffered -= len(message.data) + RECORD_COST
             yield _entry(index, message)
             continue
         file.seek(start + 9)
@@ -380,8 +380,8 @@ def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> 
                 continue
             if name is not None and index.channels[record.channel_id].topic != name:
                 continue
-            held += len(record.data) + RECORD_COST
-            if held > MAX_WAITING:
+            buffered += len(record.data) + RECORD_COST
+            if buffered > MAX_WAITING:
                 raise ReadError(
                     f"more than {MAX_WAITING:,} bytes of messages lie in chunks that overlap in "
                     "time; 'mcap sort' puts them in order"
@@ -441,7 +441,7 @@ def _folder(path: Path) -> Iterator[Bag]:
     about = _metadata(path)
     storage = str(about["storage_identifier"])
     suffix = {"mcap": ".mcap", "sqlite3": ".db3"}.get(storage)
-    if not storage:  # as some programs leave it, the files tell
+    if not storage:  # as some programs leave it, the files show it
         suffix = next((PurePath(str(name)).suffix for name in about["relative_file_paths"]), None)
         suffix = suffix if suffix in OPENERS else None
     mode = str(about.get("compression_mode") or "none").lower()
@@ -479,7 +479,7 @@ def _folder(path: Path) -> Iterator[Bag]:
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """Read what the metadata of a ROS 2 bag say of its files.
+    """Read the names of the files in the metadata of a ROS 2 bag.
 
     Raises
     ------

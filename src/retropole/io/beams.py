@@ -2,8 +2,8 @@
 
 Converters fill the field of the rings with zeros, or with the number of the column or the packet.
 A program that has moved a cloud into the frame of a vehicle mostly leaves no word of where the
-LiDAR was. Its rings still tell: the beams of one ring make a cone, and the cones of all rings have
-their apex and their axis in common.
+LiDAR was. Its rings still show it: the beams of one ring make a cone, and the cones of all rings
+have their apex and their axis in common.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def is_wider(cloud: PointCloud, sensor: Sensor) -> bool:
 
 
 def azimuth_arc(cloud: PointCloud) -> float:
-    """Width of the smallest range of azimuths about a cloud's axis that holds all but
+    """Width of the smallest range of azimuths about a cloud's axis that contains all but
     `MANY_BEYOND` of its points, rad; the cloud has the origin and the axis of its beams.
     """
     rays = cloud.xyz[:: 1 + (len(cloud) - 1) // RING_SAMPLE] - cloud.origin
@@ -132,9 +132,9 @@ SAMPLE = 20_000
 """Points, evenly taken, that the cones are fitted to: 150 on each of 128 rings."""
 
 MOST, CONE_SPREAD = 0.9, float(np.radians(0.1))
-"""Rings are cones where so many of their points lie so near to them, rad. Drivers compute points
-from the angles of the beams, so that all of them do: 0.0004° on a Pandar64. Of 144 moved clouds,
-simulated, 143 came back within 1 mm; false cones have 0.18° and more."""
+"""Rings are cones where this share of their points lies this near to them, rad. Drivers compute
+points from the angles of the beams, so that all of them do: 0.0004° on a Pandar64. Of 144 moved
+clouds, simulated, 143 came back within 1 mm; false cones have 0.18° and more."""
 
 MAX_FIT_STEPS = 40
 """Steps of the fit."""
@@ -150,7 +150,7 @@ class Cones:
 
 
 def with_beam_origin(cloud: PointCloud) -> PointCloud:
-    """Give the cloud the beam origin and the axis that its rings tell.
+    """Give the cloud the beam origin and the axis by its rings.
 
     Parameters
     ----------
@@ -160,17 +160,17 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     Returns
     -------
     PointCloud
-        The cloud itself where its rings agree with its origin and axis already, and where they tell
+        The cloud itself where its rings agree with its origin and axis already, and where they show
         no other: rings of a rosette are no cones, nor are those of a sweep undistorted in motion.
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
-    told = _told_by_rings(cloud)
-    return cloud if told is None else replace(cloud, origin=told.apex, axis=told.axis)
+    located = _axis_from_rings(cloud)
+    return cloud if located is None else replace(cloud, origin=located.apex, axis=located.axis)
 
 
 @kept
-def _told_by_rings(cloud: PointCloud) -> Cones | None:
+def _axis_from_rings(cloud: PointCloud) -> Cones | None:
     """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
     origin and axis already, and if there are none.
     """
@@ -183,7 +183,7 @@ def _told_by_rings(cloud: PointCloud) -> Cones | None:
     if ring.max() == 0:
         return None
     for start in (cloud.origin, densest(points), np.median(points, axis=0)):
-        # A part tells first whether there are cones at all: where a sweep was undistorted in
+        # A part shows first whether there are cones at all: where a sweep was undistorted in
         # motion, there are none, from whichever start.
         about = fit_cones(points[::4], ring[::4], start)
         if about.spread > 2 * CONE_SPREAD:
@@ -302,9 +302,9 @@ def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
     """Name the sensors whose elevations a cloud has; empty if no sensor fits.
 
     With rings, the elevation of each ring is compared with the table; without, the elevations of
-    all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
-    are all named. A cloud that was rotated out of its sensor's frame fits none, unless its rings
-    show where it was.
+    all points are, for sensors whose rings are far enough from each other. Sensors with the same
+    elevations are all named. A cloud that was rotated out of its sensor's frame fits none, unless
+    its rings show where it was.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ and half of them beyond the second: the longest range of the table of sensors is
 
 NEAREST_PLACE = 0.5
 """Where all but 5 % of the returns are nearer than this, metres, there is no place around the LiDAR
-to stand poles in; a lone sensor's shortest range is 0.05 to 1 m."""
+to set up poles in; a lone sensor's shortest range is 0.05 to 1 m."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ IN_SECONDS = ("", "s", "sec", "seconds")
 """Units in the name of a time that are taken for seconds; most names have none."""
 
 NANOSECONDS = 1e9
-"""In a second; bags and some drivers count them."""
+"""In a second; the unit of bags and some drivers."""
 
 MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
@@ -68,13 +68,13 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 class MapPlace(NamedTuple):
-    """The place of a map that is read, roughly, metres in its coordinates; None if not known."""
+    """The region of a map that is read, roughly, metres in its coordinates; None if not known."""
 
     at: tuple[float, float, float] | None = None
 
 
 class Wanted(NamedTuple):
-    """What a user says of how points are made; most files need none of it.
+    """User's statements on how points are made; most files need none.
 
     Attributes
     ----------
@@ -82,12 +82,12 @@ class Wanted(NamedTuple):
         Field that the intensity is read from, in any spelling; None, or empty, takes the first of
         `INTENSITY`.
     angles
-        Of packets, the file of the unit's own angles; None takes those of the table.
+        Of packets, the file of the angles of the unit; None takes those of the table.
     if_any
         Those of both, by name, that are left out if a file has no use for them: they are known
         from an older recording, and were not given for this one.
     place
-        Of a map, the place that is read; None for a recording of one LiDAR.
+        Of a map, the region that is read; None for a recording of one LiDAR.
     """
 
     intensity: str | None = None
@@ -126,7 +126,7 @@ class Wanted(NamedTuple):
 
 
 USUAL = Wanted()
-"""Nothing is said."""
+"""Nothing is stated."""
 
 
 def intensities_of(names: Iterable[str]) -> list[str]:
@@ -152,7 +152,7 @@ def noted(cloud: PointCloud, *notes: str) -> PointCloud:
 
 
 def left_out(promised: int, more: int) -> str:
-    """Say that a file holds more points than its header promises, which are not read."""
+    """Report that a file has more points than its header promises, which are not read."""
     return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
 
 
@@ -245,7 +245,7 @@ def cloud_from_columns(
         kept &= _numbers(SECOND_RETURN, columns[SECOND_RETURN]) == 0
     second = int(both - np.count_nonzero(kept))
     if not kept.any():
-        none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
+        none = _none_of(len(xyz)) if len(xyz) else "has no points, expected at least one"
         raise NoReturnsError(none, len(xyz))
 
     def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:

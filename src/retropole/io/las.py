@@ -33,10 +33,10 @@ ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 """Bytes of each kind of item, after LASzip's specification; extra bytes (0 and 14) have any."""
 
 ITEMS_AT, ITEM = 34, "<HHH"
-"""Byte of LAZ's own record at which the items of a point begin, after their number; and an item."""
+"""Byte of LAZ's record at which the items of a point begin, after their number; and an item."""
 
 FIRST_CHUNK = 8
-"""Bytes from the start of the points to the first chunk: the place of the table of chunks."""
+"""Bytes from the start of the points to the first chunk: the position of the table of chunks."""
 
 
 def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
@@ -57,7 +57,7 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     with path.open("rb") as opened:
         _check_header(opened, size)
     try:
-        # One thread: several gain a sixth of the time, and hang in processes made by fork.
+        # One thread: several gain a sixth of the time, and stall in processes made by fork.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
             header = file.header
             left = size - header.offset_to_point_data
@@ -65,7 +65,7 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
             if needed > left * (MAX_LAZ_RATIO if header.are_points_compressed else 1):
                 raise ReadError(
                     f"the header promises {header.point_count} points, {needed} bytes"
-                    f"{' decompressed' if header.are_points_compressed else ''}; the file holds "
+                    f"{' decompressed' if header.are_points_compressed else ''}; the file has "
                     f"{left} after it"
                 )
             for record in header.vlrs.get("LasZipVlr"):
@@ -85,12 +85,12 @@ def read_las(path: Path, wanted: Wanted = USUAL) -> PointCloud:
         # LAZ decoder is not even an Exception.
         raise ReadError(f"is not a readable LAS file ({said(error)})") from None
     if not blocks:
-        raise ReadError("holds no points, expected at least one")
+        raise ReadError("has no points, expected at least one")
     kept = [columns for _, columns in blocks]
     columns = {name: np.concatenate(column) for name, *column in zip(names, *kept, strict=True)}
     count = sum(read for read, _ in blocks)
     if count != header.point_count:
-        raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
+        raise ReadError(f"the header promises {header.point_count} points, the file has {count}")
     if wanted.place is not None and not any(len(own) for own, *_ in kept):
         raise nothing_near(wanted.place, 0, header.mins, header.maxs)
     return cloud_from_columns(columns, wanted)
@@ -124,8 +124,8 @@ def _check_header(file: BinaryIO, size: int) -> None:
         )
     length, points, records = struct.unpack_from("<HII", head, 94)
     if points > size:
-        said = f"the header says that points start at byte {points}"
-        raise ReadError(f"{said}, the file ends at {size}")
+        stated = f"the header says that points start at byte {points}"
+        raise ReadError(f"{stated}, the file ends at {size}")
     # A record has 54 bytes without content.
     if length + 54 * records > points:
         raise ReadError(
@@ -148,12 +148,12 @@ def _chunk_table(file: BinaryIO, start: int, size: int) -> int:
     file.seek(start)
     head = file.read(FIRST_CHUNK)
     table: int = struct.unpack("<q", head)[0] if len(head) == FIRST_CHUNK else 0
-    if table == -1:  # a writer that could not go back put the place at the very end
+    if table == -1:  # a writer that could not go back put the position at the very end
         file.seek(size - FIRST_CHUNK)
         table = struct.unpack("<q", file.read(FIRST_CHUNK))[0]
     if not start < table <= size - FIRST_CHUNK:
-        said = f"its table of chunks is said to be at byte {table}"
-        raise ReadError(f"{said}, expected between {start} and {size - FIRST_CHUNK}")
+        stated = f"its table of chunks is said to be at byte {table}"
+        raise ReadError(f"{stated}, expected between {start} and {size - FIRST_CHUNK}")
     return table
 
 
@@ -168,7 +168,7 @@ def _check_items(size: int, record: bytes) -> None:
 
 
 def _items(record: bytes) -> list[tuple[int, int, int]]:
-    """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
+    """Kind, bytes and version of each item of a point, as LAZ's record has them."""
     if len(record) < ITEMS_AT:
         return []
     (count,) = struct.unpack_from("<H", record, ITEMS_AT - 2)

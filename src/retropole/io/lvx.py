@@ -2,7 +2,7 @@
 
 Both are headers, a description of each LiDAR, and frames, each with the bytes that it takes; in a
 frame are packages of points as the LiDARs send them (LVX Specifications v1.1, LVX2 Specifications
-v1.0). Coordinates are each LiDAR's own: the pose that a description has is not applied.
+v1.0). Coordinates are in the frame of each LiDAR: the pose that a description has is not applied.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ OF_MOTION = {True: 0, False: 6}
 
 
 class _File(NamedTuple):
-    """What the headers say: whether it is LVX2, LiDARs by their number, and where frames are."""
+    """Content of the headers: whether it is LVX2, LiDARs by their number, and where frames are."""
 
     is_new: bool
     names: dict[int, str]

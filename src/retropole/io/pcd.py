@@ -129,8 +129,8 @@ def _parse_header(data: bytes) -> Header:
     line, types = _entry(entries, "TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
         numbers = f"{len(names)}, {len(sizes)}, {len(types)} and {len(counts)} fields"
-        said = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
-        raise LineError(line, said)
+        stated = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
+        raise LineError(line, stated)
     for name, letter, size in zip(names, types, sizes, strict=True):
         if size not in PCD_SIZES.get(letter, ()):
             kind = f"field {name} has type {letter} of {size} bytes"
@@ -149,8 +149,8 @@ def _parse_header(data: bytes) -> Header:
         raise ReadError(f"a point has {sum(counts)} values, expected {MAX_VALUES} at most")
     line, words = entries["DATA"]
     if words not in (["ascii"], ["binary"], ["binary_compressed"]):
-        said = f"DATA {' '.join(words)}"
-        raise LineError(line, f"{said}, expected ascii, binary or binary_compressed")
+        stated = f"DATA {' '.join(words)}"
+        raise LineError(line, f"{stated}, expected ascii, binary or binary_compressed")
     origin = _viewpoint(*entries.get("VIEWPOINT", (0, ["0"] * 7)))
     # Some writers put a field of no values where there is no padding to be said.
     empty = [name for name, count in zip(names, counts, strict=True) if not count and name != "_"]
@@ -197,8 +197,8 @@ def _viewpoint(line: int, words: list[str]) -> Array:
     except ValueError:
         values = np.zeros(0)
     if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
-        said = f"VIEWPOINT {' '.join(words)}"
-        raise LineError(line, f"{said}, expected seven numbers tx ty tz qw qx qy qz")
+        stated = f"VIEWPOINT {' '.join(words)}"
+        raise LineError(line, f"{stated}, expected seven numbers tx ty tz qw qx qy qz")
     return values[:3]
 
 
@@ -211,7 +211,7 @@ def _read_ascii(body: bytes, header: Header) -> tuple[Columns, int]:
         raise ReadError(f"{promised} of {values} values, {cannot}")
     table = read_table(body, values, line=header.lines + 1)
     if len(table) < header.points:
-        raise ReadError(f"{promised}, the file holds {len(table)} lines")
+        raise ReadError(f"{promised}, the file has {len(table)} lines")
     points = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
@@ -238,7 +238,7 @@ def _read_binary(body: memoryview, header: Header) -> tuple[Columns, int]:
     size = header.points * record.itemsize
     if len(body) < size:
         promised = f"{header.points} points of {record.itemsize} bytes, {size} in all"
-        raise ReadError(f"the header promises {promised}, the file holds {len(body)} after it")
+        raise ReadError(f"the header promises {promised}, the file has {len(body)} after it")
     points = np.frombuffer(body, record, header.points)
     rest = bytes(body[size:]).rstrip(b"\0")
     return {name: points[name] for name in record.names or ()}, len(rest) // record.itemsize
@@ -298,8 +298,8 @@ def write_pcd(path: str | Path, cloud: PointCloud) -> None:
 def pcd_of(cloud: PointCloud) -> bytes:
     """Give a cloud as the bytes of a binary PCD.
 
-    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the
-    origin of the beams, without rotation. The frame index has no field of its own, so it is left
+    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT is the
+    origin of the beams, without rotation. The frame index has no separate field, so it is left
     out.
 
     Raises

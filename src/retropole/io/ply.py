@@ -104,7 +104,7 @@ def _read_element(
     elif len(element.names) == len(element.properties):
         raise ReadError(
             f"the header promises {element.count} of element {element.name}, {size} bytes from "
-            f"byte {start} on, the file holds {len(data) - start}"
+            f"byte {start} on, the file has {len(data) - start}"
         )
     columns: dict[str, list[Any]] = {name: [] for name in element.names}
     for _ in range(element.count):
@@ -179,8 +179,8 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int, int]:
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError):
-            said = f"{line.strip()[:60]!r}, expected format, element or property as PLY has them"
-            raise LineError(number, said) from None
+            stated = f"{line.strip()[:60]!r}, expected format, element or property as PLY has them"
+            raise LineError(number, stated) from None
     if not encoding:
         raise ReadError(f"the header has no format line, expected {', '.join(ORDERS)}")
     return encoding, elements, end.end(), len(lines) + 1

@@ -44,7 +44,7 @@ def is_of_livox(kind: str) -> bool:
     return kind.startswith("livox_") and kind.endswith("/msg/CustomMsg")
 
 
-def holds_clouds(kind: str) -> bool:
+def has_clouds(kind: str) -> bool:
     """Whether messages of a type are point clouds that are read."""
     return kind == CLOUDS or is_of_livox(kind)
 
@@ -60,11 +60,11 @@ PACKET_MESSAGES = frozenset(
 """Types of the messages in which drivers publish packets."""
 
 PACKETS_OF = "packets of "
-"""So begins what is in the place of a type where a capture has several LiDARs."""
+"""Start of what replaces a type where a capture has several LiDARs."""
 
 
 class FrameHeader(NamedTuple):
-    """What is known of a frame apart from its points.
+    """What is known of a frame besides its points.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class FrameHeader(NamedTuple):
     frame_id
         Name of the coordinate frame; empty if the recording has none.
     clock
-        When the frame was made by the LiDAR's own clock, or by that of its driver, seconds; None
+        When the frame was made by the clock of the LiDAR, or by that of its driver, seconds; None
         where the recording does not have it next to the recorder's.
     """
 
@@ -123,7 +123,7 @@ class Topic:
     @property
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
-        return holds_clouds(self.kind)
+        return has_clouds(self.kind)
 
     @property
     def of_packets(self) -> bool:
@@ -194,17 +194,17 @@ class ReadRecording:
     ----------
     recording
         What was read.
-    asked, numbers
+    requested, numbers
         Which frames were requested, and which of them were read.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
     cloud
-        All frames combined, in the sensor's own frame.
+        All frames combined, in the frame of the sensor.
     """
 
     recording: Recording
-    asked: range
+    requested: range
     numbers: range
     headers: tuple[FrameHeader, ...]
     cloud: PointCloud
@@ -212,7 +212,7 @@ class ReadRecording:
     @property
     def left_out(self) -> int:
         """How many frames were requested, and not read since all have too many points."""
-        return len(self.asked) - len(self.numbers)
+        return len(self.requested) - len(self.numbers)
 
     @property
     def is_whole(self) -> bool:
@@ -309,17 +309,17 @@ def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
 
 
 def clock_offset(headers: Sequence[FrameHeader]) -> float | None:
-    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if nothing says it.
+    """Median of how far a LiDAR's clock is ahead of the recorder's, s; None if it is not known.
 
     By up to some tenths of a second it is not that of the clocks: frames are recorded when they
     have come.
     """
-    apart = [
+    offsets = [
         each.clock - each.stamp
         for each in headers
         if each.clock is not None and each.stamp is not None and is_unix(each.stamp)
     ]
-    return float(np.median(apart)) if apart else None
+    return float(np.median(offsets)) if offsets else None
 
 
 def is_unix(seconds: float) -> bool:
@@ -330,7 +330,7 @@ def is_unix(seconds: float) -> bool:
 def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
     """First and last time at which a cloud was recorded, Unix seconds; None if it is not known.
 
-    The points' own times go first, where they are Unix time, unless they are far from the
+    The times of the points go first, where they are Unix time, unless they are far from the
     recorder's: clocks that were never set count from a date of the maker's, which two LiDARs may
     share. When a file was written gives no information.
     """
@@ -344,7 +344,7 @@ def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
 
 MAX_POINTS = 1_500_000
 """Points of one cloud that are worked on unless more are requested. Of four streets recorded with
-30 sweeps of 100,000 points, thinned to so many, the refined pose came out as well as of all
+30 sweeps of 100,000 points, thinned to this many, the refined pose was as good as of all
 (0.001° to 0.009° off instead of 0.002° to 0.005°), in less than half the time."""
 
 LEAST_POINTS = 1000
@@ -352,7 +352,7 @@ LEAST_POINTS = 1000
 
 FEWEST_FRAMES = 20
 """Of more frames, every second is left out before any is downsampled: whole frames keep the pattern
-of the beams, and so many show what moved."""
+of the beams, and this many show what moved."""
 
 BRIGHT_SHARE = 0.01
 """Part of the points that are left which the brightest may be: 15,000 of them. Returns on
@@ -436,15 +436,17 @@ def read_within(
                 kept = [replace(frame, cloud=downsample(frame.cloud, share)) for frame in kept]
         if len(kept) == len(numbers):
             return numbers, kept
-        _tell(progress, recording, len(kept), len(numbers))
+        _report_progress(progress, recording, len(kept), len(numbers))
         for frame in recording.read(numbers[len(kept) :]):
             kept.append(frame)
-            _tell(progress, recording, len(kept), len(numbers))
+            _report_progress(progress, recording, len(kept), len(numbers))
             if _points(kept) > most:
                 break
 
 
-def _tell(progress: Callable[[str], None], recording: Recording, done: int, count: int) -> None:
+def _report_progress(
+    progress: Callable[[str], None], recording: Recording, done: int, count: int
+) -> None:
     if done < count > 1:
         progress(step_of(f"read {recording.path.name}: frame", done + 1, count))
 

@@ -40,12 +40,12 @@ START_DISTANCE = 3.0
 LEVEL_SPREAD, LEVEL_GAP = float(np.radians(0.002)), float(np.radians(0.02))
 """Points of one level lie within the first of its middle, rad, and levels farther from each other
 than the second. Drivers compute points from the angles of the beams: 0.0004° on a Pandar64; the
-rings of the densest LiDARs of the table of sensors are 0.1° apart. About a wrong apex, on the axis
+rings of the densest LiDARs of the table of sensors differ by 0.1°. About a wrong apex, on the axis
 of the circles on a floor, range noise leaves 0.008° and more (staged clouds of
 benchmarks/detection.py, seeds 1 and 2)."""
 
 MAX_LEVEL_SHARE, FARTHER = 0.5, 1.5
-"""Of the points, at most this many are on one ring, and some are so many times as far away as
+"""Of the points, at most this many are on one ring, and some are this many times as far away as
 others: from close to a plane, or from far away, all have one elevation. Points within 4 m of a
 place that is 3 to 8 m away have 1.7 of the second."""
 

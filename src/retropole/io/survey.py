@@ -102,7 +102,7 @@ def read_survey(
         plain = [own for own in plain if not own[1].startswith(COMMENT)]
         mark = _separator(lines[first - 1] if first else plain[0][1] if plain else "")
         for number, text in plain:
-            row = [value.strip() for value in _parted(text, mark)]
+            row = [value.strip() for value in _split(text, mark)]
             row += [""] * (len(names) - len(row))
             rows.setdefault(row[place["id"]], []).append((number, row))
         return {name: _point(*_the_one(name, rows), names, place, units) for name in ids}
@@ -160,7 +160,7 @@ def _named(lines: Sequence[str]) -> tuple[int, list[str]]:
         for k, text in enumerate(lines[:MOST_BEFORE], 1):
             if text.startswith(COMMENT) is is_comment:
                 text = text.lstrip("#/ ")
-                names = [name.strip() for name in _parted(text, _separator(text))]
+                names = [name.strip() for name in _split(text, _separator(text))]
                 if {"e", "n"} <= {key for name in names for key, _ in _meanings(name)}:
                     return k, names
                 if {"latitude", "longitude"} <= {_plain(name) for name in names}:
@@ -173,7 +173,7 @@ def _named(lines: Sequence[str]) -> tuple[int, list[str]]:
 
 
 def _places(names: Sequence[str]) -> dict[str, int]:
-    """Where id, e, n and h stand, and σe, σn and σh where they are there."""
+    """Columns of id, e, n and h, and of σe, σn and σh where they are there."""
     if not names:
         raise ReadError(
             "no line names its columns, and programs write north first as well as east first; say "
@@ -185,15 +185,15 @@ def _places(names: Sequence[str]) -> dict[str, int]:
             if key in best and best[key][0] == rank:
                 raise ReadError(f"has two columns {quoting(name)}, expected one")
             best[key] = min(best.get(key, (rank, k)), (rank, k))
-    lost = [key for key in ("id", *AXES) if key not in best]
-    if lost:
+    missing = [key for key in ("id", *AXES) if key not in best]
+    if missing:
         listed = quoting(", ".join(names))
-        raise ReadError(f"has no column {' and '.join(lost)}; its columns are {listed}")
+        raise ReadError(f"has no column {' and '.join(missing)}; its columns are {listed}")
     return {key: k for key, (_, k) in best.items()}
 
 
 def _meanings(name: str) -> list[tuple[str, int]]:
-    """What a column may be, and how many names come before its own."""
+    """What a column may be, and how many names come before it."""
     plain = _plain(name)
     if plain in IDS:
         return [("id", IDS.index(plain))]
@@ -226,5 +226,5 @@ def _separator(line: str) -> str:
     return next((mark for mark in ";\t," if mark in line), " ")
 
 
-def _parted(line: str, separator: str) -> list[str]:
+def _split(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else next(csv.reader([line], delimiter=separator))

@@ -16,7 +16,7 @@ from ..base.sensors import SWEEP_SECONDS
 from .recordings import Frame, Recording, is_unix
 
 LOOKED_AT = 20
-"""So many frames say how times count, and how long a sweep takes."""
+"""This many frames show the unit of times, and how long a sweep takes."""
 
 RUNS_ON = SWEEP_SECONDS / 4
 """From sweep to sweep times that count from the start of the recording are later by more, s."""
@@ -26,7 +26,7 @@ ONE_WAY = 0.8
 is 1 but for jitter, and next to nothing for rosettes and what was sorted)."""
 
 BACK = float(np.radians(2.0))
-"""A step so far back is none of almost a whole turn, rad: beams of one column are less apart."""
+"""A step this far back is none of almost a whole turn, rad: beams of one column differ by less."""
 
 MORE_THAN_A_TURN = 1.2
 """No sweep has more turns (chosen)."""
@@ -71,7 +71,7 @@ class Timing:
     Parameters
     ----------
     first
-        Some frames with points, `LOOKED_AT` where there are so many.
+        Some frames with points, at most `LOOKED_AT`.
     name
         What messages call the recording.
     """

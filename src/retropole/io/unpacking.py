@@ -1,6 +1,6 @@
-"""Decompressing what a bag holds, within bounds: a file of some KB may unpack to GiB.
+"""Decompressing the content of a bag, within bounds: a file of some KB may unpack to GiB.
 
-What the file itself says of its sizes is not trusted: the bytes are counted as they come.
+The sizes that the file itself states are not trusted: the bytes are counted as they come.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ LARGEST_RECORD = MAX_UNPACKED + 2**20
 """Bytes of a record that are read at once: with what is before a chunk."""
 
 ALLOWED, ALLOWED_RATIO = 2**29, 100
-"""Bytes that all of a bag may unpack to: so many, and so many times its size. Scans compress 2 to
-20 fold."""
+"""Bytes that all of a bag may unpack to: this many, and this many times its size. Scans compress 2
+to 20 fold."""
 
 Spend = Callable[[int], None]
 """Counts bytes, and raises where a file has used up what it is allowed."""
@@ -34,7 +34,7 @@ class BoundedFile(io.BufferedReader):
     can be: a file of some KB may have holes of GiB, and say that they are a record."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read so many bytes.
+        """Read this many bytes.
 
         Raises
         ------
@@ -122,7 +122,7 @@ def _blocks(kind: str, file: BinaryIO, spend: Spend) -> Iterator[bytes]:
 
 
 def _stream(kind: str, file: BinaryIO) -> Any:
-    """Open a compressed file as one of the bytes that it holds."""
+    """Open a compressed file as one of its decompressed bytes."""
     if kind == "bz2":
         return bz2.BZ2File(file)
     if kind == "lz4":

@@ -1,1 +1,1 @@
-"""Where to stand the poles: before anyone drives out (docs/poles.md), and at live LiDARs."""
+"""Positions of the poles: before anyone drives out (docs/poles.md), and at live LiDARs."""

@@ -1,4 +1,4 @@
-"""Which poles of all that could stand: the best set by exchange on their information.
+"""Which poles of all possible ones: the best set by exchange on their information.
 
 A set is begun by the best pole for what it lacks, one after the other, and then improved: each
 pole in turn is exchanged for the best of all others, until none is better (Fedorov 1972, Theory of
@@ -20,7 +20,7 @@ from ..alignment.unknowns import POSE, Unknowns
 from ..base.datatypes import Array, BoolArray, IntArray
 from .place import Candidates, leans_of
 
-UNSURE = 0.3, 3.0
+UNKNOWN_SIGMA = 0.3, 3.0
 """1 σ of an unknown pose, rad and m: poles are compared before they determine it."""
 
 MOST_ROUNDS = 10
@@ -34,20 +34,20 @@ WALK = 0.005
 """Part of the error that one metre less between placements is worth."""
 
 MOST_TRIED = 10
-"""Poles, the best by the error, that are tried in the place of each where a LiDAR hangs."""
+"""Poles, the best by the error, that are tried instead of each where a LiDAR depends on one."""
 
 DEARER = 1.25
 """Factor by which the error may grow if one LiDAR fewer depends on a single pole."""
 
-HANGS = 1.0
-"""A LiDAR whose error by the poles alone is above this, metres, is not held by them."""
+UNCONSTRAINED = 1.0
+"""A LiDAR whose error by the poles alone is above this, metres, is not constrained by them."""
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
 """Of two poles: between their feet, metres; between their axes, rad; and between their leans where
-two or three stand. A half turn about the vertical lays two of equal leans on each other: on bare
+two or three stand. A half turn about the vertical maps two of equal leans to each other: on bare
 ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
-TOLD_APART = float(np.radians(6.0)), 0.3
+DISTINGUISHABLE = float(np.radians(6.0)), 0.3
 """Angles between poles, rad, or distances, metres, that differ by this amount show which is which.
 Two poles always fit in four ways; three whose exchange changes less were refused as ambiguous."""
 
@@ -56,19 +56,19 @@ NOT_BEHIND = float(np.radians(2.0))
 other."""
 
 
-def unsure(unknowns: Unknowns) -> Array:
+def unknown_precision(unknowns: Unknowns) -> Array:
     """(6 L,) precision of unknown poses."""
-    return np.tile(np.repeat(UNSURE, 3) ** -2.0, unknowns.lidars)
+    return np.tile(np.repeat(UNKNOWN_SIGMA, 3) ** -2.0, unknowns.lidars)
 
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """Which poles may stand together in one placement (docs/poles.md).
+    """Which poles may be in one placement (docs/poles.md).
 
     Attributes
     ----------
     pairs
-        (C, C) which two do: far enough apart, not parallel, and none before the other.
+        (C, C) which two do: at enough distance, not parallel, and none before the other.
     seen
         (C, L) which LiDAR sees which.
     differ
@@ -84,21 +84,21 @@ class Rules:
     gap: Array
 
     def allow(self, k: int, others: Sequence[int]) -> bool:
-        """Whether one pole may stand next to others."""
+        """Whether one pole may be next to others."""
         if 0 < len(others) <= 2 and not self.differ[k, list(others)].all():
             return False
         # Two LiDARs are linked by two poles that both see.
         shared = np.count_nonzero(self.seen[k] & self.seen[list(others)], axis=1) >= 2
-        together = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
-        return together and (len(others) < 2 or self._is_told_apart([*others, k]))
+        joint = bool(self.pairs[k, list(others)].all() and (shared.any() or not others))
+        return joint and (len(others) < 2 or self._is_distinguishable([*others, k]))
 
-    def _is_told_apart(self, poles: Sequence[int]) -> bool:
+    def _is_distinguishable(self, poles: Sequence[int]) -> bool:
         """Whether three poles or more fit each other in one way: no exchange looks the same."""
         angle, gap = (each[np.ix_(poles, poles)] for each in (self.angle, self.gap))
         for order in list(permutations(range(len(poles))))[1:]:
             other = np.ix_(order, order)
             turned, away = np.abs(angle[other] - angle), np.abs(gap[other] - gap)
-            if turned.max() < TOLD_APART[0] and away.max() < TOLD_APART[1]:
+            if turned.max() < DISTINGUISHABLE[0] and away.max() < DISTINGUISHABLE[1]:
                 return False
         return True
 
@@ -110,7 +110,7 @@ class Design:
     Attributes
     ----------
     roots
-        Of each pole, the place among the unknowns and the root (P, R) of what it says of them.
+        Of each pole, the indices of its unknowns and the root (P, R) of its information about them.
     informations
         (K, K) of all unknowns without any pole, with the surfaces and the poles alone: each with
         the priors of the errors.
@@ -119,7 +119,7 @@ class Design:
     reach
         Range that the error is predicted at, metres.
     rules
-        Which of them may stand together.
+        Which of them may be in one placement.
     feet
         (C, 2) where each is, metres.
     found
@@ -144,7 +144,7 @@ class Design:
         total = self.informations[int(alone)].copy()
         poses = np.arange(self.unknowns.poses)
         free = np.arange(POSE, self.unknowns.kept)
-        total[poses, poses] += unsure(self.unknowns)
+        total[poses, poses] += unknown_precision(self.unknowns)
         for k in chosen:
             place, root = self.roots[k]
             total[np.ix_(place, place)] += root @ root.T
@@ -179,10 +179,8 @@ class Design:
         """(C,) the error of `error_of` with each pole more than those that are chosen."""
         key = tuple(sorted(chosen))
         if key not in self.found:
-            together, alone = (
-                self.with_each(self.inverse(key, alone=each)) for each in (False, True)
-            )
-            self.found[key] = np.sqrt(together * alone)
+            joint, alone = (self.with_each(self.inverse(key, alone=each)) for each in (False, True))
+            self.found[key] = np.sqrt(joint * alone)
         return self.found[key]
 
 
@@ -203,7 +201,7 @@ def choose(
     Returns
     -------
     list of list of int
-        For each placement the numbers of its poles; None if that many may not stand together.
+        For each placement the numbers of its poles; None if that many may not be in one.
     """
     chosen = [list(own) for own in begun] + [[] for _ in range(placements - len(begun))]
     for count in range(poles):
@@ -227,7 +225,7 @@ def choose(
                 chosen[p] = [*others, best[0] if better and best is not None else first]
         if chosen == before:
             break
-    return carried(design, held_twice(design, chosen))
+    return carried(design, constrained_twice(design, chosen))
 
 
 def carried(design: Design, chosen: list[list[int]]) -> list[list[int]]:
@@ -246,21 +244,21 @@ def walk_factor(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Arra
     return np.asarray(1.0 + WALK * cdist(design.feet, design.feet[others]).min(axis=1))
 
 
-def hanging(design: Design, chosen: Sequence[Sequence[int]]) -> int:
+def count_dependent(design: Design, chosen: Sequence[Sequence[int]]) -> int:
     """Count, over all poles, the LiDARs that those left do not hold when one is taken away."""
     every = [k for own in chosen for k in own]
     inverse = design.inverse(every, alone=True)
     left = [design.squares(inverse) + design.change(inverse, k, -1.0) for k in every]
-    return int(np.count_nonzero(np.array(left) > HANGS**2))
+    return int(np.count_nonzero(np.array(left) > UNCONSTRAINED**2))
 
 
-def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
+def constrained_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
     """Exchange poles where LiDARs depend on one, as far as that helps.
 
     A blunder of a pole that no observation checks does not show. Two poles always depend on each
     other.
     """
-    now = hanging(design, chosen) if sum(map(len, chosen)) > 2 else 0
+    now = count_dependent(design, chosen) if sum(map(len, chosen)) > 2 else 0
     most = DEARER * error_of(design, chosen)
     for p, own in enumerate(chosen):
         for n in range(len(own)):
@@ -271,7 +269,7 @@ def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
                 if error > most:
                     break
                 other = [*rest[:p], [*own[:n], k, *own[n + 1 :]], *rest[p + 1 :]]
-                count = hanging(design, other)
+                count = count_dependent(design, other)
                 if count < now:
                     chosen, own, now = other, other[p], count
     return chosen
@@ -280,39 +278,39 @@ def held_twice(design: Design, chosen: list[list[int]]) -> list[list[int]]:
 def errors_of(design: Design, chosen: Sequence[Sequence[int]]) -> tuple[Array, Array]:
     """(L - 1,) errors of all LiDARs at the reach, metres, with the surfaces and without."""
     every = [k for own in chosen for k in own]
-    together, alone = (
+    joint, alone = (
         np.sqrt(design.squares(design.inverse(every, alone=each))) for each in (False, True)
     )
-    return together, alone
+    return joint, alone
 
 
 def error_of(design: Design, chosen: Sequence[Sequence[int]]) -> float:
     """Geometric mean of the errors with the surfaces and without, metres.
 
     Each is the root mean square over all LiDARs: the largest would not say which pole is the first
-    step where several LiDARs are constrained by none yet. What the surfaces alone hold says the
-    same of all poles. Then the poles decide: they are what the surfaces are checked by.
+    step where several LiDARs are constrained by none yet. What the surfaces alone constrain shows
+    the same of all poles. Then the poles decide: they are what the surfaces are checked by.
     """
-    together, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
-    return float(np.sqrt(together * alone))
+    joint, alone = (float(np.sqrt((each**2).mean())) for each in errors_of(design, chosen))
+    return float(np.sqrt(joint * alone))
 
 
 def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int, float] | None:
-    """Find the best further pole for a placement, and the error with it; None if none may stand."""
+    """Find the best further pole for a placement, and the error with it; None if there is none."""
     return next(_ranked(design, chosen, p), None)
 
 
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
     """Yield the poles that may join a placement, and the error with each, best first."""
-    taken = [k for each in chosen for k in each]
-    error = design.beside(taken) * walk_factor(design, chosen, p)
+    used = [k for each in chosen for k in each]
+    error = design.beside(used) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():
-        if k not in taken and design.rules.allow(k, chosen[p]):
+        if k not in used and design.rules.allow(k, chosen[p]):
             yield k, float(error[k])
 
 
 def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -> Rules:
-    """Find which poles may stand together.
+    """Find which poles may be in one placement.
 
     Parameters
     ----------
@@ -322,9 +320,9 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -
         (3,) where these are.
     """
     feet = candidates.foot[:, :2]
-    apart = np.linalg.norm(feet[:, None] - feet, axis=2)
+    distance = np.linalg.norm(feet[:, None] - feet, axis=2)
     angle = np.arccos(np.clip(np.abs(candidates.axis @ candidates.axis.T), 0.0, 1.0))
-    pairs = (apart >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
+    pairs = (distance >= LEAST_SPACING) & (angle >= LEAST_ANGLE)
     for i, at in enumerate(lidars):
         pairs &= (_between(candidates, at) > NOT_BEHIND) | ~(seen[:, i, None] & seen[:, i])
     lean = leans_of(candidates.axis)
@@ -333,12 +331,13 @@ def rules_of(candidates: Candidates, seen: BoolArray, lidars: Sequence[Array]) -
 
 
 def _gaps(candidates: Candidates) -> Array:
-    """(C, C) least distance between the lines of every two poles; of parallel ones none is told."""
+    """(C, C) least distance between the lines of every two poles; of parallel ones none is
+    given."""
     axis, centre = candidates.axis, candidates.centre
     across = np.cross(axis[:, None], axis)
     length = np.linalg.norm(across, axis=2)
-    apart = np.abs(np.einsum("ijk,ijk->ij", across, centre - centre[:, None]))
-    return np.asarray(apart / np.maximum(length, 1e-9))
+    distance = np.abs(np.einsum("ijk,ijk->ij", across, centre - centre[:, None]))
+    return np.asarray(distance / np.maximum(length, 1e-9))
 
 
 def _between(candidates: Candidates, at: Array) -> Array:

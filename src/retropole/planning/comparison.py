@@ -1,4 +1,4 @@
-"""Where the poles stand against where they were planned, as one LiDAR sees them."""
+"""The poles as set up against the plan, as one LiDAR sees them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..result import PoleDoc
 from ..result.pole_plan import PlannedPoleDoc, PolePlanDoc
 
 FARTHEST = 2.0
-"""A pole that stands farther from every planned one is another, metres."""
+"""A pole farther from every planned one is another, metres."""
 
 NEAR, ALIKE = 0.3, float(np.radians(8.0))
-"""A pole stands as planned where its foot is so near, metres, and its axis so nearly along, rad: an
-arm's length and what an eye tells."""
+"""A pole is as planned where its foot is within this distance, metres, and its axis within, rad: an
+arm's length and what an eye can judge."""
 
 
 LEVEL = 0.3
@@ -27,7 +27,7 @@ LEVEL = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How a pole stands against its plan.
+    """How a pole deviates from its plan.
 
     Attributes
     ----------
@@ -48,13 +48,13 @@ class Deviation:
 
     @property
     def is_as_planned(self) -> bool:
-        """Whether it stands where it should."""
+        """Whether it is where it should be."""
         near = self.offset is not None and float(np.linalg.norm(self.offset)) <= NEAR
         return near and self.turned <= ALIKE
 
 
 @dataclass(frozen=True, eq=False)
-class Stood:
+class StationView:
     """What one LiDAR sees of a placement.
 
     Attributes
@@ -64,7 +64,7 @@ class Stood:
     deviations
         Of each pole that the plan wants it to see.
     others
-        How many poles stand that are not planned.
+        How many poles are not in the plan.
     """
 
     lidar: str
@@ -78,7 +78,7 @@ def against_plan(
     poles: Sequence[PoleDoc],
     lidar: str | None = None,
     placement: int | None = None,
-) -> Stood:
+) -> StationView:
     """Hold the poles that a LiDAR sees against the plan.
 
     Parameters
@@ -100,35 +100,35 @@ def against_plan(
             ]
             if placement in (None, p):
                 deviations, others = _match(wanted, poles, station.T_place_lidar)
-                tried.append(Stood(station.name, p, tuple(deviations), others))
+                tried.append(StationView(station.name, p, tuple(deviations), others))
     return min(tried, key=_badness)
 
 
-def _badness(stood: Stood) -> float:
-    """Sum of how far poles are off; one that is missing counts as `FARTHEST`."""
+def _badness(view: StationView) -> float:
+    """Sum of how far poles are off; for one that is missing `FARTHEST`."""
     away = [
         FARTHEST if each.offset is None else float(np.linalg.norm(each.offset))
-        for each in stood.deviations
+        for each in view.deviations
     ]
-    return sum(away) + FARTHEST * stood.others
+    return sum(away) + FARTHEST * view.others
 
 
 def _match(
     wanted: Sequence[PlannedPoleDoc], poles: Sequence[PoleDoc], T_place_lidar: Array
 ) -> tuple[list[Deviation], int]:
-    """Pair planned poles with those that stand, each with the one whose foot is nearest."""
+    """Pair planned poles with those set up, each with the one whose foot is nearest."""
     points = se3.apply(T_place_lidar, np.array([p.point_m for p in poles]).reshape(-1, 3))
     axes = np.array([p.direction for p in poles]).reshape(-1, 3) @ T_place_lidar[:3, :3].T
     offsets = np.zeros((len(wanted), len(poles), 2))
     for k, plan in enumerate(wanted):
         for j, (point, axis) in enumerate(zip(points, axes, strict=True)):
-            # Where its axis meets the ground; of a level one the middle.
+            # Where its axis intersects the ground; of a level one the middle.
             along = (plan.foot_m - point)[2] / axis[2] if abs(axis[2]) > LEVEL else 0.0
             offsets[k, j] = (point + along * axis - plan.foot_m)[:2]
     away = np.linalg.norm(offsets, axis=2)
     planned = np.array([plan.direction for plan in wanted]).reshape(-1, 3)
     turn = np.arccos(np.clip(np.abs(planned @ axes.T), 0.0, 1.0))
-    # One that was put where the other should stand is identified by how it leans.
+    # One that was put where the other should be is identified by how it leans.
     cost = away + NEAR / ALIKE * turn
     pairs = dict(zip(*(each.tolist() for each in linear_sum_assignment(cost)), strict=True))
     found = []
@@ -154,10 +154,10 @@ def _missing(plan: PlannedPoleDoc) -> str:
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
     """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
     far = float(np.linalg.norm(offset))
-    stands = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
+    where = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
     if far <= NEAR and turned <= ALIKE:
-        return f"{stands}: good"
-    # The place's origin is below the first LiDAR.
+        return f"{where}: good"
+    # The origin of the scene is below the first LiDAR.
     out = plan.foot_m[:2] / max(float(np.linalg.norm(plan.foot_m[:2])), 1e-9)
     left = np.array([-out[1], out[0]])
     steps = []
@@ -172,4 +172,4 @@ def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
     if turned > ALIKE:
         lean = "upright" if not plan.towards else f"{np.degrees(plan.lean_rad):.0f}° {plan.towards}"
         moves.append(f"lean it {lean}" if plan.towards else f"stand it {lean}")
-    return f"{stands}: {'; '.join(moves)}"
+    return f"{where}: {'; '.join(moves)}"

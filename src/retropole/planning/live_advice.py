@@ -1,5 +1,5 @@
 """The one next thing to do: so that both LiDARs see poles that can be calibrated by, and after an
-answer whether to stop, keep still for longer, or stand the poles elsewhere."""
+answer whether to stop, keep still for longer, or move the poles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..verdict import FEW_POINTS, WEAK_ANGLE
 from .live_poles import Looked, View, angle_between, hidden_by, is_same_pair, present
 
 BEST_REACH = 6.0
-"""How far from a LiDAR to stand a pole that is too far, metres, where its rings do not tell: docs,
+"""How far from a LiDAR to put a pole that is too far, metres, where its rings do not show it: docs,
 Placing the poles, have 3 to 7 m."""
 
 NEAREST = 3.0
@@ -34,10 +34,10 @@ SPOILT |= {"poles_inconsistent", "poles_scene_contradict", "scene_contradicts"}
 
 
 ENOUGH = 0.99
-"""Probability that the need is met, from which a watch stops. More than `purpose.CONFIDENCE`, by
-which one answer is judged: a watch stops at the first of several that is good enough, and so rather
-at one that is luckily so. By 0.95 the need was met in 48 of 50 stops (benchmarks/watch.py, good,
-seeds 1000 to 1055)."""
+"""Probability that the need is fulfilled, from which a watch stops. More than `purpose.CONFIDENCE`,
+by which one answer is judged: a watch stops at the first of several that is good enough, and so
+rather at one that is luckily so. By 0.95 the need was fulfilled in 48 of 50 stops
+(benchmarks/watch.py, good, seeds 1000 to 1055)."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Advice:
     code
         A name that stays the same: ``parallel``.
     words
-        For the people beside the poles, a sentence or two.
+        For the people at the poles, a sentence or two.
     is_good
         Nothing is to be done but to keep still.
     """
@@ -80,7 +80,7 @@ def advise(views: Sequence[View], now: float, *, needs_poles: bool = True) -> Ad
 
 
 def remedy_of(code: str) -> str:
-    """What is best done about a reason; empty where nothing is known."""
+    """What is best done about a reason; empty where that is unknown."""
     explained = explain(code)
     return plain(explained.advice[0]) if explained and explained.advice else ""
 
@@ -286,9 +286,9 @@ class Outcome:
 
     @property
     def is_enough(self) -> bool:
-        """Whether to stop: the verdict is ok, and the need is met."""
-        sure = self.probability is not None and self.probability >= ENOUGH
-        return self.document.status == "ok" and sure
+        """Whether to stop: the verdict is ok, and the need is fulfilled."""
+        is_certain = self.probability is not None and self.probability >= ENOUGH
+        return self.document.status == "ok" and is_certain
 
     @property
     def is_spoilt(self) -> bool:
@@ -298,7 +298,7 @@ class Outcome:
 
     @property
     def seconds_more(self) -> float:
-        """How much longer to record, where masts sway and that is why the need is not met."""
+        """How much longer to record, where masts sway and that is why the need is not fulfilled."""
         budget = self.document.budget or []
         if self.is_enough or not budget or budget[0].name != SWAY:
             return 0.0
@@ -307,12 +307,12 @@ class Outcome:
 
 def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
     """Judge an answer by what it is needed for, or by what any answer is good for."""
-    asked = need or USABLE
+    requested = need or USABLE
     if document.covariance is None:
-        return Outcome(document, asked, None, None)
+        return Outcome(document, requested, None, None)
     # That of the document counts that the answer may be another pose altogether.
-    fit = document.fitness or fitness(document.covariance, asked)
-    return Outcome(document, asked, fit.probability, fit.bound_m)
+    fit = document.fitness or fitness(document.covariance, requested)
+    return Outcome(document, requested, fit.probability, fit.bound_m)
 
 
 def advice_after(outcome: Outcome, again: str) -> Advice:
@@ -356,7 +356,7 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
 
 
 def another(placements: int) -> str:
-    """Say what to record after a number of placements of standing poles."""
+    """Recommend what to record after a number of placements of poles that are set up."""
     return f"Placement {placements + 1}: stand the poles elsewhere, on another side."
 
 

@@ -1,4 +1,4 @@
-"""Sweeps as they come: the poles in each, which of them is which, whether it stands still, and the
+"""Sweeps as they come: the poles in each, which of them is which, whether it moves, and the
 sweeps that are kept while all do."""
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ AT_EDGE = 0.5
 """A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
 
 STILL = 1.0
-"""A pole that stood where it does for so long stands still, s."""
+"""A pole that did not move for this long is stationary, s."""
 
 MOVED, MOVED_FAR = 0.06, 0.004
 """A pole moved where the middle or an end of its returns lies so far from its line before, metres,
-and so much more a metre of range: lines of one sweep scatter by half of that on simulated poles
+and this much more a metre of range: lines of one sweep scatter by half of that on simulated poles
 (benchmarks/watch.py, seeds to 99)."""
 
 SAME = 0.5
@@ -43,7 +43,7 @@ LATELY, REMEMBERED = 1.0, 30.0
 what can be found is not in every sweep."""
 
 LATELY_CAME = 3.0
-"""How often sweeps come and are searched is counted over so many seconds."""
+"""How often sweeps come and are searched is counted over this many seconds."""
 
 SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
 """Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
@@ -58,8 +58,8 @@ LEAST_SECONDS = 3.0
 MOST_SWEEPS = 150
 """More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
 
-ELSEWHERE = 0.3
-"""A pole that stands so far from where it was, metres, or one more, is another placement."""
+NEW_PLACEMENT = 0.3
+"""A pole this far from where it was, metres, or one more, is another placement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Tracked:
     has_moved: bool = False
 
     def is_still(self, now: float) -> bool:
-        """Whether it has stood where it does for `STILL`."""
+        """Whether it has not moved for `STILL`."""
         return self.seen - self.since >= STILL and now - self.seen <= LATELY
 
     @property
@@ -145,14 +145,14 @@ def look(
         dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
     except Refusal as refusal:
         return Looked(at, cloud, refusal=refusal)
-    sure = _apart(doubtful.candidates, found)
+    new = _apart(doubtful.candidates, found)
     return Looked(
         at,
         cloud,
         found.poles,
-        doubtful=sure,
-        why=tuple(_why(each, doubtful) for each in sure),
-        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, sure)),
+        doubtful=new,
+        why=tuple(_why(each, doubtful) for each in new),
+        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, new)),
         threshold=found.threshold,
     )
 
@@ -176,8 +176,8 @@ def away_from(pole: Pole, other: Pole) -> float:
     """Largest distance of the middle and the ends of a pole's returns from the line of another."""
     along = pole.direction * pole.length / 2
     points = np.stack([pole.point, pole.point - along, pole.point + along]) - other.point
-    beside = points - np.outer(points @ other.direction, other.direction)
-    return float(lengths(beside).max())
+    across = points - np.outer(points @ other.direction, other.direction)
+    return float(lengths(across).max())
 
 
 def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
@@ -199,10 +199,10 @@ def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
         else:
             followed.append(replace(known, pole=pole, seen=looked.at))
     followed += [each for each in left if looked.at - each.seen <= REMEMBERED]
-    taken = {each.number for each in followed}
+    received = {each.number for each in followed}
     for pole in fresh:
-        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
-        taken.add(number)
+        number = next(n for n in range(1, len(received) + 2) if n not in received)
+        received.add(number)
         followed.append(Tracked(number, pole, pole, looked.at, looked.at))
     return tuple(sorted(followed, key=lambda each: each.number))
 
@@ -289,7 +289,7 @@ class View:
     sensor: Sensor | None = None
 
     def is_at_edge(self, pole: Pole) -> bool:
-        """Whether a pole stands half a metre or less inside the end of the field of view."""
+        """Whether a pole is half a metre or less inside the end of the field of view."""
         if self.sensor is None:
             return False
         margin = np.arctan2(AT_EDGE, float(np.hypot(*pole.point[:2])))
@@ -297,7 +297,7 @@ class View:
         return bool(inside[0] and not self.sensor.has_in_view(pole.point[None], margin)[0])
 
 
-def word_on(track: Tracked, now: float) -> str:
+def fault_of(track: Tracked, now: float) -> str:
     """What is wrong with a pole, in two or three words; empty if nothing is."""
     if now - track.seen > LATELY:
         return "lost"
@@ -337,7 +337,7 @@ class Watched:
     came: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=100))
     recent: deque[PointCloud] = field(default_factory=deque)
 
-    def together(self, cloud: PointCloud) -> PointCloud:
+    def accumulated(self, cloud: PointCloud) -> PointCloud:
         """Give a sweep with as many before it as show a pole well."""
         sweeps = 1 if self.view.sensor is None else self.view.sensor.sweeps
         if sweeps == 1 or cloud.intensity is None:
@@ -356,17 +356,17 @@ class Watched:
         return self.origin.frame_id if self.origin else None
 
 
-class Taken(NamedTuple):
+class Received(NamedTuple):
     """What came from a LiDAR: a sweep that is of use, or None; what to report of it; whether it
     is of another frame than those before."""
 
     frame: Frame | None = None
-    said: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
     is_of_another_frame: bool = False
 
 
-def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Taken:
-    """Take the newest sweep of a LiDAR, and search it for standing poles.
+def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Received:
+    """Take the newest sweep of a LiDAR, and search it for stationary poles.
 
     Parameters
     ----------
@@ -379,48 +379,48 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     busy
         Search but rarely.
     """
-    taken, now, view = receive(lidar, clock), clock(), lidar.view
-    if taken.frame is None:
-        return taken
+    received, now, view = receive(lidar, clock), clock(), lidar.view
+    if received.frame is None:
+        return received
     # While the answer is worked out, both share the time.
     if busy and view.looked is not None and now - view.looked.at < 0.8:
-        return taken._replace(frame=None)
-    cloud = lidar.together(taken.frame.cloud)
+        return received._replace(frame=None)
+    cloud = lidar.accumulated(received.frame.cloud)
     looked = look(cloud, now, sensor=view.sensor, threshold=lidar.threshold, radius=radius)
     tracks = follow(view.tracks, looked)
     lidar.view = replace(view, tracks=tracks, looked=looked, silent="", fault="")
-    return taken
+    return received
 
 
-def receive(lidar: Watched, clock: Callable[[], float]) -> Taken:
+def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
     """Take the newest sweep of a LiDAR, with returns and from where those before came."""
     view = lidar.view
     try:
         frame = lidar.source.newest(0.05)
     except ReadError as error:
         lidar.view = replace(view, fault=str(error))
-        return Taken(said=() if view.fault == str(error) else (str(error),))
+        return Received(messages=() if view.fault == str(error) else (str(error),))
     if frame is None:
         lidar.view = replace(view, silent=quoting(lidar.source.waits_for))
-        return Taken()
+        return Received()
     now = clock()
-    said, is_other = list[str](), False
+    messages, is_other = list[str](), False
     origin = Origin(frame.frame_id, frame.sender)
     if lidar.origin != origin:
-        said += frame.cloud.notes
+        messages += frame.cloud.notes
         is_other = lidar.origin is not None
         if is_other:
-            said.append(f"its sweeps come from {origin.words} now")
+            messages.append(f"its sweeps come from {origin.words} now")
         lidar.origin = origin
     if lidar.kept not in (None, origin):
         fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
         lidar.view = replace(view, fault=fault)
-        return Taken(None, tuple(said), is_other)
+        return Received(None, tuple(messages), is_other)
     lidar.came.append((now, frame.number))
     if not len(frame.cloud):
         lidar.view = replace(view, fault="its sweep has no returns")
-        return Taken(None, tuple(said), is_other)
-    return Taken(frame, tuple(said), is_other)
+        return Received(None, tuple(messages), is_other)
+    return Received(frame, tuple(messages), is_other)
 
 
 def seen_now(lidar: Watched, now: float) -> LidarNow:
@@ -448,7 +448,7 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
             word=word,
         )
         for track in present(view.tracks, now)
-        for word in [word_on(track, now)]
+        for word in [fault_of(track, now)]
     ]
     return LidarNow(
         name=view.name,
@@ -513,16 +513,16 @@ class Capture:
 
 
 def begun(tracks: Sequence[Sequence[Tracked]], now: float) -> Capture:
-    """Begin to keep sweeps of poles that stand so."""
+    """Begin to keep sweeps of this placement."""
     return Capture(tuple(() for _ in tracks), now, tuple(present(own, now) for own in tracks))
 
 
-def is_elsewhere(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
-    """Whether the poles stand otherwise than when a placement was kept."""
+def is_new_placement(capture: Capture, tracks: Sequence[Sequence[Tracked]], now: float) -> bool:
+    """Whether the poles have moved since a placement was kept."""
     for was, own in zip(capture.poles, tracks, strict=True):
         for each in present(own, now):
             gaps = [max(away_from(each.pole, old.pole), _along(each, old)) for old in was]
-            if min(gaps, default=np.inf) > ELSEWHERE:
+            if min(gaps, default=np.inf) > NEW_PLACEMENT:
                 return True
     return False
 

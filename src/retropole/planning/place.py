@@ -1,4 +1,4 @@
-"""The place as it was recorded without poles: its ground, and the poles that could stand on it.
+"""The scene as it was recorded without poles: its ground, and the possible poles on it.
 
 All is in the frame of the scene, whose z axis points up from the ground. For each possible pole
 it is known which beams of each LiDAR hit it.
@@ -43,16 +43,16 @@ FARTHEST = 15.0
 """Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
 
 ABOVE = 0.3
-"""Returns so high above the ground are of something that stands there, metres."""
+"""Returns this high above the ground are of an object, metres."""
 
 CLEARANCE = 0.6
 """So far a pole keeps from it, metres (docs/poles.md)."""
 
-OWN = 1.0
+LIDAR_CLEARANCE = 1.0
 """Poles keep so far from a LiDAR, metres."""
 
 MIN_FEET = 4
-"""Fewer places for a foot are no ground to stand poles on."""
+"""Fewer places for a foot are no ground for poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Station:
         (4, 4) its pose in the frame of the scene.
     origin
         (3,) where its beams start in the frame of its recording, metres.
-    is_settled
+    is_refined
         Whether what was recorded, or drawn, says so; else it is as it was given.
     """
 
@@ -83,7 +83,7 @@ class Station:
     beams: RecordedBeams
     T: Array
     origin: Array
-    is_settled: bool = True
+    is_refined: bool = True
 
     @property
     def T_place_recording(self) -> Array:
@@ -107,45 +107,45 @@ class Area:
     low: Array
     high: Array
 
-    def holds(self, at: Array) -> BoolArray:
+    def contains(self, at: Array) -> BoolArray:
         """Which points (N, 2) lie in it."""
         return np.asarray(np.all((at > self.low) & (at < self.high), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Surroundings:
     """What is known of the ground, and what is on it.
 
     Attributes
     ----------
     feet
-        (F, 3) where a foot can stand, the middle of each cell on the ground.
-    standing
+        (F, 3) possible feet, the middle of each cell on the ground.
+    objects
         What was recorded above the ground, to keep away from.
     """
 
     feet: Array
-    standing: cKDTree
+    objects: cKDTree
 
     def are_free(self, foot: Array, axis: Array, length: float) -> BoolArray:
         """Which poles (K,) with feet (K, 3) and axes (K, 3) keep `CLEARANCE` from all around."""
         steps = np.linspace(0.0, length, int(np.ceil(length / (CLEARANCE / 2))) + 1)
         along = foot[:, None] + steps[:, None] * axis[:, None]
-        away = self.standing.query(along.reshape(-1, 3), distance_upper_bound=CLEARANCE)[0]
+        away = self.objects.query(along.reshape(-1, 3), distance_upper_bound=CLEARANCE)[0]
         return np.asarray(np.isinf(away).reshape(len(foot), len(steps)).all(axis=1))
 
 
 def survey(
     stations: Sequence[Station], allowed: Sequence[Area] = (), forbidden: Sequence[Area] = ()
-) -> Place:
-    """Find the ground on which a pole can stand.
+) -> Surroundings:
+    """Find the ground for poles.
 
     Parameters
     ----------
     stations
         All LiDARs, in the frame of the scene.
     allowed, forbidden
-        Where poles may stand, anywhere if empty; and where they may not.
+        Where poles are allowed, anywhere if empty; and where they are not.
 
     Raises
     ------
@@ -176,11 +176,13 @@ def survey(
     flat = enough & (top < bottom + SPREAD) & (bottom < around + STEP)
     x, y = np.nonzero(flat)
     feet = np.c_[corner + (np.c_[x, y] + 0.5) * CELL, (bottom[x, y] + top[x, y]) / 2]
-    kept = np.all(np.linalg.norm(feet[:, None, :2] - lidars[:, :2], axis=2) > OWN, axis=1)
+    kept = np.all(
+        np.linalg.norm(feet[:, None, :2] - lidars[:, :2], axis=2) > LIDAR_CLEARANCE, axis=1
+    )
     if allowed:
-        kept &= np.any([area.holds(feet[:, :2]) for area in allowed], axis=0)
+        kept &= np.any([area.contains(feet[:, :2]) for area in allowed], axis=0)
     for area in forbidden:
-        kept &= ~area.holds(feet[:, :2])
+        kept &= ~area.contains(feet[:, :2])
     if np.count_nonzero(kept) < MIN_FEET:
         where = " in the areas that are allowed" if allowed or forbidden else ""
         raise Refusal(
@@ -193,7 +195,7 @@ def survey(
     # Where nothing low is near, what was recorded is on something.
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
-    return Place(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
+    return Surroundings(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
 
 
 def _disc(radius: float) -> BoolArray:
@@ -225,7 +227,7 @@ MIN_CORE = 10
 """… and those of infinitely thin beams: 8 on 3 rings are what the simulator takes for seen."""
 
 FAR = 600.0
-"""A LiDAR sees a pole as far away as so many times its radius: one of 4 cm up to 12 m. With poles
+"""A LiDAR sees a pole as far away as this many times its radius: one of 4 cm up to 12 m. With poles
 10 m from masts nearly all runs are answered, 15 m from them a fifth is not (masts.py)."""
 
 IN_VIEW = 0.7
@@ -238,7 +240,7 @@ IN_FIELD = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poles that stand free on the ground, in the frame of the scene.
+    """Isolated poles on the ground, in the frame of the scene.
 
     Attributes
     ----------
@@ -270,7 +272,7 @@ class Candidates:
         return Cylinder(self.centre[k], self.axis[k], self.radius, self.length, TAPE)
 
 
-class Met(NamedTuple):
+class Hits(NamedTuple):
     """The beams of one LiDAR that hit a pole, and their ranges (M,); how many pointed at it."""
 
     beam: IntArray
@@ -278,20 +280,20 @@ class Met(NamedTuple):
     toward: int
 
 
-def beams_met(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Met:
+def beams_hit(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Hits:
     """Find the beams that hit a pole before anything else."""
     toward = pole.centre - beams.origin
     away = float(np.linalg.norm(toward))
     if away <= pole.bounding_radius:
-        return Met(np.zeros(0, dtype=np.int64), np.zeros(0), 0)
+        return Hits(np.zeros(0, dtype=np.int64), np.zeros(0), 0)
     cone = np.sqrt(1 - (pole.bounding_radius / away) ** 2)
     index = np.flatnonzero(beams.directions @ (toward / away) >= cone)
     ranges = pole.intersect(beams.origin, beams.directions[index], divergence).ranges
-    aimed, met = np.isfinite(ranges), ranges < beams.ranges[index]
-    return Met(index[met], ranges[met], int(np.count_nonzero(aimed)))
+    aimed, is_hit = np.isfinite(ranges), ranges < beams.ranges[index]
+    return Hits(index[is_hit], ranges[is_hit], int(np.count_nonzero(aimed)))
 
 
-def is_seen(met: Met, beams: RecordedBeams) -> bool:
+def is_seen(met: Hits, beams: RecordedBeams) -> bool:
     """Whether a LiDAR sees enough of a pole, and nothing hides it."""
     rings = np.unique(beams.rings[met.beam])
     known = len(rings) == 0 or rings[0] >= 0
@@ -320,10 +322,10 @@ def who_sees(
             pole = candidates.pole(k)
             if np.linalg.norm(pole.centre - station.at) > FAR * pole.radius:
                 continue
-            if field is not None and not stands_inside(pole, station, field):
+            if field is not None and not is_in_view(pole, station, field):
                 continue
-            met = beams_met(pole, beams, divergence)
-            seen[k, i] = is_seen(met, beams) and sees_core(pole, met.beam, beams)
+            is_hit = beams_hit(pole, beams, divergence)
+            seen[k, i] = is_seen(is_hit, beams) and sees_core(pole, is_hit.beam, beams)
     return seen
 
 
@@ -338,7 +340,7 @@ def field_of(station: Station) -> Sensor | None:
     return sensor if np.mean(sensor.has_in_view(station.cloud.xyz)) >= IN_FIELD else None
 
 
-def stands_inside(pole: Cylinder, station: Station, sensor: Sensor) -> bool:
+def is_in_view(pole: Cylinder, station: Station, sensor: Sensor) -> bool:
     """Whether a pole is in a LiDAR's field of view, and would be if it leaned further to a side."""
     ends = pole.centre + np.array([[-0.5], [0.5]]) * pole.length * pole.axis
     rays = se3.apply(se3.inverse(station.T), ends)
@@ -348,13 +350,13 @@ def stands_inside(pole: Cylinder, station: Station, sensor: Sensor) -> bool:
 
 
 def candidate_poles(
-    place: Place,
+    place: Surroundings,
     stations: Sequence[Station],
     divergences: Sequence[float],
     length: float,
     radius: float,
 ) -> tuple[Candidates, BoolArray]:
-    """Stand poles on the ground, upright and leaning, where two LiDARs or more see them.
+    """Place poles on the ground, upright and leaning, where two LiDARs or more see them.
 
     Returns
     -------
@@ -367,7 +369,7 @@ def candidate_poles(
     upright = Candidates(feet, np.tile([0.0, 0.0, 1.0], (len(feet), 1)), length, radius)
     upright = upright.select(place.are_free(upright.foot, upright.axis, length))
     seen = who_sees(upright, stations, divergences)
-    feet = seen_together(upright.foot, seen)
+    feet = shared_feet(upright.foot, seen)
     found = leaning(feet, LEANS, DIRECTIONS, length, radius)
     found = found.select(place.are_free(found.foot, found.axis, length))
     seen = who_sees(found, stations, divergences)
@@ -375,7 +377,7 @@ def candidate_poles(
     return found.select(kept), seen[kept]
 
 
-def seen_together(feet: Array, seen: BoolArray) -> Array:
+def shared_feet(feet: Array, seen: BoolArray) -> Array:
     """Keep feet (F, 3) of each two LiDARs that see poles there, evenly over what they share."""
     shared = [feet[seen[:, i] & seen[:, j]] for i, j in combinations(range(seen.shape[1]), 2)]
     count = MOST_FEET if len(shared) == 1 else FEET_OF_TWO
@@ -386,7 +388,7 @@ def seen_together(feet: Array, seen: BoolArray) -> Array:
 def leaning(
     feet: Array, leans: Sequence[float], directions: int, length: float, radius: float
 ) -> Candidates:
-    """Stand a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
+    """Place a pole on each foot (F, 3) upright, and for each lean, rad, in this many directions."""
     axes = [np.array([0.0, 0.0, 1.0])]
     for lean in leans:
         for toward in 2 * np.pi * np.arange(directions) / directions:

@@ -1,4 +1,4 @@
-"""From bare recordings to where the poles should stand: the planner on one page.
+"""From bare recordings to the positions of the poles: the planner on one page.
 
 `rehearse` is the calibration before anyone drives out: poles are put into the recordings, and all
 is run.
@@ -26,8 +26,8 @@ from ..pipeline import Options, calibrate, calibrate_site
 from ..result.pole_plan import MOST_PLACEMENTS, MOST_POLES
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import in_sensor_frame, range_noise, with_poles
-from .choice import HANGS, Design, choose, errors_of, rules_of, unsure
-from .place import FAR, Area, Candidates, Place, Station, candidate_poles, survey
+from .choice import UNCONSTRAINED, Design, choose, errors_of, rules_of, unknown_precision
+from .place import FAR, Area, Candidates, Station, Surroundings, candidate_poles, survey
 from .prediction import (
     Prediction,
     Surfaces,
@@ -36,9 +36,9 @@ from .prediction import (
     network_of,
     predict,
     prior_of,
+    refined,
     roots_of,
     scene_information,
-    settled,
     surfaces_of,
 )
 
@@ -55,7 +55,7 @@ def recordings_with(
 ) -> list[PointCloud]:
     """Put poles, in the frame of the scene, into the recording of each LiDAR.
 
-    The place was recorded once. Recorded `again`, for another placement, its ranges have other
+    The scene was recorded once. Recorded `again`, for another placement, its ranges have other
     noise: number for number the same, it would be refused as one recording given twice.
     """
     made = []
@@ -77,7 +77,7 @@ def rehearse(
     radius: float,
     need: Need | None = None,
 ) -> Rehearsal:
-    """Calibrate with the poles of all placements, as if they stood there already."""
+    """Calibrate with the poles of all placements, as if they were there already."""
     rng = np.random.default_rng(0)
     clouds = [
         recordings_with(stations, poles, rng, again=p > 0) for p, poles in enumerate(placements)
@@ -95,7 +95,7 @@ def rehearse(
 
 
 LENGTH = 2.0
-"""Of the poles where nothing else is said, metres."""
+"""Of the poles by default, metres."""
 
 WORTH = 0.15
 """One pole or placement more is worth it where it takes so large a part of the error away, or where
@@ -141,7 +141,7 @@ class More:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """Where the poles should stand.
+    """Planned positions of the poles.
 
     Attributes
     ----------
@@ -150,9 +150,9 @@ class Planned:
     place
         Its ground.
     candidates, seen
-        All poles that could stand, and (C, L) which LiDAR sees which.
+        All possible poles, and (C, L) which LiDAR sees which.
     design
-        What each would say; see `choice`.
+        Information of each; see `choice`.
     chosen
         For each placement the numbers of its poles.
     reach
@@ -166,7 +166,7 @@ class Planned:
     """
 
     stations: tuple[Station, ...]
-    place: Place
+    place: Surroundings
     candidates: Candidates
     seen: BoolArray
     design: Design
@@ -196,14 +196,14 @@ def plan(
     forbidden: Sequence[Area] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> Planned:
-    """Plan where to stand the poles.
+    """Plan the positions of the poles.
 
     Parameters
     ----------
     stations
         The LiDARs, in the frame of the scene; the first is the reference.
     poles, placements
-        How many stand at once, and how often they are moved.
+        How many poles at once, and how often they are moved.
     length, radius
         Of the poles, metres.
     reach
@@ -211,19 +211,19 @@ def plan(
     need
         How accurate the answer must be.
     allowed, forbidden
-        Where poles may stand, and where not.
+        Where poles are allowed, and where not.
     progress
         Called with the name of each step as it starts.
 
     Raises
     ------
     Refusal
-        ``no_ground`` where no pole can stand, ``nowhere_seen`` where no two LiDARs see one that
-        stands, and ``not_linked`` where they hold not every LiDAR.
+        ``no_ground`` where there is no room for a pole, ``nowhere_seen`` where no two LiDARs see
+        one of them, and ``not_linked`` where they do not constrain every LiDAR.
     """
     progress("surfaces")
     surfaces = surfaces_of(stations)
-    stations = settled(stations, surfaces)
+    stations = refined(stations, surfaces)
     progress("ground")
     place = survey(stations, allowed, forbidden)
     progress("poles that can stand")
@@ -248,22 +248,22 @@ def plan(
     _check_linked(stations, design, chosen)
     progress("predict")
 
-    def ask(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
+    def predict_for(numbers: Sequence[Sequence[int]]) -> tuple[Prediction, Prediction]:
         at = np.array([k for each in numbers for k in each])
-        stood = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
-        return predict(stations, surfaces, candidates.select(at), seen[at], stood)
+        placement_of = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
+        return predict(stations, surfaces, candidates.select(at), seen[at], placement_of)
 
-    predicted, alone = ask(chosen)
+    predicted, alone = predict_for(chosen)
     now = worst_at(predicted, reach)
     more = []
     for what, other in _more(design, chosen):
-        error, by_poles = (worst_at(each, reach) for each in ask(other))
+        error, by_poles = (worst_at(each, reach) for each in predict_for(other))
         more.append(More(what, other, error, by_poles, 1.0 - error / now))
     progress("rehearse")
 
     def run(numbers: Sequence[Sequence[int]]) -> Rehearsal:
-        standing = [[candidates.pole(k) for k in each] for each in numbers]
-        return rehearse(stations, standing, radius, need)
+        poles_of = [[candidates.pole(k) for k in each] for each in numbers]
+        return rehearse(stations, poles_of, radius, need)
 
     rehearsal = run(chosen)
     _check_poses(rehearsal)
@@ -290,7 +290,12 @@ def plan(
 
 
 def _too_few(
-    stations: Sequence[Station], place: Place, found: int, poles: int, length: float, radius: float
+    stations: Sequence[Station],
+    place: Surroundings,
+    found: int,
+    poles: int,
+    length: float,
+    radius: float,
 ) -> Refusal:
     """Say that too few poles would be seen, and what would help: thicker poles where all are far.
 
@@ -331,7 +336,7 @@ def design_of(
     alone[errors, errors] = prior_of(unknowns, known)
     informations = alone + scene_information(stations, surfaces, unknowns), alone
     rules = rules_of(candidates, seen, [each.at for each in stations])
-    before = np.r_[unsure(unknowns), np.diag(alone)[unknowns.poses :]]
+    before = np.r_[unknown_precision(unknowns), np.diag(alone)[unknowns.poses :]]
     roots = roots_of(network, len(candidates), before)
     return Design(roots, informations, unknowns, reach, rules, candidates.foot[:, :2])
 
@@ -340,13 +345,15 @@ def _check_linked(
     stations: Sequence[Station], design: Design, chosen: Sequence[Sequence[int]]
 ) -> None:
     errors = errors_of(design, chosen)[1]
-    lost = [s.name for s, error in zip(stations[1:], errors, strict=True) if error > HANGS]
-    if lost:
+    unlinked = [
+        s.name for s, error in zip(stations[1:], errors, strict=True) if error > UNCONSTRAINED
+    ]
+    if unlinked:
         raise Refusal(
             "not_linked",
-            f"these poles would not link {', '.join(lost)} to {stations[0].name}: ask for another "
-            "placement, or allow ground that these LiDARs see together with others",
-            {"names": ", ".join(lost)},
+            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: ask for "
+            "another placement, or allow ground that these LiDARs see together with others",
+            {"names": ", ".join(unlinked)},
         )
 
 
@@ -368,12 +375,12 @@ def _more(
 ) -> Iterator[tuple[Literal["pole", "placement"], list[list[int]]]]:
     """Choose with one pole more in each placement, and with one placement more."""
     poles, placements = len(begun[0]), len(begun)
-    asked: list[tuple[Literal["pole", "placement"], int, int]] = []
+    requested: list[tuple[Literal["pole", "placement"], int, int]] = []
     if poles < MOST_POLES:
-        asked.append(("pole", poles + 1, placements))
+        requested.append(("pole", poles + 1, placements))
     if placements < MOST_PLACEMENTS:
-        asked.append(("placement", poles, placements + 1))
-    for what, count, times in asked:
+        requested.append(("placement", poles, placements + 1))
+    for what, count, times in requested:
         chosen = choose(design, count, times, begun)
         if chosen is not None:
             yield what, chosen

@@ -20,7 +20,7 @@ from ..alignment.certainty import budget_of, joint_covariance
 from ..alignment.expansion import MAX_ROUNDS, WIDEST
 from ..alignment.maximum import Sight
 from ..alignment.network import Network, PoleFactor, bands_of, factor_of, observe
-from ..alignment.observations import BESIDE, beams_of
+from ..alignment.observations import NEXT_TO_POLE, beams_of
 from ..alignment.posterior import JointState, Posterior
 from ..alignment.survey import Surveyed
 from ..alignment.unknowns import POSE, Unknowns
@@ -32,7 +32,7 @@ from ..extraction.sensor_pattern import error_sizes
 from ..simulation.raycast import Cylinder
 from ..simulation.recorded import DIVERGENCE, in_sensor_frame, range_noise
 from ..surfaces.patches import surface_patches
-from .place import Candidates, Station, beams_met
+from .place import Candidates, Station, beams_hit
 
 LATERAL_NOISE = 0.3
 """Noise of returns sideways, as a part of that in depth: what simulated poles leave in the mean."""
@@ -56,22 +56,22 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
 def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
     """Give what a LiDAR would record of a pole that is in the frame of the scene.
 
-    The returns on it, in the LiDAR's own frame, and the cloud around them.
+    The returns on it, in the frame of the LiDAR, and the cloud around them.
     """
     (own,) = in_sensor_frame([pole], station.T)
     beams = station.beams
-    met = beams_met(own, beams, divergence)
+    hits = beams_hit(own, beams, divergence)
     # The same pole is recorded with the same noise: returns without any would be taken for exact.
-    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(met.beam))
-    xyz = (met.ranges + noise)[:, None] * beams.directions[met.beam]
+    noise = range_noise(station.sensor) * np.random.default_rng(0).normal(size=len(hits.beam))
+    xyz = (hits.ranges + noise)[:, None] * beams.directions[hits.beam]
     away = float(np.linalg.norm(own.centre))
-    reach = min(own.bounding_radius + 3 * BESIDE, 0.99 * away)
+    reach = min(own.bounding_radius + 3 * NEXT_TO_POLE, 0.99 * away)
     cone = np.sqrt(1 - (reach / away) ** 2)
     near = np.flatnonzero(beams.directions @ (own.centre / away) > cone)
-    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], met.beam)
+    near = np.setdiff1d(near[np.isfinite(beams.ranges[near])], hits.beam)
     around = beams.ranges[near, None] * beams.directions[near]
     cloud = PointCloud(np.concatenate([xyz, around]), axis=station.cloud.axis)
-    rings = len(np.unique(beams.rings[met.beam]))
+    rings = len(np.unique(beams.rings[hits.beam]))
     index = np.arange(len(xyz))
     length = float(np.ptp(xyz @ own.axis)) if len(xyz) else 0.0
     found = Pole(xyz.mean(axis=0), own.axis, xyz, length, pole.radius / 2, rings, index)
@@ -101,14 +101,14 @@ def network_of(
     quickly
         As many poles are compared; see `TOGETHER`.
     """
-    together, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
+    sweeps, rounds = (TOGETHER, ROUNDS) if quickly else (1, MAX_ROUNDS)
     widths = divergences_of(stations)
     sights = []
     for i, station in enumerate(stations):
         own = np.flatnonzero(seen[:, i])
         found = [seen_by(station, candidates.pole(k), widths[i]) for k in own.tolist()]
         returns = np.cumsum([len(pole.xyz) for pole, _ in found])
-        for some in np.split(own, np.flatnonzero(np.diff(returns // together)) + 1):
+        for some in np.split(own, np.flatnonzero(np.diff(returns // sweeps)) + 1):
             first = int(np.searchsorted(own, some[0]))
             beams = beams_of(found[first : first + len(some)], station.sensor)
             sights.append(Sight(i, beams, some))
@@ -170,13 +170,13 @@ def prior_of(unknowns: Unknowns, known: Array) -> Array:
     return np.asarray(known[unknowns.groups().label] ** -2.0)
 
 
-KNOWN = np.radians(2.0), 0.3
+ROUGH_SIGMA = np.radians(2.0), 0.3
 """1 σ of a pose that the surroundings gave, before the surfaces refine it, rad and m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What the place without poles says of the poses, and of the errors of the LiDARs.
+    """Information of the scene without poles about the poses, and the errors of the LiDARs.
 
     Attributes
     ----------
@@ -206,19 +206,19 @@ def model_of(stations: Sequence[Station], radius: float = DEFAULT_RADIUS) -> Err
 
 
 def known_poses(stations: Sequence[Station], bands: Sequence[IntArray]) -> PoleFactor:
-    """State the poses as they are known, instead of poles: `KNOWN`, and nothing of the errors."""
+    """State the poses as they are known, instead of poles: `ROUGH_SIGMA`; nothing of the errors."""
     unknowns = Unknowns(tuple(bands), 0, 0)
     information = np.zeros((unknowns.kept, unknowns.kept))
     own = np.arange(POSE, unknowns.poses)
-    information[own, own] = np.tile(np.repeat(KNOWN, 3) ** -2.0, len(stations) - 1)
+    information[own, own] = np.tile(np.repeat(ROUGH_SIGMA, 3) ** -2.0, len(stations) - 1)
     free = np.repeat(np.arange(len(stations)) > 0, POSE)
     T = np.stack([each.T for each in stations])
     nothing = np.zeros(unknowns.kept)
     return PoleFactor(T, unknowns, free, information, nothing, np.inf, nothing[:, None])
 
 
-def settled(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
-    """Settle the poses on the surfaces that the LiDARs share; the first one's stays."""
+def refined(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
+    """Refine the poses on the surfaces that the LiDARs share; the first one's stays."""
     factor = known_poses(stations, surfaces.bands)
     end = minimise(problem_of(factor, stations, surfaces))
     return [replace(each, T=T) for each, T in zip(stations, end.T, strict=True)]
@@ -274,7 +274,7 @@ def predict(
     stations, surfaces
         The LiDARs, their poses refined, and what they share.
     poles, seen, placement
-        Those that will stand, (K, L) which LiDAR sees which, (K,) which placement each is in.
+        Those of the plan, (K, L) which LiDAR sees which, (K,) which placement each is in.
 
     Returns
     -------
@@ -285,7 +285,7 @@ def predict(
     factor = factor_of(network, ridge=1e-6)
     names = [each.name for each in stations] if len(stations) > 2 else None
 
-    def ask(asked: Surfaces) -> Prediction:
+    def predicted_by(asked: Surfaces) -> Prediction:
         problem = problem_of(factor, stations, asked, poles.radius)
         end = minimise(problem)
         parts = parts_of(problem, end)
@@ -298,4 +298,4 @@ def predict(
             tuple(budget_of(parts, i, names) for i in others),
         )
 
-    return ask(surfaces), ask(Surfaces((), surfaces.bands))
+    return predicted_by(surfaces), predicted_by(Surfaces((), surfaces.bands))

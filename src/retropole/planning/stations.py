@@ -54,7 +54,9 @@ def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
     return scan
 
 
-def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -> list[Station]:
+def place_lidars(
+    names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]
+) -> list[Station]:
     """Place all LiDARs in the frame of the scene, on the ground below the first.
 
     Parameters
@@ -69,48 +71,48 @@ def stand(names: Sequence[str], scans: Sequence[Scan], rough: Sequence[Array]) -
     Refusal
         ``pose_contradicted`` where the recordings conflict with a rough pose.
     """
-    poses, is_settled = [np.eye(4)], [True]
+    poses, is_refined = [np.eye(4)], [True]
     for i in range(1, len(scans)):
         others = sorted(range(i), key=lambda j: _apart(rough[j], rough[i]))
-        # The nearest of those that stand already shares most with it.
-        found, conflicts = Settled(rough[i]), []
+        # The nearest of those placed already shares most with it.
+        found, conflicts = Refined(rough[i]), []
         for j in others:
             T = se3.inverse(poses[j]) @ rough[i]
             try:
-                settled = settle(names[j], names[i], scans[j], scans[i], T)
+                refined = refine(names[j], names[i], scans[j], scans[i], T)
             except Refusal as conflict:
                 conflicts.append(conflict)
                 continue
-            if j == others[0] or settled.lead > found.lead:
-                found = settled._replace(T=poses[j] @ settled.T)
-            if settled.is_clear:
+            if j == others[0] or refined.lead > found.lead:
+                found = refined._replace(T=poses[j] @ refined.T)
+            if refined.is_clear:
                 break
-        # Where another settles it, one that sees little of the same is no witness.
+        # Where another determines it, one that sees little of the same is no witness.
         if conflicts and not found.by_place:
             raise conflicts[0]
-        is_settled.append(found.by_place)
+        is_refined.append(found.by_place)
         poses.append(found.T)
     level = place_frame(scans[0].cloud)
     return [
-        replace(station(name, scan, level @ T), is_settled=known)
-        for name, scan, T, known in zip(names, scans, poses, is_settled, strict=True)
+        replace(station(name, scan, level @ T), is_refined=known)
+        for name, scan, T, known in zip(names, scans, poses, is_refined, strict=True)
     ]
 
 
-def stand_drawn(
+def place_drawn_lidars(
     names: Sequence[str],
     sensors: Sequence[Sensor],
     poses: Sequence[Array],
     boxes: Sequence[Box] = (),
 ) -> list[Station]:
-    """Stand LiDARs that have recorded nothing yet over flat ground (z = 0) with boxes on it.
+    """Place LiDARs that have recorded nothing yet over flat ground (z = 0) with boxes on it.
 
     Parameters
     ----------
     names, sensors, poses
         Of the LiDARs; (4, 4) poses in the frame that is drawn in.
     boxes
-        What stands there, in the same frame.
+        Objects there, in the same frame.
 
     Raises
     ------
@@ -165,7 +167,7 @@ def place_frame(cloud: PointCloud) -> Array:
     return se3.from_rt(R, -R @ (cloud.origin - height * up))
 
 
-class Settled(NamedTuple):
+class Refined(NamedTuple):
     """A pose (4, 4), and how many parts of the scene agree and conflict with it where
     the surroundings gave it; none of either where only the ground did."""
 
@@ -185,12 +187,12 @@ class Settled(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether so few conflict that no other LiDAR need be asked."""
+        """Whether so little conflicts that no other LiDAR need be used."""
         return self.by_place and self.contradicting <= FEW * self.agreeing
 
 
-def settle(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Settled:
-    """Settle a rough pose (4, 4), target from source, on what both recorded.
+def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Refined:
+    """Refine a rough pose (4, 4), target from source, on what both recorded.
 
     If they share too little, the ground is aligned with the ground.
 
@@ -210,8 +212,8 @@ def settle(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
     if near:
         return _counted(grounds, near[0])
     T = _ground_on_ground(grounds[0][0], grounds[1][0], rough)
-    said = count([under(grounds, T)], T)
-    if said.contradicting > max(said.agreeing, MOVERS):
+    counts = count([under(grounds, T)], T)
+    if counts.contradicting > max(counts.agreeing, MOVERS):
         other = ""
         if found:
             gap = se3.difference(found[0], rough)
@@ -221,25 +223,25 @@ def settle(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
             )
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose of {second} {said.contradicting} parts of the scene stand where "
-            f"the other LiDAR looked through, {said.agreeing} agree with {first}{other}: correct "
-            "the pose, it must be good to 10° and 1 m",
-            {"agreeing": said.agreeing, "contradicting": said.contradicting},
+            f"under the rough pose of {second} {counts.contradicting} parts of the scene stand "
+            f"where the other LiDAR looked through, {counts.agreeing} agree with {first}{other}: "
+            "correct the pose, it must be good to 10° and 1 m",
+            {"agreeing": counts.agreeing, "contradicting": counts.contradicting},
         )
     surface = prepare(target.cloud.xyz, SCORING_VOXEL)
     points = voxel_downsample(source.cloud.xyz, SCORING_VOXEL)
-    settled = registered(surface, tree_of(surface.xyz), points, T, near=ROUGH)
-    if settled is not None:
-        by_place = _counted(grounds, settled)
+    refined = registered(surface, tree_of(surface.xyz), points, T, near=ROUGH)
+    if refined is not None:
+        by_place = _counted(grounds, refined)
         if by_place.agreeing > MOVERS:
             return by_place
     # On bare ground a registration goes where it likes.
-    return Settled(T)
+    return Refined(T)
 
 
-def _counted(grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array) -> Settled:
-    said = count([under(grounds, T)], T)
-    return Settled(T, said.agreeing, said.contradicting)
+def _counted(grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array) -> Refined:
+    counts = count([under(grounds, T)], T)
+    return Refined(T, counts.agreeing, counts.contradicting)
 
 
 def _upwards(one: Standing) -> tuple[Array, float]:

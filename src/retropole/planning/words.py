@@ -35,7 +35,7 @@ from ..result.pole_plan import (
     TapeDoc,
     below,
 )
-from .place import Station, beams_met
+from .place import Station, beams_hit
 from .planner import Planned, Rehearsal
 from .prediction import divergences_of
 from .stations import UPWARD
@@ -48,17 +48,18 @@ LEAST_LINE = 0.5
 """LiDARs nearer to each other than this, seen from above, have no line to count angles from, m."""
 
 BY_EYE = 4.0
-"""Poles that lean as it comes are best from 1 m to this distance apart, metres (docs/poles.md)."""
+"""Poles that lean at random are best at 1 m to this distance from each other, metres
+(docs/poles.md)."""
 
 WALK = (
     "Set up no pole, and walk with one in view of both: retropole watch TARGET SOURCE --carried. "
     "In 24 simulated walks of 40 s with two VLP-16, points 30 m away were off by 11 mm in the "
     "median, by 31 mm at most."
 )
-"""Instead of standing poles (benchmarks/carried.py, seeds 6000 to 6023)."""
+"""Instead of poles that are set up (benchmarks/carried.py, seeds 6000 to 6023)."""
 
 UPRIGHT = np.radians(2.0)
-"""A pole that leans by less stands upright, rad."""
+"""A pole that leans by less is upright, rad."""
 
 
 def plan_document(
@@ -71,7 +72,7 @@ def plan_document(
     planned
         The plan.
     recordings
-        Path and SHA-256 of each LiDAR's recording; empty if the place was drawn.
+        Path and SHA-256 of each LiDAR's recording; empty if the scene was drawn.
     need
         How accurate the answer must be.
     """
@@ -89,9 +90,9 @@ def plan_document(
     ]
     predicted = list(_predicted(planned))
     made = made_now()
-    met = None
+    hits = None
     if need is not None:
-        met = min(fitness(each.covariance, need).probability for each in predicted)
+        hits = min(fitness(each.covariance, need).probability for each in predicted)
     return PolePlanDoc(
         lidars=lidars,
         placements=list(_placements(planned)),
@@ -99,7 +100,7 @@ def plan_document(
         radius_m=planned.candidates.radius,
         range_m=planned.reach,
         need=need,
-        probability=met,
+        probability=hits,
         predicted=predicted,
         more=[
             MoreDoc(
@@ -113,7 +114,7 @@ def plan_document(
             for each in planned.more
         ],
         rehearsal=_rehearsed(planned.rehearsal),
-        words=list(sentences(planned, predicted, need, met)),
+        words=list(sentences(planned, predicted, need, hits)),
         version=made.version,
         created=made.created,
     )
@@ -168,19 +169,19 @@ def _placements(planned: Planned) -> Iterator[PlannedPlacementDoc]:
 
 
 def sights_of(planned: Planned, numbers: Sequence[int]) -> list[list[SightDoc]]:
-    """What each LiDAR will have of some poles that could stand; of each by those that see it."""
+    """What each LiDAR will have of some possible poles; of each by those that see it."""
     stations, widths = planned.stations, divergences_of(planned.stations)
     views = [each.seen_from_place() for each in stations]
     found = []
     for k in numbers:
         pole, seen = planned.candidates.pole(k), []
         for i in np.flatnonzero(planned.seen[k]):
-            met = beams_met(pole, views[i], widths[i])
-            rings = np.unique(views[i].rings[met.beam])
+            hits = beams_hit(pole, views[i], widths[i])
+            rings = np.unique(views[i].rings[hits.beam])
             seen.append(
                 SightDoc(
                     lidar=stations[i].name,
-                    returns=len(met.beam),
+                    returns=len(hits.beam),
                     rings=None if rings.min(initial=0) < 0 else len(rings),
                     distance_m=round(float(np.linalg.norm(pole.centre - stations[i].at)), 3),
                 )
@@ -213,7 +214,7 @@ class Viewpoint(NamedTuple):
 
 
 def viewpoint_of(foot: Array, stations: Sequence[Station]) -> Viewpoint:
-    """Choose from where the place of a foot (3,) is described.
+    """Choose from where the position of a foot (3,) is described.
 
     Of two LiDARs it is the first, along the line to the other; of more the nearest, along the line
     to the next. LiDARs above each other have no line: then it is ahead of the first.
@@ -225,7 +226,7 @@ def viewpoint_of(foot: Array, stations: Sequence[Station]) -> Viewpoint:
         if _level_distance(own[0].at, other.at) >= LEAST_LINE:
             way = other.at - own[0].at
             return Viewpoint(own[0], float(np.arctan2(way[1], way[0])), f"the line to {other.name}")
-    # In the frame of the place x is ahead of the first LiDAR.
+    # In the frame of the scene x is ahead of the first LiDAR.
     first = stations[0]
     axis = "x" if np.hypot(*first.T[:2, 0]) >= UPWARD else "z"
     return Viewpoint(first, 0.0, f"ahead of {first.name} (its {axis} axis)")
@@ -349,7 +350,7 @@ def sentences(
             "lean, so keep to the leans of the plan."
         )
     for station in planned.stations:
-        if not station.is_settled:
+        if not station.is_refined:
             yield (
                 f"The pose of {station.name} is as you gave it: the recordings share too little to "
                 "settle it."

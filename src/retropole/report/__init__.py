@@ -1,4 +1,4 @@
-"""The report: one HTML file that holds a whole run, or recordings, and opens offline."""
+"""The report: one HTML file of a whole run, or of recordings, that opens offline."""
 
 from .render import render_recordings, render_report
 

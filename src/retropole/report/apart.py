@@ -9,7 +9,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import every_nth
 from ..fusion.merging import LIDARS, Points, fused
-from ..fusion.surfels import Distance, distances, moments_of, surfaces_apart, up_by_ground
+from ..fusion.surfels import Distance, distances, moments_of, surface_distances, up_by_ground
 from .listings import Listing, columns
 from .page import EMPTY, Html, fill, listed
 from .subject import Subject
@@ -27,7 +27,7 @@ FEWEST_SURFELS = 20
 def apart(subject: Subject) -> Html:
     """Say how far from each other surfaces lie; nothing if no two LiDARs see any, or none has a
     pose."""
-    found = [each for each in found_apart(subject) if each.surfels >= FEWEST_SURFELS]
+    found = [each for each in measured_distances(subject) if each.surfels >= FEWEST_SURFELS]
     if not found:
         return EMPTY
     # Most surfels say most; of many pairs the rest is folded away.
@@ -44,7 +44,7 @@ def apart(subject: Subject) -> Html:
     return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
 
 
-def found_apart(subject: Subject) -> list[Distance]:
+def measured_distances(subject: Subject) -> list[Distance]:
     """Compare the surfaces of all LiDARs of a subject in its frame."""
     if not subject.answered or not subject.scans or len(subject.scans) > LIDARS:
         return []
@@ -68,4 +68,4 @@ def found_apart(subject: Subject) -> list[Distance]:
                 up = up_by_ground(scan.cloud, poses[k]) if up is None else up
     if up is None:
         return []
-    return distances(surfaces_apart(moments_of(sweeps()), origins, up))
+    return distances(surface_distances(moments_of(sweeps()), origins, up))

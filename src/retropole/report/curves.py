@@ -25,15 +25,15 @@ LEAST_GAP = 20.0
 """Names of two curves are at least so far from each other."""
 
 MOST_ABOVE = 4.0
-"""A need beyond so many times the largest error is told in words alone: its line would press the
-curves flat."""
+"""A need beyond this many times the largest error is stated in words alone: its line would press
+the curves flat."""
 
 
 class ErrorCurve(NamedTuple):
     """The error of a point of a LiDAR at `RANGES`, metres.
 
     `bounds` hold for all points up to there with a probability of `CONFIDENCE`, as a need does;
-    None if nothing holds with it, since the pose may be another one.
+    None if there is none, since the pose may be another one.
     """
 
     sigmas: Sequence[float]
@@ -58,7 +58,7 @@ def error_curve(subject: Subject) -> ErrorCurve | None:
     if not subject.answered or lidar is None or lidar.covariance is None:
         return None
     covariance = np.asarray(lidar.covariance)
-    found, asked = None if pair is None else pair.confirmation, lidar.fitness
+    found, requested = None if pair is None else pair.confirmation, lidar.fitness
     wrong = (found.probability_wrong or 0.0) if found and not found.trusted else 0.0
     if pair is None:
         wrong = chance_wrong(subject.site.reasons)
@@ -68,7 +68,7 @@ def error_curve(subject: Subject) -> ErrorCurve | None:
     return ErrorCurve(
         [each.sigma_m for each in predicted_error(covariance, RANGES)],
         bounds if 1.0 - wrong > CONFIDENCE else None,
-        Need(asked.within_m, asked.at_m) if asked else None,
+        Need(requested.within_m, requested.at_m) if requested else None,
         wrong,
         f"the {LIDARS[1]}" if pair is not None else lidar.name,
     )
@@ -109,7 +109,7 @@ def curve_figure(curve: ErrorCurve | None) -> Html:
 
 
 def _curves(chart: Chart, curve: ErrorCurve) -> Iterator[Html]:
-    """Draw the curves and name each at its end, the names apart from each other."""
+    """Draw the curves and name each at its end, the names not overlapping."""
     lines = [("one-sigma", "1 σ", curve.sigmas)]
     if curve.bounds is not None:
         lines.append(("bound", f"{100 * CONFIDENCE:.0f} %", curve.bounds))
@@ -125,32 +125,32 @@ def _need(chart: Chart, need: Need) -> Html:
     """Draw what was requested, as far as it was requested."""
     x, y = chart.at(np.array([[min(need.at, RANGES[-1]), need.within]]))[0]
     left, top, _, _ = chart.box
-    beside = y + 20 if y < top + 20 else y - 8
+    label_y = y + 20 if y < top + 20 else y - 8
     name = f"needed: {100 * need.within:g} cm up to {need.at:g} m"
-    return fill("curve-need", left=left, x=x, y=y, text=left + 8, beside=beside, name=name)
+    return fill("curve-need", left=left, x=x, y=y, text=left + 8, beside=label_y, name=name)
 
 
 def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
     """Say what the picture shows, also for those who do not see it."""
     far = f"{BUDGET_RANGE:g} m"
-    said = [f"Predicted error of a point of {curve.whose} by its distance from that LiDAR."]
-    said.append(f"1 σ, the mean over all directions: {curve.at_range(curve.sigmas)} at {far}.")
+    text = [f"Predicted error of a point of {curve.whose} by its distance from that LiDAR."]
+    text.append(f"1 σ, the mean over all directions: {curve.at_range(curve.sigmas)} at {far}.")
     if curve.bounds is not None:
         bound = curve.at_range(curve.bounds)
-        said.append(f"With 95 % probability no point up to {far} away is off by more than {bound}.")
+        text.append(f"With 95 % probability no point up to {far} away is off by more than {bound}.")
     else:
-        said.append(
+        text.append(
             f"No 95 % line: the pose itself is wrong with a probability of {curve.wrong:.0%}, "
             "which 1 σ does not count.".replace("%,", " %,")
         )
     if curve.need is not None:
         outside = "" if is_drawn else ", far above this picture"
-        said.append(f"Needed: {curve.need.words}{outside}.")
-    return " ".join(said)
+        text.append(f"Needed: {curve.need.words}{outside}.")
+    return " ".join(text)
 
 
 def sways(subject: Subject) -> Html:
-    """Draw what was seen of each recording, name what was stated; nothing if all stood."""
+    """Draw what was seen of each recording, name what was stated; nothing if none swayed."""
     if not subject.site.sways:
         return EMPTY
     several = len(subject.site.placements) > 1
@@ -164,9 +164,9 @@ def _figure(subject: Subject, found: SwayDoc, *, several: bool) -> Html:
     name = f"{name[0].upper()}{name[1:]}"
     if several:
         name += f", placement {subject.placement(found.placement)}"
-    said = f"{name}: {sway.words}."
+    text = f"{name}: {sway.words}."
     if len(sway.times_s) < 2:
-        return fill("p", text=said)
+        return fill("p", text=text)
     angles, last = [math.degrees(each) for each in sway.angles_rad], sway.times_s[-1]
     most = max(*map(abs, angles), 1e-3)
     chart = Chart((66.0, 34.0, 500.0, 166.0), (0.0, last), (-1.1 * most, 1.1 * most))
@@ -174,4 +174,4 @@ def _figure(subject: Subject, found: SwayDoc, *, several: bool) -> Html:
     times = {k * last / 4: f"{k * last / 4:.2g}" for k in range(5)}
     line = fill("line", kind="bound", path=chart.line(sway.times_s, angles))
     marks = [*chart.axes(times, levels, "time, s", "angle, °"), line]
-    return picture(f"sway-{found.lidar}-{found.placement}", 220.0, marks, said, "curve")
+    return picture(f"sway-{found.lidar}-{found.placement}", 220.0, marks, text, "curve")

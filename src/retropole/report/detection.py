@@ -50,7 +50,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     low, high = np.quantile(drawn[:, 2], [0.005, 0.995]) if len(drawn) else (-1.0, 1.0)
     above = Chart((60.0, 90.0, 620.0, 650.0), (-half, half), (-half, half))
     heights = float(low) - 1.0, float(high) + 1.0
-    beside = Chart((700.0, 90.0, 1220.0, 310.0), (-half, half), heights)
+    chart = Chart((700.0, 90.0, 1220.0, 310.0), (-half, half), heights)
     count = f"poles {len(detection.poles)}, rejected clusters {len(detection.rejected)}"
     bright = (
         f"{detection.retro_points:,} of {len(cloud):,} returns at or above "
@@ -59,7 +59,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     codes = Counter(each.code for each in detection.rejected).most_common(5)
     marks = [
         *_view(above, cloud, detection, drawn, middle, 1),
-        *_view(beside, cloud, detection, drawn, middle, 2),
+        *_view(chart, cloud, detection, drawn, middle, 2),
         *_numbers(above, detection, middle),
         *_histogram(cloud, detection),
         *_zooms(cloud, detection),
@@ -74,7 +74,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
 
 
 def _frame(cloud: PointCloud, detection: Detection) -> tuple[Array, float]:
-    """Middle (3,) and half width, metres, of a view that holds the first poles and the sensor.
+    """Middle (3,) and half width, metres, of a view of the first poles and the sensor.
 
     The origin of a cloud in map coordinates can be far from its points; then the view is about the
     poles.
@@ -171,19 +171,19 @@ def _zooms(cloud: PointCloud, detection: Detection) -> Iterator[Html]:
     shades = np.linspace(detection.threshold, max(top, detection.threshold), SHADES + 1)
     panels: list[tuple[IntArray, float, str, str, str]] = []
     for k, pole in enumerate(detection.poles[:MAX_ZOOMED]):
-        said = f"{counted(pole.rings, 'ring')}, rms {1000 * pole.rms:.0f} mm"
+        text = f"{counted(pole.rings, 'ring')}, rms {1000 * pole.rms:.0f} mm"
         name = f"pole {k}: {pole.length:.2f} m, {counted(len(pole.xyz), 'point')}"
-        panels.append((pole.index, max(1.1 * pole.length, 0.6), "pole", name, said))
+        panels.append((pole.index, max(1.1 * pole.length, 0.6), "pole", name, text))
     for cluster in detection.rejected[: MAX_ZOOMED - len(panels)]:
         size = float(np.clip(np.ptp(cloud.xyz[cluster.index], axis=0).max(), 0.6, 6.0))
         name = f"{cluster.code}, {counted(len(cluster.index), 'point')}:"
-        said = textwrap.shorten(cluster.reason, 34, placeholder=" …")
-        panels.append((cluster.index, size, "rejected", name, said))
-    for k, (index, size, kind, name, said) in enumerate(panels):
+        text = textwrap.shorten(cluster.reason, 34, placeholder=" …")
+        panels.append((cluster.index, size, "rejected", name, text))
+    for k, (index, size, kind, name, text) in enumerate(panels):
         left, half = 60.0 + 200 * k, 0.7 * size
         box = left, 740.0, left + 150, 890.0
         yield fill("zoom", kind=kind, x=box[0], y=box[1], wide=150, high=150)
-        for words, y in ((name, 718.0), (said, 733.0)):
+        for words, y in ((name, 718.0), (text, 733.0)):
             place = {"x": left, "y": y, "anchor": "start"}
             yield fill("label", **place, style=f"small {kind}", text=words)
         yield from _zoom(Chart(box, (-half, half), (-half, half)), cloud, index, size, shades)

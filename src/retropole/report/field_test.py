@@ -51,10 +51,10 @@ def describe_field_test(document: FieldTestDoc) -> str:
         if len(pair.distances) > LISTED:
             rest = counted(len(pair.distances) - LISTED, "more distance")
             lines.append(f"  {rest}, farther from their limits; --json has all")
-    said = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
+    text = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
     if document.status != "refused" and (pair.target, pair.source) == LIDARS:
-        said.append(_unnamed(document))
-    return "\n".join([*lines, *(part for words in said for part in wrapped(words, "    "))])
+        text.append(_unnamed(document))
+    return "\n".join([*lines, *(part for words in text for part in wrapped(words, "    "))])
 
 
 def _unnamed(document: FieldTestDoc) -> str:
@@ -74,8 +74,8 @@ def _tested(document: FieldTestDoc) -> str:
     information."""
     tested = sum(pair.status != "refused" for pair in document.pairs)
     failed = sum(pair.status == "fail" for pair in document.pairs)
-    said = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
-    return f"{said}, {failed} failed" if tested else said
+    text = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
+    return f"{text}, {failed} failed" if tested else text
 
 
 def _untested(document: FieldTestDoc) -> str:
@@ -167,7 +167,7 @@ def _variances(test: SpreadTest) -> str:
 
 
 def render_field_test(document: FieldTestDoc) -> str:
-    """Render the test as one HTML page that holds its style and code and works from a file."""
+    """Render the test as one HTML page, with its style and code, that works from a file."""
     kind, symbol, title = VERDICTS[document.status]
     pairs = EMPTY
     if len(document.pairs) > 1:
@@ -185,7 +185,7 @@ def render_field_test(document: FieldTestDoc) -> str:
 
 
 def _inputs(document: FieldTestDoc) -> Html:
-    """List serial numbers and recordings: what tells again what was tested."""
+    """List serial numbers and recordings: what identifies what was tested."""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))
@@ -196,16 +196,16 @@ def _inputs(document: FieldTestDoc) -> Html:
 
 
 def field_test_section(document: FieldTestDoc) -> Html:
-    """Write every pair as a section of an HTML page; whatever the document holds is escaped."""
+    """Write every pair as a section of an HTML page; all content of the document is escaped."""
     parts = []
     for pair in _in_order(document):
         reasons = fill_each("said", (f"{each.message}." for each in pair.reasons))
         if len(document.pairs) == 1 and pair.reasons:
             reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
         listed = table(*_distances(pair, pair.distances)) if pair.distances else EMPTY
-        said = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
+        text = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
         title = f"{pair.target}, {pair.source}: {pair.status}"
-        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=said))
+        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=text))
     return fill("distances", parts=join(parts))
 
 

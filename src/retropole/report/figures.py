@@ -1,7 +1,7 @@
 """Pictures for notebooks: the clouds of a pair before and after, and those of a site in one frame.
 
 They are matplotlib's (the extra ``figures``), which is imported where a figure is made, on a canvas
-of their own: no window, no state of pyplot's. All other pictures are SVG.
+that are separate: no window, no state of pyplot's. All other pictures are SVG.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SCENE_HALF_WIDTH = 14.0
 """Half the width of the picture of a pair, metres."""
 
 AROUND = 12.0
-"""The picture of a site shows so much around LiDARs and poles, metres: the ground and walls."""
+"""The picture of a site shows this much around LiDARs and poles, metres: the ground and walls."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -74,7 +74,7 @@ def result_figure(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     T_target_source
         (4, 4) the answer.
     poles
@@ -101,20 +101,20 @@ def result_figure(
     middle = np.mean(at, axis=0) if at else target.origin
     for column, (T, title) in enumerate(views):
         above = figure.add_subplot(grid[0, column])
-        beside = figure.add_subplot(grid[1, column], sharex=above)
+        lower = figure.add_subplot(grid[1, column], sharex=above)
         clouds = [
             _Drawn(target.xyz, "target", BLUE),
             _Drawn(source.transformed(T).xyz, "source", ORANGE),
         ]
         if column == 1 and contradicting is not None:
-            together = np.concatenate([contradicting[0], se3.apply(T, contradicting[1])])
-            clouds.append(_Drawn(together, "contradicts the answer", RED, 9.0, "s"))
-        _draw(above, beside, clouds, at, "poles of the target", middle, SCENE_HALF_WIDTH)
+            joined = np.concatenate([contradicting[0], se3.apply(T, contradicting[1])])
+            clouds.append(_Drawn(joined, "contradicts the answer", RED, 9.0, "s"))
+        _draw(above, lower, clouds, at, "poles of the target", middle, SCENE_HALF_WIDTH)
         above.set_title(f"{title}\nfrom above")
-        beside.set_xlabel("x of the target, m")
+        lower.set_xlabel("x of the target, m")
         if column == 0:
             above.set_ylabel("y of the target, m")
-            beside.set_ylabel("z of the target, m")
+            lower.set_ylabel("z of the target, m")
     for k, (ours, theirs) in enumerate(zip(*poles, strict=True)):
         axes = figure.add_subplot(grid[:, 2 + k])
         across = np.cross(ours.direction, ours.point - target.origin)
@@ -160,7 +160,7 @@ def site_figure(
     figure = new_figure(11, 11)
     grid: Any = figure.add_gridspec(2, 1, height_ratios=(4, 1))
     above = figure.add_subplot(grid[0, 0])
-    beside = figure.add_subplot(grid[1, 0], sharex=above)
+    lower = figure.add_subplot(grid[1, 0], sharex=above)
     places = np.array([T[:3, 3] for T in poses])
     corners = np.concatenate([places, np.reshape(poles, (-1, 3))])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -169,9 +169,9 @@ def site_figure(
         for k, (name, T, xyz) in enumerate(zip(names, poses, clouds, strict=True))
     ]
     half_width = float((high - low)[:2].max()) / 2 + AROUND
-    _draw(above, beside, drawn, poles, "poles", (low + high) / 2, half_width)
+    _draw(above, lower, drawn, poles, "poles", (low + high) / 2, half_width)
     for cloud, at in zip(drawn, places, strict=True):
-        for axes, vertical in ((above, 1), (beside, 2)):
+        for axes, vertical in ((above, 1), (lower, 2)):
             axes.plot(at[0], at[vertical], "^", ms=11, mfc=cloud.color, mec="white", mew=1.5)
         above.annotate(
             cloud.name,
@@ -185,8 +185,8 @@ def site_figure(
         )
     above.set_title(f"all LiDARs in one frame: {frame}\nfrom above", parse_math=False)
     above.set_ylabel("y, m")
-    beside.set_ylabel("z, m")
-    beside.set_xlabel("x, m")
+    lower.set_ylabel("z, m")
+    lower.set_xlabel("x, m")
     return figure
 
 

@@ -19,7 +19,7 @@ from . import listings
 from .listings import number, numbers
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
 
-OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
+LEFT_TO_USER = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""
 
 SAME_AXIS = math.radians(10.0)
@@ -31,9 +31,9 @@ LEAST_TURN = math.radians(1.0)
 """Hypotheses that differ by less are not called turned, rad."""
 
 
-def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
+def undecided(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
     """List the hypotheses between which a person may decide, by name; none where it is decided."""
-    if not any(reason.code in OPEN for reason in result.reasons):
+    if not any(reason.code in LEFT_TO_USER for reason in result.reasons):
         return []
     named = [
         (hypothesis_name(k), each)
@@ -48,8 +48,8 @@ def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
-    angle, apart = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
-    moved = f"moved by {apart:.1f} m"
+    angle, shift = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
+    moved = f"moved by {shift:.1f} m"
     if angle < LEAST_TURN:
         return f"source {moved}"
     axis = axis_words(turn / angle, result.vertical)
@@ -73,7 +73,7 @@ def axis_words(axis: Array, vertical: Array | None) -> str:
 
 
 def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
-    """Name the options that would leave one of the hypotheses that stand, as marked-up sentences.
+    """Name the options that would leave one hypothesis, as marked-up sentences.
 
     A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
     two: whatever it is, it then leaves one at most.
@@ -111,12 +111,12 @@ def pose_numbers(hypothesis: HypothesisDoc) -> list[str]:
     return [*numbers(angles, 1), *numbers(T[:3, 3], 2)]
 
 
-def describe_standing(result: ResultDoc) -> list[str]:
-    """Write the hypotheses that stand for a terminal, a few lines; none where it is decided."""
-    named = standing(result)
+def describe_undecided(result: ResultDoc) -> list[str]:
+    """Write the hypotheses that are not ruled out, for a terminal; none where it is decided."""
+    named = undecided(result)
     if not named:
         return []
-    lines = ["hypotheses that stand, roll pitch yaw in deg, x y z in m"]
+    lines = ["hypotheses not ruled out, roll pitch yaw in deg, x y z in m"]
     widths = [max(len(pose_numbers(each)[k]) for _, each in named) for k in range(6)]
     for name, each in named:
         cells = [value.rjust(widths[k]) for k, value in enumerate(pose_numbers(each))]
@@ -134,7 +134,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
         return EMPTY
     compared = fill(
         "hypotheses-compared",
-        standing=_standing(result),
+        standing=_undecided(result),
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
         table=listed(listings.hypotheses(result)),
     )
@@ -150,7 +150,7 @@ def hypotheses(result: ResultDoc | None) -> Html:
 
 
 def margin_words(result: ResultDoc) -> str:
-    """Say which hypothesis is chosen, and by how much it leads; empty if none leads another."""
+    """Give the chosen hypothesis and its margin; empty if there is no other."""
     chosen = [hypothesis_name(k) for k, each in enumerate(result.hypotheses) if each.chosen]
     if not chosen or result.margin is None:
         return ""
@@ -170,18 +170,18 @@ TRIED = {
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
     """Say what a refusal left out to bound the time; empty if it tried all."""
-    said = [
+    text = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons
         for (found, tried), words in TRIED.items()
         if found in reason.values and tried in reason.values
     ]
-    return f"To bound the time, {', '.join(said)}" if said else ""
+    return f"To bound the time, {', '.join(text)}" if text else ""
 
 
-def _standing(result: ResultDoc) -> Html:
+def _undecided(result: ResultDoc) -> Html:
     """List the hypotheses between which a person may decide, and the options that would."""
-    named = standing(result)
+    named = undecided(result)
     if not named:
         return EMPTY
     rows = [
@@ -196,7 +196,7 @@ def _standing(result: ResultDoc) -> Html:
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",
-        table=table("Hypotheses that stand", listings.columns(names), rows, (7,)),
+        table=table("Hypotheses not ruled out", listings.columns(names), rows, (7,)),
         options=fill("advice", title="What decides", items=items) if items else items,
     )
 

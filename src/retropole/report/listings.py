@@ -38,7 +38,7 @@ UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
 
 NAMED = 3
-"""Number of observations that stand out and are named; the page lists them all."""
+"""Number of conspicuous observations that are named; the page lists them all."""
 
 
 class Listing(NamedTuple):
@@ -56,7 +56,7 @@ class Listing(NamedTuple):
 
 
 def columns(names: str) -> list[str]:
-    """Take names of columns apart that stand in one line, between semicolons."""
+    """Split names of columns in one line, between semicolons."""
     return names.split("; ")
 
 
@@ -68,8 +68,8 @@ def pole_row(name: str, pole: PoleDoc) -> list[str]:
 
 def rejected_row(mark: str, cluster: RejectedDoc) -> list[str]:
     """Write why a cluster was rejected, in the order of `REJECTED_COLUMNS`."""
-    said = (cluster.code, cluster.reason, str(cluster.points))
-    return [mark, *said, *numbers(cluster.centre_m, 2)]
+    text = (cluster.code, cluster.reason, str(cluster.points))
+    return [mark, *text, *numbers(cluster.centre_m, 2)]
 
 
 def numbers(values: Array, digits: int) -> list[str]:
@@ -129,10 +129,10 @@ def found(subject: Subject) -> Listing:
 
 
 def _found(each: FoundDoc) -> str:
-    said = counted(len(each.poles), "pole")
+    text = counted(len(each.poles), "pole")
     if each.rejected:
-        said += f", {len(each.rejected)} rejected"
-    return said if each.refusal is None else f"{said} ({each.refusal.code})"
+        text += f", {len(each.rejected)} rejected"
+    return text if each.refusal is None else f"{text} ({each.refusal.code})"
 
 
 def hypotheses(result: ResultDoc) -> Listing:
@@ -175,7 +175,7 @@ class PoseRow(NamedTuple):
 
 
 def pose_rows(site: SiteDoc) -> list[PoseRow]:
-    """Write each pose in the frame's own coordinates, degrees; none where refused."""
+    """Write each pose in the coordinates of the frame, degrees; none where refused."""
     rows = []
     for lidar in site.lidars:
         if lidar.T_site_lidar is not None:
@@ -187,17 +187,17 @@ def pose_rows(site: SiteDoc) -> list[PoseRow]:
 
 
 def poses(site: SiteDoc) -> Listing:
-    """List where the LiDARs are in the frame's own coordinates, each with its certainty."""
-    asked = any(lidar.fitness is not None for lidar in site.lidars)
+    """List where the LiDARs are in the coordinates of the frame, each with its certainty."""
+    requested = any(lidar.fitness is not None for lidar in site.lidars)
     rows = []
     for row, lidar in zip(pose_rows(site), site.lidars, strict=False):
         sigma = np.sqrt(np.maximum(np.diag(np.asarray(lidar.covariance))[3:], 0.0)).tolist()
         at = ", ".join(map(error, sigma)) if any(sigma) else UNKNOWN
-        answer = [lidar.fitness.answer if lidar.fitness else UNKNOWN] if asked else []
+        answer = [lidar.fitness.answer if lidar.fitness else UNKNOWN] if requested else []
         far = f"± {error(row.sigma)}" if row.sigma else UNKNOWN
         rows.append([*row[:7], far, at, *answer])
     names = "LiDAR; x, m; y, m; z, m; roll, °; pitch, °; yaw, °; 1 σ at 30 m; 1 σ of x, y, z"
-    header = columns(names + "; good enough" * asked)
+    header = columns(names + "; good enough" * requested)
     return Listing(f"Poses of the LiDARs; frame: {site.frame.name}", header, rows)
 
 
@@ -219,7 +219,7 @@ def pairs(site: SiteDoc) -> Listing:
 
 
 def pair_words(pair: PairDoc, refused: bool) -> str:
-    """Say what a pair alone has to say of its pose."""
+    """Give the answer of a pair alone on its pose."""
     if pair.standing == 1:
         return "decides by itself"
     if pair.standing > 1:
@@ -264,8 +264,8 @@ def tests(site: SiteDoc) -> Listing:
 
 
 def _size(w: float | None, allowed: float | None, digits: int) -> str:
-    said = number(None if w is None else abs(w), digits)
-    return said + (" stands out" if _is_large(w, allowed) else "")
+    text = number(None if w is None else abs(w), digits)
+    return text + (" stands out" if _is_large(w, allowed) else "")
 
 
 def _is_large(w: float | None, allowed: float | None) -> bool:
@@ -375,9 +375,9 @@ def clock_words(subject: Subject, lidar: int) -> str:
     """Say how the clock of a LiDAR before which a pole was carried differs from the reference's."""
     assert subject.site.walk is not None
     own, names = subject.site.walk.lidars[lidar], walk_names(subject)
-    apart = f"{'+' if own.clock_offset_s >= 0 else '−'} {abs(own.clock_offset_s):.6f} s"
+    shift = f"{'+' if own.clock_offset_s >= 0 else '−'} {abs(own.clock_offset_s):.6f} s"
     sigma = f"1 sigma {1e3 * own.clock_sigma_s:.2g} ms"
-    return f"t_{names[subject.site.reference]} = t_{names[lidar]} {apart}, {sigma}"
+    return f"t_{names[subject.site.reference]} = t_{names[lidar]} {shift}, {sigma}"
 
 
 def walk_names(subject: Subject) -> Sequence[str]:
@@ -456,17 +456,17 @@ def clocks(subject: Subject) -> Iterator[str]:
     alone = {each.lidar: each for each in reversed(found)}
     compared: dict[tuple[int, int], str] = {}
     for one, other in combinations(found, 2):
-        apart = (other.clock_offset_s or 0.0) - (one.clock_offset_s or 0.0)
+        shift = (other.clock_offset_s or 0.0) - (one.clock_offset_s or 0.0)
         both = is_set(one.clock_offset_s or 0.0) and is_set(other.clock_offset_s or 0.0)
-        if one.sha256 == other.sha256 and both and abs(apart) >= NOTICED:
-            words = words_of(apart, f"that of {subject.called(one.lidar)}")
+        if one.sha256 == other.sha256 and both and abs(shift) >= NOTICED:
+            words = words_of(shift, f"that of {subject.called(one.lidar)}")
             compared.setdefault((one.lidar, other.lidar), f"{subject.called(other.lidar)} {words}")
-    said = list(compared.values())
+    text = list(compared.values())
     for k, each in alone.items():
-        apart = each.clock_offset_s or 0.0
-        if abs(apart) >= NOTICED and not any(k in lidars for lidars in compared):
-            said.append(f"{subject.called(k)} {words_of(apart)}")
-    yield from (f"the clock of {words}; no time was changed" for words in said[:NAMED])
+        shift = each.clock_offset_s or 0.0
+        if abs(shift) >= NOTICED and not any(k in lidars for lidars in compared):
+            text.append(f"{subject.called(k)} {words_of(shift)}")
+    yield from (f"the clock of {words}; no time was changed" for words in text[:NAMED])
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
@@ -491,13 +491,13 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
 
 def checks_of_site(site: SiteDoc) -> Iterator[str]:
     """Say what pairs, loops and consistency checks of an answer showed."""
-    standing = [min(pair.standing, 2) for pair in site.pairs]
+    possible = [min(pair.standing, 2) for pair in site.pairs]
     counts = (
-        (standing.count(1), "unambiguous"),
-        (standing.count(2), "ambiguous and decided by others"),
-        (standing.count(0), "linked through others"),
+        (possible.count(1), "unambiguous"),
+        (possible.count(2), "ambiguous and decided by others"),
+        (possible.count(0), "linked through others"),
     )
-    if standing:
+    if possible:
         yield f"pairs: {', '.join(f'{n} {what}' for n, what in counts if n)}"
     loops = [loop for loop in site.loops if loop.probability is not None]
     if loops:
@@ -535,15 +535,15 @@ def _checks(site: SiteDoc) -> Iterator[str]:
 
 def fitness_words(subject: Subject) -> str:
     """Answer whether every pose is as accurate as was requested; empty if nothing was."""
-    asked = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
-    if not asked:
+    requested = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
+    if not requested:
         return ""
-    first = asked[0][1]
+    first = requested[0][1]
     if subject.pair is not None:
         return first.words
     short = [
         f"{name}: {fitness.words.partition(': ')[2] or fitness.words}"
-        for name, fitness in asked
+        for name, fitness in requested
         if fitness.answer != "yes"
     ]
     need = f"within {100 * first.within_m:g} cm at {first.at_m:g} m"

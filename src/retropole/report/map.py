@@ -1,4 +1,5 @@
-"""Pictures of a site: from above, with how certain its LiDARs stand; and the graph of its pairs."""
+"""Pictures of a site: from above, with the uncertainty of its LiDARs; and the graph of its
+pairs."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ GRAPH_HEIGHT = 420.0
 """Of the graph of the pairs."""
 
 RADIUS = 145.0
-"""Of the circle that the LiDARs stand on in the picture."""
+"""Of the circle of the LiDARs in the picture."""
 
 LABELLED_PAIRS = 10
 """Up to this many lines all bear their w; of more only those beyond `DOUBT_W`."""
@@ -47,11 +48,12 @@ LEVELS = (
     ("blunder", f"above {POOR:g}"),
     ("untested", "not tested"),
 )
-"""How a line is drawn by the size of its w, and what the legend says of it."""
+"""How a line is drawn by the size of its w, and its text in the legend."""
 
 
 def site_map(subject: Subject, plan: Plan) -> Html:
-    """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
+    """Draw a site from above and list the positions of its LiDARs; nothing of two, or where
+    refused."""
     site = subject.site
     if subject.pair is not None or not subject.answered:
         return EMPTY
@@ -80,8 +82,8 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     for k, ((x, y), (wide, high)) in enumerate(zip(chart.at(lidars), sizes, strict=True)):
         named.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
         name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
-        beside = {"away": max(11.0, wide + 4.0), "away_y": max(14.0, high + 8.0)}
-        named.append(labels.place(name, x, y, style=style, **beside))
+        offsets = {"away": max(11.0, wide + 4.0), "away_y": max(14.0, high + 8.0)}
+        named.append(labels.place(name, x, y, style=style, **offsets))
     marks = [*ellipses, *_pole_marks(pole_labels(site), chart, poles, labels)]
     for point, (x, y) in zip(site.control_points, chart.at(points), strict=True):
         marks.append(fill("control", x=x, y=y - 6))
@@ -149,20 +151,20 @@ def _direction(plan: Plan) -> Html:
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
     """Say what the picture shows, also for those who do not see it."""
-    said = [f"Seen from above; up is {plan.words}."]
+    text = [f"Seen from above; up is {plan.words}."]
     if plan.north:
-        said.append(f"{plan.north.capitalize()} is at the top.")
+        text.append(f"{plan.north.capitalize()} is at the top.")
     fixed = [each.name for each in site.lidars if not np.any(each.covariance)]
     if factor is None:
-        said.append("No LiDAR has an ellipse: its position is without error.")
+        text.append("No LiDAR has an ellipse: its position is without error.")
     else:
-        said.append(f"Ellipses: 1 σ of the position of each LiDAR, enlarged {large(factor)} times.")
-        said += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
+        text.append(f"Ellipses: 1 σ of the position of each LiDAR, enlarged {large(factor)} times.")
+        text += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
     if site.poles:
-        said.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")
+        text.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")
     if site.control_points:
-        said.append("Triangles: control points.")
-    return " ".join(said)
+        text.append("Triangles: control points.")
+    return " ".join(text)
 
 
 def _poles(site: SiteDoc) -> Html:

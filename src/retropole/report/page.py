@@ -125,7 +125,7 @@ def plus_minus(sigma_m: float | None) -> str:
 
 
 def share_styles() -> str:
-    """Style the bars of every length, in percent: the page allows no style of an element's own."""
+    """Style the bars of every length, in percent: the page allows no style of a single element."""
     return "\n".join(f"td.share-{percent} {{ --share: {percent}%; }}" for percent in range(101))
 
 
@@ -148,7 +148,7 @@ def table(
     bars
         Of each row, the class and the length, 0 to 1, of a bar behind its last cell.
     links
-        Of each row, where its heading leads; empty for nowhere.
+        Of each row, the target of its heading's link; empty for none.
     """
     kinds = [Html(' class="text"') if k in text else EMPTY for k in range(len(header))]
     head = (fill("th", kind=kind, text=name) for kind, name in zip(kinds, header, strict=True))

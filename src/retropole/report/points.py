@@ -28,7 +28,7 @@ DEFAULT_RANGE = 10.0
 
 
 class PackedPoints(msgspec.Struct, frozen=True):
-    """Points for the page's own code.
+    """Points for the code of the page.
 
     Attributes
     ----------
@@ -64,14 +64,14 @@ class Levels(msgspec.Struct, frozen=True):
 
 
 class PackedCloud(PackedPoints, frozen=True):
-    """A cloud for the page's own code.
+    """A cloud for the code of the page.
 
     Attributes
     ----------
     levels
         Intensities in full; None if the page has no threshold to move.
     intensity
-        Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None if that gives no
+        Base64 of uint8 (n,), 1 % to 99 % of the scale of the cloud; None if that gives no
         information.
     on_poles
         How many points are on poles; they come first, then those in rejected clusters.

@@ -38,7 +38,7 @@ SYMBOLS = {"ok": "✓", "warn": "!", "refused": "✕"}
 
 
 def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
-    """Render a plan as one HTML page that holds its style and code and works from a file.
+    """Render a plan as one HTML page, with its style and code, that works from a file.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
 
 
 def _kind(document: PolePlanDoc) -> str:
-    """Style of the verdict: that of the rehearsal, unless the need is hardly met."""
+    """Style of the verdict: that of the rehearsal, unless the need is hardly fulfilled."""
     kind = "ok" if document.rehearsal is None else document.rehearsal.status
     hardly = document.probability is not None and document.probability < 0.5
     return "warn" if kind == "ok" and hardly else kind
@@ -95,8 +95,8 @@ def _kind(document: PolePlanDoc) -> str:
 def _verdict(document: PolePlanDoc) -> Html:
     first, *others = document.words or [""]
     kind, need = _kind(document), document.need
-    asked = "" if need is None else f"; requested: {need.words}"
-    title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){asked}"
+    requested = "" if need is None else f"; requested: {need.words}"
+    title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){requested}"
     return verdict_box(
         kind,
         SYMBOLS[kind],
@@ -116,20 +116,20 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
         for p, placement in enumerate(document.placements)
         for pole in placement.poles
     ]
-    said = (
+    text = (
         f"Seen from above; up is ahead of {document.lidars[0].name}, along its x axis. Arrows: x "
         "axes of the LiDARs. Letters: feet of the poles, with the way each leans."
     )
     if len(document.placements) == 1:
-        said += " Lines: lengths to measure."
+        text += " Lines: lengths to measure."
     if sum(map(len, picture.points)):
-        said += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
+        text += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
     return fill(
         "plan-section",
         width=f"{WIDTH:g}",
         height=f"{view.height:.0f}",
         marks=drawn(document, picture, view),
-        said=said,
+        said=text,
         range=f"{document.range_m:g}",
         together=error(max(stated(document))),
         alone=error(max(stated_alone(document))),
@@ -138,7 +138,7 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
 
 
 def _where(words: str) -> str:
-    """Where a pole stands, without its name before it."""
+    """Position of a pole, without its name before it."""
     return words.partition(": ")[2] or words
 
 
@@ -302,7 +302,7 @@ def _at_range(errors: Sequence[ErrorAtRange], at: float) -> float:
 
 
 def describe_plan(document: PolePlanDoc) -> str:
-    """Say where the poles should stand and what to expect."""
+    """Describe the positions of the poles and what to expect."""
     document = legible(document)
     lines: list[str] = []
     several = len(document.placements) > 1

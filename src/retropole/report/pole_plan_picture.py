@@ -18,7 +18,7 @@ from .subject import colour_class
 from .svg import Labels, short
 
 WIDTH = 520.0
-"""Of the picture, in its own units."""
+"""Of the picture, in its units."""
 
 HEIGHTS = 300.0, 620.0
 """Least and greatest height of the picture."""
@@ -27,7 +27,7 @@ MARGIN = 46.0
 """Around all that is there: room for names."""
 
 SURROUNDED = 2.5
-"""What is drawn around LiDARs and poles, metres: enough to know the place again."""
+"""What is drawn around LiDARs and poles, metres: enough to recognize the site."""
 
 LEAST_SPAN = 4.0
 """A place is drawn as at least so wide, metres."""
@@ -54,9 +54,9 @@ class PlanPicture:
     lidars
         (L, 4, 4) where the beams of each LiDAR start, and its axes.
     points
-        Of each LiDAR (N, 3) what it recorded, metres; empty if the place was drawn.
+        Of each LiDAR (N, 3) what it recorded, metres; empty if the scene was drawn.
     feet
-        (C, 3) where poles could stand, metres: they follow the ground.
+        (C, 3) possible positions of poles, metres: they follow the ground.
     """
 
     lidars: Array
@@ -66,7 +66,7 @@ class PlanPicture:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """From the place, metres, to the picture: ahead of the first LiDAR is up, its left is left.
+    """From the scene, metres, to the picture: ahead of the first LiDAR is up, its left is left.
 
     Attributes
     ----------
@@ -110,12 +110,12 @@ def recorded(picture: PlanPicture, view: View) -> Html:
     shape = int(FINE * view.height), int(FINE * WIDTH)
     inside = np.all((at >= 0) & (at < shape[::-1]), axis=1)
     points, at = points[inside], at[inside]
-    # The feet stand on the ground: the plane through them follows a slope.
+    # The feet are on the ground: the plane through them follows a slope.
     level = np.c_[picture.feet[:, :2], np.ones(len(picture.feet))]
     plane = np.linalg.lstsq(level, picture.feet[:, 2], rcond=None)[0]
-    stands = points[:, 2] > points[:, :2] @ plane[:2] + plane[2] + ABOVE
+    is_raised = points[:, 2] > points[:, :2] @ plane[:2] + plane[2] + ABOVE
     layers = []
-    for name, chosen in (("ground", ~stands), ("standing", stands)):
+    for name, chosen in (("ground", ~is_raised), ("standing", is_raised)):
         dots = np.zeros(shape, dtype=bool)
         dots[at[chosen, 1], at[chosen, 0]] = True
         sizes = {"width": f"{WIDTH:g}", "height": f"{view.height:.1f}"}
@@ -143,7 +143,7 @@ def _png(dots: BoolArray) -> str:
 def drawn(
     document: PolePlanDoc, picture: PlanPicture, view: View, placement: int | None = None
 ) -> Html:
-    """Draw the place from above, with the poles of one placement, or of all.
+    """Draw the scene from above, with the poles of one placement, or of all.
 
     The lengths to measure are drawn where the poles of one placement are alone in the picture.
     """

@@ -122,12 +122,12 @@ def _pose(subject: Subject, k: int) -> Html:
     """Show one pose of a site as matrix, translation, quaternion and angles, and all about it."""
     lidar = subject.site.lidars[k]
     T = np.array(lidar.T_site_lidar)
-    said = (
+    text = (
         "" if lidar.sensor == "auto" else lidar.sensor,
         f"serial number {lidar.serial}" if lidar.serial else "",
         "" if lidar.fitness is None else lidar.fitness.words,
     )
-    about = ", ".join(each for each in said if each)
+    about = ", ".join(each for each in text if each)
     return fill(
         "pose",
         about=fill("p", text=about) if about else "",
@@ -237,14 +237,14 @@ def uncertainty(subject: Subject, k: int) -> Html:
         listed(states(kinds, f"Pose of {name}, axes of {subject.frame}")),
         EMPTY if pair is None else listed(_residuals(pair)),
     )
-    said = subject.site.covariance_frame if kinds else "This run gives no covariance."
+    text = subject.site.covariance_frame if kinds else "This run gives no covariance."
     return fill(
         "uncertainty",
         weakest=EMPTY if pair is None else _weakest(pair),
         kinds=EMPTY if parts is None else fill("kinds"),
         tables=join(tables),
         budget=budget_table(lidar.budget) if lidar.budget else EMPTY,
-        said=said,
+        said=text,
         matrices=folded("Covariance matrix", join(matrices)),
     )
 
@@ -270,12 +270,14 @@ def _weakest(pair: ResultDoc) -> Html:
 def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
     """Say where a point lands, by its range."""
     stated = lidar.predicted_error or []
-    apart = [[error(each.random), error(each.systematic)] for each in error_parts(stated, parts)]
+    ranges_by_error = [
+        [error(each.random), error(each.systematic)] for each in error_parts(stated, parts)
+    ]
     rows = [
         [f"{each.range_m:g} m", plus_minus(each.sigma_m), *more]
-        for each, more in zip(stated, apart or [[]] * len(stated), strict=True)
+        for each, more in zip(stated, ranges_by_error or [[]] * len(stated), strict=True)
     ]
-    kinds = ("random", "systematic") if apart else ()
+    kinds = ("random", "systematic") if ranges_by_error else ()
     return Listing(caption, ("at range", "1 σ", *kinds), rows)
 
 
@@ -303,12 +305,12 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Html:
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
     # At least the largest is shown, also of a budget of many equal parts.
     shown = max(1, sum(entry.share_at_30m >= FOLDED_BELOW for entry in entries))
-    together = percent(sum(entry.share_at_30m for entry in entries[shown:]))
+    shared = percent(sum(entry.share_at_30m for entry in entries[shown:]))
     rest = _entries("The rest of the error budget", entries[shown:])
     return fill(
         "budget",
         shown=_entries("Error budget", entries[:shown]),
-        rest=folded(f"{len(entries) - shown} smaller, together {together}", rest),
+        rest=folded(f"{len(entries) - shown} smaller, together {shared}", rest),
         range=f"{BUDGET_RANGE:g}",
     )
 
@@ -411,12 +413,15 @@ def _facts(subject: Subject, place: str) -> Html:
     site, pair = subject.site, subject.pair
     warned = ", ".join(reason.code for reason in site.reasons)
     title = VERDICTS.get(site.status, ("", site.status))[1]
-    asked = fitness_words(subject)
+    requested = fitness_words(subject)
     facts = [
         ("Site", _given(place or ("" if pair else site.name))),
         ("Calibrated", f"{site.created}, by retropole {site.version}"),
         ("Verdict", fill("bold", text=title + (f": {warned}" if warned else ""))),
-        ("Tolerance", f"{asked[:1].upper()}{asked[1:]}" if asked else fill("tolerance")),
+        (
+            "Tolerance",
+            f"{requested[:1].upper()}{requested[1:]}" if requested else fill("tolerance"),
+        ),
     ]
     if pair is None:
         facts += [("Frame", site.datum), ("Checks", "; ".join(checks_of_site(site)))]
@@ -438,11 +443,11 @@ def _poles(pair: ResultDoc) -> str:
 
 
 def _budget(budget: list[BudgetEntry]) -> Html:
-    """List the largest sources of error, and what all others come to."""
+    """List the largest sources of error, and the sum of all others."""
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
     caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]
     if rest:
-        together = percent(sum(entry.share_at_30m for entry in rest))
-        rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), together]]
+        shared = percent(sum(entry.share_at_30m for entry in rest))
+        rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), shared]]
     return table(caption, header, rows, words) if rows else EMPTY

@@ -27,13 +27,13 @@ UNFOLDED_CLUSTERS = 4
 """Up to this many rejected clusters of a pair are listed unfolded."""
 
 HALF_PICTURE = 110.0
-"""Half the side of a picture, in its own units; `pieces.html` has the same."""
+"""Half the side of a picture, in its units; `pieces.html` has the same."""
 
 RESIDUAL_SCALE = 0.01
-"""Returns further than this from the surface, metres, count for less and less in its place."""
+"""Returns further than this from the surface, metres, have less and less weight in its position."""
 
 SHOWN_RETURNS = 0.98
-"""Share of the returns that a picture holds; strays are cut off."""
+"""Share of the returns in a picture; strays are cut off."""
 
 SAME_DISTANCE = 0.3
 """A cluster may be the missing pole where it is as far from a found one as the other LiDAR's
@@ -47,7 +47,7 @@ NAMED = 3
 """Number of candidates that are named of each LiDAR; the page lists all clusters below."""
 
 NEAREST = 2.0
-"""No pole is required to stand nearer than this, metres: what would have to is too little to go
+"""No pole is required to be nearer than this, metres: what would have to is too little to go
 by."""
 
 
@@ -77,13 +77,13 @@ def _of_lidar(subject: Subject, k: int, of_lidar: Sequence[FoundDoc | None]) -> 
     ]
     poles = table(*found) if found.rows else EMPTY
     clusters = fill("rejected", body=table(*rejected)) if rejected.rows else EMPTY
-    said = fill_each("said", refusals)
+    text = fill_each("said", refusals)
     few = subject.pair is not None and len(rejected.rows) <= UNFOLDED_CLUSTERS
     refused = subject.site.status == "refused" and (refusals or subject.pair is not None)
     counts = counted(len(found.rows), "pole"), counted(len(rejected.rows), "rejected cluster")
     return folded(
         f"{subject.site.lidars[k].name}: {', '.join(counts)}",
-        fill("stack", body=join((said, poles, clusters))) if said or poles or clusters else EMPTY,
+        fill("stack", body=join((text, poles, clusters))) if text or poles or clusters else EMPTY,
         is_open=bool(refused or few),
     )
 
@@ -162,7 +162,7 @@ def run(subject: Subject) -> Html:
 
 
 def _options_table(subject: Subject) -> Html:
-    """List the options of the run; those at their default are left out, and that is said."""
+    """List the options of the run; those at their default are left out, as stated."""
     rows = _options(subject)
     if not rows:
         return fill("p", text="Every option is at its default.")
@@ -173,9 +173,9 @@ def _options_table(subject: Subject) -> Html:
 def _options(subject: Subject) -> list[tuple[str, str]]:
     """Write what a site is of, and every option that is not at its default, as a person would."""
     site, config = subject.site, subject.pair.config if subject.pair else subject.site.config
-    need, said = site.need, {}
+    need, text = site.need, {}
     if subject.pair is None:
-        said = {
+        text = {
             "name": site.name,
             "datum": site.datum,
             "frame": site.frame.name,
@@ -185,15 +185,15 @@ def _options(subject: Subject) -> list[tuple[str, str]]:
             "surveyed poles": len(site.surveyed_poles),
             "control points": len(site.control_points),
         }
-        said = {name: each for name, each in said.items() if each}
+        text = {name: each for name, each in text.items() if each}
     usual = msgspec.structs.asdict(type(config)())
     given = msgspec.structs.asdict(config)
-    said |= {name: each for name, each in given.items() if each != usual[name]}
+    text |= {name: each for name, each in given.items() if each != usual[name]}
     if config.frames is not None:
         # As the command line takes them: ``0:20``, ``::10``.
         parts = config.frames[:2] if config.frames[2] is None else config.frames
-        said["frames"] = ":".join("" if part is None else str(part) for part in parts)
-    return [(name, _option(value)) for name, value in said.items()]
+        text["frames"] = ":".join("" if part is None else str(part) for part in parts)
+    return [(name, _option(value)) for name, value in text.items()]
 
 
 def _option(value: object) -> str:
@@ -347,11 +347,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
+        place = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
         name = pole_name(LIDARS[lidar], n)
-        yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
-    told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
-    there = f"The other LiDAR sees poles {told} m from each other"
+        yield _candidate(lidar, k, clusters[k], scan, f", {place} {name}")
+    listed = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
+    there = f"The other LiDAR sees poles {listed} m from each other"
     if fitting:
         yield f"{there}: what is named here fits that."
     else:
@@ -384,7 +384,7 @@ def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
 
 
 def _nearer(distance: float, share: float) -> str:
-    """Say how much nearer a pole has so many returns, or rings, as are needed.
+    """Say how much nearer a pole has as many returns, or rings, as are needed.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
     LiDAR, too: this much nearer there are enough, on average at least.

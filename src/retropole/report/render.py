@@ -65,13 +65,13 @@ def render_report(
         At most this many points of each cloud are put into the page, which says how many it shows.
     site, serials
         Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
-        ``target`` and ``source``, for the certificate; without, what the document says, or a line
+        ``target`` and ``source``, for the certificate; without, those of the document, or a line
         to fill in.
 
     Returns
     -------
     str
-        The page. It holds its style, code and points, asks no other address for anything, and
+        The page. It contains its style, code and points, loads nothing from any other address, and
         works from a file.
 
     Raises
@@ -87,7 +87,7 @@ def render_report(
     subject = as_subject(document, recorded, serials)
     answer, plan = subject.site, plan_of(subject.site)
     view = page_view(subject, plan, max_points)
-    # Of a pole that moves nothing is listed as standing.
+    # Of a carried pole nothing is listed as stationary.
     carried = answer.config.carried
     found = EMPTY if carried else poles(subject)
     refused, heading = answer.status == "refused", answer.name or "Site"
@@ -143,7 +143,7 @@ def render_recordings(
         What was recorded, and what was found or why nothing could be; without either it was not
         searched for poles.
     texts
-        Of each what is said about it, line by line.
+        The text of each, line by line.
 
     Returns
     -------

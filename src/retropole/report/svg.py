@@ -14,7 +14,7 @@ from ..base.quantities import round_below
 from .page import Html, fill, join
 
 WIDTH = 520.0
-"""Of a picture, in its own units: the page scales it."""
+"""Of a picture, in its units: the page scales it."""
 
 LONGEST_LABEL = 18
 """Characters of a name in a picture; the tables have it whole."""
@@ -23,7 +23,7 @@ LETTER = 0.58
 """Width of a letter over the size of the font, on average (measured on sans-serif fonts)."""
 
 FONT = 17.0
-"""Size of the labels in a picture's own units, between those of a screen (15) and of a phone (18:
+"""Size of the labels in the units of a picture, between those of a screen (15) and of a phone (18:
 11 px where the picture is 330 px wide)."""
 
 STEP = 11.0
@@ -37,11 +37,11 @@ _AROUND: tuple[tuple[float, float, str], ...] = (
     *((0, -3.6, "middle"), (0, 3.6, "middle"), (2, -3, "start"), (2, 3, "start")),
     *((-2, -3, "end"), (-2, 3, "end")),
 )
-"""Where a label may stand around its mark, in units of their distance, and its anchor."""
+"""Positions of a label around its mark, in units of their distance, and its anchor."""
 
 
 Box = tuple[float, float, float, float]
-"""Left, top, right and bottom, in a picture's own units."""
+"""Left, top, right and bottom, in the units of a picture."""
 
 
 def picture(name: str, height: float, marks: Iterable[Html], said: object, kind: str = "") -> Html:
@@ -60,7 +60,8 @@ class Chart:
 
     @classmethod
     def around(cls, middle: Array, scale: float, box: Box) -> Chart:
-        """Show what is about a point (2,), at so many units of the picture per number both ways."""
+        """Show what is about a point (2,), at this many units of the picture per number in both
+        axes."""
         across, down = (box[2] - box[0]) / scale / 2, (box[3] - box[1]) / scale / 2
         x, y = float(middle[0]), float(middle[1])
         return cls(box, (x - across, x + across), (y - down, y + down))
@@ -150,7 +151,7 @@ class Labels:
 
 
 def _beyond(times: float, away: float) -> float:
-    """Go so many times away, the steps beyond the first being short: a mark may be large."""
+    """Go this many times away, the steps beyond the first being short: a mark may be large."""
     steps = max(abs(times) - 1, 0.0)
     return math.copysign(min(abs(times), 1.0) * away + steps * STEP, times)
 

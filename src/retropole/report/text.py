@@ -1,4 +1,4 @@
-"""A result, or what a recording holds, in words for a terminal: from documents to text.
+"""A result, or the content of a recording, as text for a terminal: from documents to text.
 
 Tables, and lines that are broken at the width of the screen; nothing that steers a terminal.
 """
@@ -25,7 +25,7 @@ from ..result import REPORT_FILE, SITE_REPORT_FILE, InputDoc, ReasonDoc, ResultD
 from ..result.contents import CloudDoc, DetectionDoc, InfoDoc, IntensityDoc
 from ..result.site import SiteDoc
 from . import listings
-from .hypotheses import describe_standing, margin_words, tried_words
+from .hypotheses import describe_undecided, margin_words, tried_words
 from .listings import (
     POLE_COLUMNS,
     Listing,
@@ -95,7 +95,7 @@ ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
 
 FEW_LISTED = 3
-"""Rejected clusters that are listed where nothing stands out from the rest."""
+"""Rejected clusters that are listed where none is conspicuous."""
 
 LONGEST_NAME = 20
 """Characters of a LiDAR's name in a table; the middle of a longer one is left out."""
@@ -158,12 +158,12 @@ def describe_result(
     answered = subject.answered
     head = [f"verdict: {site.status}"]
     # Where it is not yes, a reason says so.
-    asked = [each.fitness.answer for each in site.lidars if each.fitness is not None]
-    if asked and set(asked) == {"yes"}:
+    requested = [each.fitness.answer for each in site.lidars if each.fitness is not None]
+    if requested and set(requested) == {"yes"}:
         head += wrapped(f"  {fitness_words(subject)}", "    ")
-    standing = [] if pair is None else describe_standing(pair)
-    head_end = [part for line in standing for part in wrapped(line, "      ")]
-    said = [
+    undecided = [] if pair is None else describe_undecided(pair)
+    head_end = [part for line in undecided for part in wrapped(line, "      ")]
+    text = [
         part for x in statements(subject, verbose=verbose) for part in wrapped(f"  {x}", "    ")
     ]
     tail = ["", "written: " + ", ".join(map(printable, written))]
@@ -176,7 +176,7 @@ def describe_result(
         reasons = reasons_whole(site.status, [*site.reasons, *site.notes])
         poses, found = _poses(subject, len(site.lidars) + 2), [*_found(subject), *_more(subject)]
     else:
-        room = LINES - len(head) - len(head_end) - len(said) - len(tail)
+        room = LINES - len(head) - len(head_end) - len(text) - len(tail)
         # Header and at least three rows of what was found or where the LiDARs are.
         least = 13 if pair is not None and answered else min(len(site.lidars), 3) + 3
         reasons = reasons_within(site.status, site.reasons, room - least, report)
@@ -184,7 +184,7 @@ def describe_result(
         poses = _poses(subject, room - len(reasons))
         left = room - len(reasons) - len(poses)
         found = _cut(_found(subject), left) if pair is not None or not answered else []
-    return "\n".join([*head, *reasons, *head_end, *poses, *said, *found, *tail])
+    return "\n".join([*head, *reasons, *head_end, *poses, *text, *found, *tail])
 
 
 def _poses(subject: Subject, room: int) -> list[str]:
@@ -405,8 +405,8 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
 
 def _pattern_line() -> str:
     """Say how long to record LiDARs that do not repeat their pattern."""
-    asked = [f"{s.name} {s.seconds:g} s" for s in SENSORS.values() if s.sweeps > 1]
-    return f"           a pattern that does not repeat needs time ({', '.join(asked)}), or more"
+    requested = [f"{s.name} {s.seconds:g} s" for s in SENSORS.values() if s.sweeps > 1]
+    return f"           a pattern that does not repeat needs time ({', '.join(requested)}), or more"
 
 
 def _odd_lines(cloud: CloudDoc) -> list[str]:

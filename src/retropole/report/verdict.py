@@ -47,17 +47,17 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
         title += f": {counted(len(site.lidars), 'LiDAR')} in one frame"
     paths = tuple(item.path for item in site.inputs)
     items = join(reason_item(reason, paths) for reason in site.reasons)
-    asked, is_short = fitness_words(subject), subject.answered
-    said, meaning = asked and f"{asked}.", words.format(subject.frame)
+    requested, is_short = fitness_words(subject), subject.answered
+    text, meaning = requested and f"{requested}.", words.format(subject.frame)
     if subject.chance_wrong is not None:
         title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
     elif is_short:
         # What a reason states is not stated twice.
-        stated = any(asked and asked in reason.message for reason in site.reasons)
-        said, meaning = "", sentence if stated else said or sentence or meaning
+        stated = any(requested and requested in reason.message for reason in site.reasons)
+        text, meaning = "", sentence if stated else text or sentence or meaning
     body = fill(
         "said-of-verdict",
-        fitness=fill("strong", text=said) if said else "",
+        fitness=fill("strong", text=text) if text else "",
         meaning=meaning,
         statements=EMPTY if is_short else listed_statements(subject),
         reasons=fill("reasons", items=items) if items else "",
@@ -69,7 +69,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
 
 
 def instead_words(subject: Subject) -> str:
-    """Say, as Markdown, what to do instead of using what is too likely wrong; empty elsewhere."""
+    """Say, as Markdown, what to do instead of using what is too likely wrong; else empty."""
     if subject.chance_wrong is None:
         return ""
     trusted = (
@@ -136,4 +136,4 @@ def next_steps(subject: Subject) -> Html:
 
 def _warned_first(subject: Subject) -> str:
     is_warned = subject.site.status == "warn"
-    return "Settle the warning first, as written above. " if is_warned else ""
+    return "Resolve the warning first, as written above. " if is_warned else ""

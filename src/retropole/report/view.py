@@ -68,7 +68,7 @@ class MarkView(msgspec.Struct, frozen=True):
 class CloudView(msgspec.Struct, frozen=True):
     """One recording: whose and of which placement, and what is in it, in its LiDAR's frame.
 
-    `contradicting` are the points that stand where the other LiDAR looked through, by the id of
+    `contradicting` are the points where the other LiDAR looked through, by the id of
     the pose.
     """
 
@@ -105,7 +105,7 @@ class EllipsoidView(msgspec.Struct, frozen=True):
 
 
 class PageView(msgspec.Struct, frozen=True):
-    """All that the page's own code is given.
+    """All that the code of the page is given.
 
     Attributes
     ----------
@@ -155,8 +155,8 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     ]
     if not recorded:
         return None
-    together = MAX_SITE_POINTS if pair is None else MAX_PAIR_POINTS
-    budget = min(max_points, together // len(recorded))
+    most = MAX_SITE_POINTS if pair is None else MAX_PAIR_POINTS
+    budget = min(max_points, most // len(recorded))
     T_plan_site = se3.from_rt(plan.R_plan_site, np.zeros(3))
     poses = [] if pair is None else _poses(pair)
     marked = _contradicting(subject, poses)
@@ -238,7 +238,7 @@ def _threshold(scan: Scan) -> float | None:
 
 
 ESCAPES = re.compile(r"\\(?:([uUx][0-9a-f]{2,8})|.)")
-"""What stands for one sign in JSON and in what is visible; the first for one that is not shown."""
+"""What replaces one sign in JSON and in what is visible; the first for one that is not shown."""
 
 
 def embed_json(value: object) -> Html:
@@ -303,7 +303,7 @@ def _marks(scan: Scan) -> list[MarkView]:
 
 
 def _places(result: ResultDoc) -> list[MarkView]:
-    """Places that alone decide a direction of the pose, each with the share that it holds."""
+    """Places that alone decide a direction of the pose, each with its share."""
     return [
         MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
         for r in (*result.reasons, *result.notes)

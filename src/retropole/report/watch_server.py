@@ -1,9 +1,9 @@
 """The page of `retropole watch`, served to those who know its address, and how a phone finds it.
 
-The page holds nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again and
-again. One request a connection, few connections, and none for long: whoever else is in the network
-can neither ask for it without its address nor keep others from it for more than moments. It is
-plain HTTP: who can read the traffic of the network reads it, too.
+The page contains nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again
+and again. One request a connection, few connections, and none for long: whoever else is in the
+network can neither ask for it without its address nor keep others from it for more than moments. It
+is plain HTTP: who can read the traffic of the network reads it, too.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..base.errors import MissingExtraError, UsageError
 from .page import asset, source_of
 
 MOST_CONNECTIONS, MOST_OF_ONE = 64, 16
-"""Connections at once, in all and of one address other than this machine's own."""
+"""Connections at once, in all and of one address other than that of this machine."""
 
 LONGEST_SECONDS = 5.0
 """From when a connection is accepted to when it is closed."""
@@ -37,8 +37,8 @@ REFUSED = b"Open the address as printed.\n"
 
 @cache
 def watch_page() -> tuple[str, str]:
-    """Put the page together; and its policy, which allows its own style and code, by their hashes,
-    and the state."""
+    """Put the page together; and its policy, which allows only this style and code, by their
+    hashes, and the state."""
     template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
     policy = (
         f"default-src 'none'; script-src {source_of(script)}; style-src {source_of(style)}; "
@@ -49,7 +49,7 @@ def watch_page() -> tuple[str, str]:
 
 
 class WatchServer(ThreadingMixIn, TCPServer):
-    """A page of a watch that is served by threads of its own, until it is stopped.
+    """A page of a watch that is served by separate threads, until it is stopped.
 
     Parameters
     ----------
@@ -212,12 +212,12 @@ def local_address() -> str:
     UsageError
         If it is in none.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             # A datagram socket sends nothing to connect: it only chooses the way, here to an
             # address for documentation (RFC 5737), which is that to any other machine.
-            asked.connect(("192.0.2.1", 9))
-            address = str(asked.getsockname()[0])
+            probe.connect(("192.0.2.1", 9))
+            address = str(probe.getsockname()[0])
         except OSError:
             address = "127.0.0.1"
     if ip_address(address).is_loopback or ip_address(address).is_unspecified:
@@ -246,5 +246,5 @@ def qr_code(url: str) -> str:
         "".join(" ▄▀█"[2 * upper + lower] for upper, lower in zip(*pair, strict=True))
         for pair in zip_longest(rows[::2], rows[1::2], fillvalue=light)
     )
-    # Black on white, whatever the terminal's own colours are.
+    # Black on white, whatever the colours of the terminal are.
     return "\n".join(f"\x1b[30;107m{line}\x1b[0m" for line in lines)

@@ -1,4 +1,4 @@
-"""What a watch sees and says, drawn on a terminal."""
+"""What a watch sees and reports, drawn on a terminal."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 class InputDoc(msgspec.Struct, frozen=True):
     """What was read, what was left out of too many, and in `notes` what was lost.
 
-    `frame_id` is the frame of its points by the recording's own words; empty if it has none, or
+    `frame_id` is the frame of its points by the words of the recording; empty if it has none, or
     several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the
     recorder's; null if the recording does not have both.
     """
@@ -144,7 +144,7 @@ class StagesDoc(msgspec.Struct, frozen=True, eq=False):
 class HypothesisDoc(msgspec.Struct, frozen=True, eq=False):
     """One way of laying the source poles on the target poles.
 
-    It stands where it is the best, or where the scene does not rule it out next to the best.
+    It is kept where it is the best, or where the scene does not rule it out next to the best.
     """
 
     pairs: Annotated[list[tuple[Count, Count]], Meta(max_length=LONGEST_LIST)]
@@ -247,7 +247,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
 
 
 def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
-    """Write poles as the result document holds them."""
+    """Write poles as in the result document."""
     return [
         PoleDoc(pole.point, pole.direction, pole.length, len(pole.xyz), pole.rings, pole.rms)
         for pole in poles
@@ -387,7 +387,7 @@ def reason_document(reason: Reason | Refusal) -> ReasonDoc:
 
 
 def refusal_of(reasons: Sequence[ReasonDoc], words: str = "") -> Refusal:
-    """Give the refusal that a document holds: its first reason, after some words."""
+    """Give the refusal of a document: its first reason, after some words."""
     why = next(iter(reasons), ReasonDoc("refused", "the result gives no reason", {}))
     return Refusal(cast("Code", why.code), words + why.message, why.values)
 
@@ -438,7 +438,7 @@ def any_result_file(path: Path) -> Path:
     Raises
     ------
     UsageError
-        If the folder holds both.
+        If the folder has both.
     """
     if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
         return result_file(path)

@@ -1,4 +1,4 @@
-"""The outcome of ``retropole certify`` as a JSON document of its own.
+"""The outcome of ``retropole certify`` as a separate JSON document.
 
 Schema ``retropole/field-test/1``: metres, and numbers of placements and poles from 0.
 """

@@ -99,7 +99,7 @@ class DetectionDoc(msgspec.Struct, frozen=True, eq=False):
 
 
 def rejected_documents(rejected: Sequence[RejectedCluster]) -> list[RejectedDoc]:
-    """Write rejected clusters as the result document holds them."""
+    """Write rejected clusters as in the result document."""
     return [RejectedDoc(r.centre, len(r.index), r.code, r.reason) for r in rejected]
 
 

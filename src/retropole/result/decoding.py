@@ -1,6 +1,6 @@
-"""Reading result documents that may have been edited by hand, cut short or made elsewhere.
+"""Reading result documents that may have been edited by hand, cut short or made by others.
 
-Whoever holds one that was decoded relies on it: every number is finite, rotations rotate,
+Whoever uses one that was decoded relies on it: every number is finite, rotations rotate,
 covariances are covariances that agree with each other, and every index finds what it points to.
 """
 
@@ -42,7 +42,7 @@ INDEX_OF = {
     "pole": "poles",
     "surveyed": "surveyed_poles",
 }
-"""Fields that hold indices, wherever they stand, and the list that each points into."""
+"""Fields with indices, wherever they are, and the list that each points into."""
 
 Document = TypeVar("Document")
 
@@ -119,7 +119,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
 
 
 def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
-    """Let every pole have a name of its own, point up, and be seen by LiDARs of the plan."""
+    """Let every pole have a unique name, point up, and be seen by LiDARs of the plan."""
     of_poles = [pole.name for placement in plan.placements for pole in placement.poles]
     if len(set(of_poles)) < len(of_poles):
         raise ReadError("placements: two poles have the same name")
@@ -179,7 +179,7 @@ def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | N
 
 
 def _check_names(document: SiteDoc) -> None:
-    """Let every LiDAR have a name of its own, which names its rows of the joint covariance."""
+    """Let every LiDAR have a unique name, which names its rows of the joint covariance."""
     names = [lidar.name for lidar in document.lidars]
     if len(set(names)) < len(names):
         raise ReadError("lidars: two have the same name")
@@ -227,7 +227,7 @@ def _indices(value: Any, name: str = "", of: str = "") -> Iterator[tuple[str, st
 
 
 def _check_joint(document: SiteDoc) -> None:
-    """Check the joint covariance, and that it holds those of the LiDARs."""
+    """Check the joint covariance, and that it contains those of the LiDARs."""
     joint = document.joint_covariance
     if joint is None:
         return

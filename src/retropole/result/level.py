@@ -1,4 +1,4 @@
-"""Roll, pitch and height of LiDARs over the ground as a JSON document of its own.
+"""Roll, pitch and height of LiDARs over the ground as a separate JSON document.
 
 Schema ``retropole/level/1``: metres and radians, matrices row by row. The frame ``ground`` has z
 along the normal of the ground, its origin at the foot of the perpendicular from the origin of the

@@ -1,7 +1,7 @@
 """The options of a run: what each is called, of which type and within which bounds, and its help.
 
 The command line makes its options of these fields and the Python interface checks its keywords by
-them, so that bounds, defaults and help stand here alone.
+them, so that bounds, defaults and help are here alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UNITS = get_args(Unit)
 """That coordinates may have."""
 
 LARGEST_WHOLE = 2**53
-"""Of a whole number: JSON of other programs holds none beyond."""
+"""Of a whole number: JSON of other programs has none beyond."""
 
 MIN_POLES = 0
 """The surroundings give what poles do not determine; without poles, all (docs/method.md, One pole
@@ -61,17 +61,17 @@ def radius_in_metres(given: float) -> str:
     return f"{given:g} m is no pole; {given:g} {unit}? give {likely[unit]:g}"
 
 
-def told(text: str) -> Meta:
+def describe(text: str) -> Meta:
     """Say what an option is, in the words of the command line's help."""
     return Meta(description=text)
 
 
 def rare(text: str) -> Meta:
-    """Say so of an option that few need: the command line lists it by --help-all alone."""
+    """Mark an option that few need: the command line lists it by --help-all alone."""
     return Meta(description=text, extra={"rare": True})
 
 
-SAME = told("The same for SOURCE.")
+SAME = describe("The same for SOURCE.")
 
 
 def frames_named(text: str) -> slice | None:
@@ -91,7 +91,7 @@ def frames_named(text: str) -> slice | None:
 
 
 def slice_of(frames: Frames | None) -> slice | None:
-    """Take frames as a document holds them as a slice; None for those evenly spread."""
+    """Take frames as in a document as a slice; None for those evenly spread."""
     return None if frames is None else slice(*frames)
 
 
@@ -107,11 +107,11 @@ class Reading(NamedTuple):
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
-        Of a cloud with more, so many are kept, as `io.read_cloud` does.
+        Of a cloud with more, this many are kept, as `io.read_cloud` does.
     unit
         Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     wanted
-        Field of the intensity, and of packets the unit's own angles.
+        Field of the intensity, and of packets the angles of the unit.
     """
 
     sensor: str = "auto"
@@ -126,19 +126,19 @@ class Reading(NamedTuple):
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not given: any number of poles, no prior, the scene's own choice,
-    the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
+    None means not given: any number of poles, no prior, the choice by the scene,
+    the threshold of the sensor or the cloud, the only topic, frames evenly spread, no accuracy
     that is needed, for the source the unit of the target. Frames are start, stop and step.
     """
 
     radius_m: Annotated[
-        Radius, told("Radius of the poles, m: half their thickness, tape included.")
+        Radius, describe("Radius of the poles, m: half their thickness, tape included.")
     ] = DEFAULT_RADIUS
     radius_sigma_m: Annotated[
         RadiusSigma, rare("1 sigma of the radius, m. At least 2 % of the radius is used.")
     ] = 0.0
     up: Annotated[
-        bool, told("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
+        bool, describe("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
     ] = False
     prior_rpy_deg: Annotated[
         tuple[Angle, Angle, Angle] | None,
@@ -163,7 +163,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     carried: Annotated[
         bool,
-        told(
+        describe(
             "A person carried one pole through the view of both, who recorded the walk. Gives the "
             "offset of the clocks as well."
         ),
@@ -186,7 +186,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     need_m: Annotated[
         NeededError | None,
-        told(
+        describe(
             "Accuracy that is needed, cm. The verdict says whether every point up to "
             f"{DEFAULT_AT:g} m away (--at-m) is within it, with 95 % probability."
         ),
@@ -204,18 +204,20 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     threshold_target: Annotated[
         Intensity | None,
-        told("Intensity from which a return is retro-reflective.  [default: auto]"),
+        describe("Intensity from which a return is retro-reflective.  [default: auto]"),
     ] = None
     threshold_source: Annotated[Intensity | None, SAME] = None
-    sensor_target: Annotated[Text, told("Sensor, such as VLP-16, or a .toml file of one.")] = "auto"
+    sensor_target: Annotated[Text, describe("Sensor, such as VLP-16, or a .toml file of one.")] = (
+        "auto"
+    )
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
-        Text | None, told("Topic of the bag; needed if it has several topics of point clouds.")
+        Text | None, describe("Topic of the bag; needed if it has several topics of point clouds.")
     ] = None
     source_topic: Annotated[Text | None, SAME] = None
     frames: Annotated[
         Frames | None,
-        told(
+        describe(
             "Frames of a recording to read, as Python slices: 0:20, -50:, ::10, 7.  "
             "[default: evenly spread, about a million points]"
         ),
@@ -227,7 +229,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
             "brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
-    unit: Annotated[Unit, told("Unit of coordinates; see 'retropole info'.")] = "m"
+    unit: Annotated[Unit, describe("Unit of coordinates; see 'retropole info'.")] = "m"
     unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,
@@ -286,7 +288,7 @@ DEFAULT_CONFIG = RunConfig()
 class Pair(NamedTuple):
     """Fields of what each LiDAR has: one value is of both, unless it is the target's `alone`.
 
-    A second value that is None stands for `usual`: a source without a unit has the target's.
+    A second value that is None means `usual`: a source without a unit has the target's.
     """
 
     name: str
@@ -325,12 +327,12 @@ class Option(NamedTuple):
 
 def _option(kind: inspect.Type) -> Option:
     assert isinstance(kind, inspect.Metadata)
-    said, inner = kind.extra_json_schema or {}, kind.type
+    schema, inner = kind.extra_json_schema or {}, kind.type
     if isinstance(inner, inspect.UnionType):
         inner = inner.types[0]
     if isinstance(inner, inspect.TupleType):
         inner = inner.item_types[0]
-    return Option(inner, said["description"], bool(kind.extra))
+    return Option(inner, schema["description"], bool(kind.extra))
 
 
 _RUN = inspect.type_info(RunConfig)

@@ -1,4 +1,4 @@
-"""Where the poles should stand, as ``retropole plan`` writes it: a JSON document of its own.
+"""Planned positions of poles, as ``retropole plan`` writes them: a separate JSON document.
 
 Schema ``retropole/plan/1``: metres and radians, in the frame of the scene: its origin on
 the ground below the first LiDAR, z up, x where that LiDAR's x axis points.
@@ -42,7 +42,7 @@ class StationDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A LiDAR where it is.
 
     The pose is of the frame of its recordings. `path` and `sha256` are of the one without poles,
-    empty if the place was drawn.
+    empty if the scene was drawn.
     """
 
     name: Name
@@ -63,7 +63,7 @@ class SightDoc(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlannedPoleDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """A pole that should stand.
+    """A planned pole.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class PlannedPoleDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         How far it leans, and where to, in words: ``away from front, 60° to the left as seen from
         front``; empty if upright.
     words
-        Where it stands, for a person.
+        Its position, as text.
     seen
         By each LiDAR that sees it.
     """
@@ -103,7 +103,7 @@ def below(lidar: str) -> str:
 
 
 class PlannedPlacementDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """Poles that stand at once, and how to find their places with a tape measure."""
+    """Poles of one placement, and how to find their positions with a tape measure."""
 
     poles: Annotated[list[PlannedPoleDoc], Meta(min_length=1)]
     tape: list[TapeDoc]
@@ -175,7 +175,7 @@ class MovedDoc(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PolePlanDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """Where the poles should stand, and what to expect.
+    """Planned positions of the poles, and what to expect.
 
     Attributes
     ----------

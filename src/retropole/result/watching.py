@@ -1,4 +1,4 @@
-"""What ``retropole watch`` sees and says now, as the terminal and the page show it.
+"""What ``retropole watch`` sees and reports now, as the terminal and the page show it.
 
 Schema ``retropole/watch/1``: metres and radians.
 """
@@ -33,7 +33,7 @@ class PoleNow(msgspec.Struct, frozen=True, kw_only=True):
     rings
         None if the LiDAR does not number them.
     is_still, is_good
-        Whether it stood where it does for as long as a capture asks, and whether nothing is to be
+        Whether it was stationary for as long as a capture needs, and whether nothing is to be
         done about it.
     word
         What is wrong with it, in two or three words; empty if nothing is.
@@ -130,7 +130,7 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
         Of the answer with what is kept so far, 1 σ at several ranges; and what no point up to the
         need's range is off by more than, with 95 % probability. None and empty before the first.
     probability
-        That the need is met.
+        That the need is fulfilled.
     status
         Verdict of the answer; None before there is one.
     words

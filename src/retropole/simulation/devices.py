@@ -1,4 +1,4 @@
-"""How simulated recordings differ from exact geometry: families of errors, each of its own size.
+"""How simulated recordings differ from exact geometry: families of errors, each of a separate size.
 
 Single LiDARs keep systematic errors in all their recordings. What the other families do is written
 in `footprint`, `intensity` and `environment`; a size of 0 (False, ``centre``) switches one off.
@@ -28,7 +28,7 @@ class NoiseModel:
     Attributes
     ----------
     range_noise
-        Scale of the sensor's own noise along the beam.
+        Scale of the noise of the sensor along the beam.
     isotropic_noise
         1 σ of additional noise in each coordinate, metres.
     dropout
@@ -68,7 +68,7 @@ class NoiseModel:
         added, in squares, at 10 m from a white surface. It grows with the range, and with the
         inverse root of the brightness.
     footprint
-        What a beam reports whose footprint meets several surfaces.
+        What a beam reports whose footprint hits several surfaces.
     blooming
         Half width of the glow around tape, rad: a beam within it may return as if it had hit.
     wet
@@ -139,7 +139,7 @@ FIELD = NoiseModel(
     movers=2,
     intensity_falloff=True,
 )
-"""All that a LiDAR encounters on a site where its mast stands still. The sizes are assumptions: of
+"""All that a LiDAR encounters on a site where its mast does not move. The sizes are assumptions: of
 the order that LiDARs' manuals allow, but measured on no instrument."""
 
 NOISE_MODELS = {"field": FIELD, "typical": TYPICAL, "none": EXACT}
@@ -155,8 +155,9 @@ footprint rather loses its return)."""
 class Device:
     """The systematic errors of one LiDAR.
 
-    It believes that its beams leave in the sensor's nominal directions. They leave elsewhere, by
-    its errors of elevation and azimuth, and the points that it records lie on the nominal beams.
+    It believes that its beams leave in the sensor's nominal directions. They leave in other
+    directions, by its errors of elevation and azimuth, and the points that it records lie on the
+    nominal beams.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ DEFAULT_SENSORS = {
     "kerb": ("VLP-32C", "VLP-16"),
     "paper": ("VLP-16", "VLP-16"),
 }
-"""Target and source sensor of each scene; the paper's are its own, the others chosen."""
+"""Target and source sensor of each scene; those of the paper are given there, the others chosen."""
 
 MIN_POLE_ANGLE, MAX_POLE_ANGLE = float(np.radians(15.0)), float(np.radians(60.0))
 """Between any two poles, rad: nearly parallel poles determine no pose, and people do not lean poles
@@ -77,9 +77,9 @@ def simulate_pair(
     rng
         Source of everything random; equal generators give equal pairs.
     sensor_target, sensor_source
-        Names of sensors; None takes the scene's own.
+        Names of sensors; None takes those of the scene.
     poles
-        How many taped poles. 0 leaves those away that 2 would stand there: the same place, recorded
+        How many taped poles. 0 omits those that 2 would put there: the same scene, recorded
         before the poles are set up.
     radius
         Of the poles, metres.
@@ -148,18 +148,18 @@ def _draw(
     surfaces = place.surfaces
     if symmetric:
         surfaces = [*surfaces, *rotated_by_180(surfaces)]
-        standing: list[Cylinder] | None = symmetric_poles(rng, radius)
+        drawn: list[Cylinder] | None = symmetric_poles(rng, radius)
     else:
-        standing = draw_poles(rng, poles, place.clear, angles, radius)
-    if standing is None:
+        drawn = draw_poles(rng, poles, place.clear, angles, radius)
+    if drawn is None:
         return None
-    target, source = (draw_lidar(rng, standing, place.clear) for _ in range(2))
+    target, source = (draw_lidar(rng, drawn, place.clear) for _ in range(2))
     if target is None or source is None:
         return None
-    apart = np.linalg.norm(target[:3, 3] - source[:3, 3])
-    if not LIDAR_SPACING[0] <= apart <= LIDAR_SPACING[1]:
+    distance = np.linalg.norm(target[:3, 3] - source[:3, 3])
+    if not LIDAR_SPACING[0] <= distance <= LIDAR_SPACING[1]:
         return None
-    return Arrangement(surfaces, standing, (target, source), place.clear)
+    return Arrangement(surfaces, drawn, (target, source), place.clear)
 
 
 def facing_poles(
@@ -204,7 +204,7 @@ pole in view, and in 30 seeds no scene needed more than 2."""
 
 
 class SimulationError(RetropoleError):
-    """No arrangement of poles and LiDARs, or no recording of it, meets the demands."""
+    """No arrangement of poles and LiDARs, or no recording of it, fulfils the demands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ class SimulatedPair:
     noise
         How the recordings differ from exact geometry.
     clear
-        Half extents of the ground around the world's origin where poles may stand, metres.
+        Half extents of the ground around the world's origin where poles are allowed, metres.
     """
 
     target: PointCloud
@@ -267,7 +267,7 @@ class SimulatedPair:
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Who stands where, as nothing but geometry.
+    """Positions of everything, as nothing but geometry.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ def is_seen(on_pole: BoolArray, rings: IntArray | None, returns: int = MIN_RETUR
 def are_in_view(
     at: Arrangement, recorders: Recorders, rng: np.random.Generator, returns: int = MIN_RETURNS
 ) -> bool:
-    """Whether both LiDARs see every pole along thin, exact beams, with so many returns or more.
+    """Whether both LiDARs see every pole along thin, exact beams, with this many returns or more.
 
     This is the demand on an arrangement, so that it is the same under every noise model.
     """
@@ -339,8 +339,8 @@ def poles_in_view(
         surface.append(np.where(near, hits.surface, -1))
         rings.append(sweep.rings[toward])
     own = np.concatenate(rings) if sensor.rings else None
-    met = np.concatenate(surface)
-    return tuple(is_seen(met == first + k, own, returns) for k in range(len(poles)))
+    seen_patches = np.concatenate(surface)
+    return tuple(is_seen(seen_patches == first + k, own, returns) for k in range(len(poles)))
 
 
 def record_in_turn(
@@ -355,7 +355,7 @@ def record_in_turn(
     Parameters
     ----------
     scenes
-        All surfaces as they stand when each LiDAR records.
+        All surfaces as they are when each LiDAR records.
     poses, recorders
         Of each LiDAR, and each of them.
     reach
@@ -455,14 +455,14 @@ def place_again(
     recorders = Recorders(pair.sensors, pair.devices, noise or pair.noise, frames)
     (for_recording,) = rng.spawn(1)
     for _ in range(MAX_DRAWS):
-        standing = (
+        drawn = (
             draw_poles(rng, count, pair.clear, angles, radius)
             if min(pair.clear) > 0
             else draw_paper_poles(rng, radius)
         )
-        if standing is None:
+        if drawn is None:
             continue
-        at = Arrangement(pair.surroundings, standing, poses, pair.clear)
+        at = Arrangement(pair.surroundings, drawn, poses, pair.clear)
         if are_in_view(at, recorders, rng):
             return record_every_pole(at, recorders, for_recording)
     raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")

@@ -36,7 +36,7 @@ ON_RING = float(np.radians(0.2))
 by tenths of a degree."""
 
 MIN_GAP = 1.5
-"""A ring has lost returns where two of its neighbours are more than this many steps apart."""
+"""A ring has lost returns where two of its neighbours differ by more than this many steps."""
 
 MAX_GAP = float(np.radians(45.0))
 """Wider gaps are not filled, rad: behind them may be the vehicle itself, or no beam at all
@@ -73,7 +73,7 @@ def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedB
 
     A recording shows nothing of a beam without a return. Where neighbours on one ring are more
     than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
-    both, so that a pole against the sky is met. Rings come from the cloud, or else from
+    both, so that a pole against the sky is hit. Rings come from the cloud, or else from
     elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
     put back. Where a sensor that spins is given and the returns lie on its rings, all beams that
     it sends are there, above the horizon too.
@@ -172,7 +172,7 @@ def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
     return replace(beams, origin=origin, directions=beams.directions @ T[:3, :3].T)
 
 
-def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
+def hits_on(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
     """Cast the beams at the poles; the index is of those that hit one before their return."""
     hits = cast(beams.origin, beams.directions, poles, width)
     return hits, np.flatnonzero(hits.ranges < beams.ranges)
@@ -222,7 +222,7 @@ def levels(sines: Array) -> IntArray:
     # Rings of the table of sensors are 8 bins apart or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
-        # A neighbouring bin holds what fell over its edge.
+        # A neighbouring bin has what fell over its edge.
         rings[(bins >= start - 1) & (bins <= end)] = ring
     if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
         rings[:] = -1
@@ -233,8 +233,8 @@ def _between(
     directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
 ) -> tuple[Array, IntArray]:
     """Directions (K, 3) of beams that are missing in each ring, and a neighbour (K,) of each."""
-    across, beside = _level(axis)
-    azimuth = np.arctan2(directions @ beside, directions @ across)
+    across, sideways = _level(axis)
+    azimuth = np.arctan2(directions @ sideways, directions @ across)
     sines = directions @ axis
     frames = np.zeros(len(rings), dtype=np.int64) if frame is None else frame
     groups = [
@@ -261,7 +261,7 @@ def _between(
         level = np.sqrt(1 - sine**2)
         found.append(
             (level * np.cos(turned))[:, None] * across
-            + (level * np.sin(turned))[:, None] * beside
+            + (level * np.sin(turned))[:, None] * sideways
             + sine[:, None] * axis
         )
         like.append(group[left])
@@ -300,15 +300,15 @@ def with_poles(
 
     The biases are those of ranges to tape, metres: of each ring, and last where none is known.
     """
-    hits, met = met_by(beams, poles, width)
-    ranges = hits.ranges[met] + biases[beams.rings[met]]
-    ranges += range_noise(sensor) * rng.normal(size=len(met))
-    points = beams.origin + ranges[:, None] * beams.directions[met]
+    hits, seen_patches = hits_on(beams, poles, width)
+    ranges = hits.ranges[seen_patches] + biases[beams.rings[seen_patches]]
+    ranges += range_noise(sensor) * rng.normal(size=len(seen_patches))
+    points = beams.origin + ranges[:, None] * beams.directions[seen_patches]
     # Returns stay in their places in the file; beams that had none come last.
     count = len(cloud)
-    rows = np.concatenate([np.arange(count), beams.like[met[met >= count]]])
-    place = np.where(met < count, met, 0)
-    place[met >= count] = np.arange(count, len(rows))
+    rows = np.concatenate([np.arange(count), beams.like[seen_patches[seen_patches >= count]]])
+    place = np.where(seen_patches < count, seen_patches, 0)
+    place[seen_patches >= count] = np.arange(count, len(rows))
     arrays: dict[str, Any] = {"xyz": cloud.xyz[rows]}
     for name in PER_POINT:
         value = getattr(cloud, name)
@@ -317,11 +317,11 @@ def with_poles(
         arrays["intensity"] = np.zeros(len(rows))
     labels = np.full(len(rows), -1, dtype=np.int64)
     arrays["xyz"][place] = points
-    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
-    labels[place] = hits.surface[met]
+    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[seen_patches], rng)
+    labels[place] = hits.surface[seen_patches]
     if cloud.ring is not None and np.array_equal(cloud.ring, beams.rings[:count]):
         # A beam that the sensor sends has no return next to it on a ring that hit nothing.
-        arrays["ring"][place] = beams.rings[met]
+        arrays["ring"][place] = beams.rings[seen_patches]
     return replace(cloud, **arrays), labels
 
 

@@ -1,6 +1,6 @@
 """What a beam returns: at edges, where pixels mix near and far, and with which intensity.
 
-Diffuse surfaces are on a sensor's own scale, tape above its threshold. The glow around tape is
+Diffuse surfaces are on the scale of a sensor, tape above its threshold. The glow around tape is
 false bright returns in beams that pass close next to it.
 """
 
@@ -69,8 +69,8 @@ def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
     if sensor.pattern == "spinning":
         grid = (-1, len(sensor.elevations))
         ranges, surface = hits.ranges.reshape(grid), hits.surface.reshape(grid)
-        beside = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
-        edge = beside | np.roll(beside, -1, 0)
+        edges = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
+        edge = edges | np.roll(edges, -1, 0)
         above = differ((ranges[:, 1:], surface[:, 1:]), (ranges[:, :-1], surface[:, :-1]))
         edge[:, 1:] |= above
         edge[:, :-1] |= above
@@ -88,7 +88,7 @@ def report(
     sensor: Sensor,
     footprint: Footprint,
 ) -> tuple[Hits, Array]:
-    """Replace hits at edges by what the parts of the beam meet.
+    """Replace hits at edges by what the parts of the beam hit.
 
     Surfaces that a pulse does not separate return one range, the mean of theirs weighted with the
     power that returns. Of those it does, the first is reported or the strongest.
@@ -112,7 +112,7 @@ def report(
     -------
     hits : Hits
     share : ndarray
-        (N,) part of each beam that meets what it reports.
+        (N,) part of each beam that hits what it reports.
     """
     share = np.ones(len(rays))
     edge = at_edges(hits, rays, sensor)
@@ -121,10 +121,12 @@ def report(
     materials = Materials.of(surfaces)
     offsets = SUB_OFFSET * sensor.divergence * np.tile(SUB_RAYS, (len(edge), 1))
     parts = turned(np.repeat(rays[edge], len(SUB_RAYS), axis=0), *offsets.T)
-    met = cast(origin, parts, surfaces, 0.4 * sensor.divergence)
+    seen_patches = cast(origin, parts, surfaces, 0.4 * sensor.divergence)
     shape = (len(edge), len(SUB_RAYS))
-    order = np.argsort(met.ranges.reshape(shape), axis=1)
-    ranges, surface, cosine = (np.take_along_axis(each.reshape(shape), order, 1) for each in met)
+    order = np.argsort(seen_patches.ranges.reshape(shape), axis=1)
+    ranges, surface, cosine = (
+        np.take_along_axis(each.reshape(shape), order, 1) for each in seen_patches
+    )
     there = np.isfinite(ranges)
     depth = np.where(there, ranges, 0.0)
     # A white diffuse surface at normal incidence returns 1; sheeting in a beam's middle returns
@@ -200,7 +202,7 @@ def intensities(
 
     Diffuse returns follow the cosine of incidence. Tape lies between the threshold and saturation,
     lower where only the edge of a beam hit it. With falloff, both fall with the range and nothing
-    holds them on their side of the threshold.
+    keeps them on their side of the threshold.
 
     Parameters
     ----------
@@ -265,7 +267,7 @@ def bloom(
     rays
         (N, 3) unit directions.
     on_tape
-        (N,) whether a beam's own return is of tape.
+        (N,) whether the return of a beam is of tape.
     half_width
         Of the glow, rad.
     rng
@@ -279,13 +281,13 @@ def bloom(
     bright, dark = np.flatnonzero(on_tape), np.flatnonzero(~on_tape)
     if len(bright) == 0:
         return bright, bright
-    dark = dark[_in_cells_beside(rays[dark], rays[bright], max(half_width, 1 / 64))]
-    apart, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
-    glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - apart / half_width)
+    dark = dark[_in_neighbour_cells(rays[dark], rays[bright], max(half_width, 1 / 64))]
+    distance, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
+    glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - distance / half_width)
     return dark[glows], bright[nearest[glows]]
 
 
-def _in_cells_beside(rays: Array, others: Array, size: float) -> IntArray:
+def _in_neighbour_cells(rays: Array, others: Array, size: float) -> IntArray:
     """Index of rays (N, 3) in the same cubic cell as one of others (M, 3), or in one next to it.
 
     It leaves out most beams before distances are computed.
@@ -329,10 +331,10 @@ def with_glow(
     """
     tape = np.zeros(len(rays), dtype=bool)
     tape[echoes.beam[on_tape]] = True
-    false, beside = bloom(rays, tape, half_width, rng)
+    false, edges = bloom(rays, tape, half_width, rng)
     own = np.zeros(len(rays), dtype=np.int64)
     own[echoes.beam] = np.arange(len(echoes.beam))
-    ranges = echoes.ranges[own[beside]] + BLOOM_NOISE * rng.normal(size=len(false))
+    ranges = echoes.ranges[own[edges]] + BLOOM_NOISE * rng.normal(size=len(false))
     strength = 0.5 * rng.uniform(size=len(false))
     bright = sensor.threshold + (saturation(sensor) - sensor.threshold) * strength
     added = Echoes(ranges, np.round(bright), np.full(len(false), nothing), false)

@@ -154,7 +154,7 @@ def scan(
     Returns
     -------
     LabelledScan
-        In the sensor's frame; the intensity is on the sensor's own scale.
+        In the sensor's frame; the intensity is on the scale of the sensor.
     """
     sources = Sources(*rng.spawn(len(Sources._fields)))
     device = draw_device(sensor, noise, sources.device) if device is None else device

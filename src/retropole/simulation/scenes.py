@@ -1,9 +1,9 @@
-"""Places to calibrate in: their surfaces, and how poles and LiDARs stand there.
+"""Scenes to calibrate in: their surfaces, and the arrangement of poles and LiDARs.
 
 The numbers inside the functions describe what is drawn, in metres and radians: sizes of things and
 where they are. They are chosen by eye after real corridors, streets and quays, and no law
-depends on them. Limits of how poles and LiDARs stand are those of what people do. The last part is
-the set-up of Xue et al. 2019, Sec. IV-A: two LiDARs and two poles in empty space.
+depends on them. Limits of the arrangement of poles and LiDARs are those of what people do. The last
+part is the set-up of Xue et al. 2019, Sec. IV-A: two LiDARs and two poles in empty space.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Surroundings:
     Attributes
     ----------
     surfaces
-        Everything that stands there, the ground included.
+        All objects, the ground included.
     clear
         (2,) half extents in x and y, metres, of the middle that is kept clear for poles and LiDARs.
     """
@@ -258,7 +258,7 @@ POLE_SPACING = 1.2, 6.0
 """Least and greatest distance between the feet of two poles, metres (chosen)."""
 
 MAX_POLE_X = 3.0
-"""Poles stand within this distance of the middle along x, metres, in a long place too."""
+"""Poles are within this distance of the middle along x, metres, in a long scene too."""
 
 POLE_LENGTHS = 1.8, 2.5
 """Least and greatest length of the taped part, metres: what a person carries."""
@@ -277,7 +277,7 @@ TILT_SIGMA = float(np.radians(7.0))
 """1 σ of the roll and pitch of a LiDAR, rad (chosen)."""
 
 UPSIDE_DOWN = 1 / 6
-"""Share of the LiDARs that hang upside down (chosen)."""
+"""Share of the LiDARs that are mounted upside down (chosen)."""
 
 
 def draw_poles(
@@ -296,7 +296,7 @@ def draw_poles(
     count
         How many.
     clear
-        Half extents of the ground on which they stand, metres.
+        Half extents of the ground below them, metres.
     angles
         Least and greatest angle between any two of them, rad.
     radius

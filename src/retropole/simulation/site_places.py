@@ -1,8 +1,8 @@
-"""Where LiDARs and poles of a site stand: on posts, at a crane, on a truck, in a ring.
+"""Positions of LiDARs and poles of a site: on posts, at a crane, on a truck, in a ring.
 
-Poles stand placement by placement so that they link all LiDARs. As in `scenes`, the numbers inside
-the functions describe what is drawn, in metres and radians; they are chosen by eye, and no law
-depends on them.
+Poles are arranged placement by placement so that they link all LiDARs. As in `scenes`, the numbers
+inside the functions describe what is drawn, in metres and radians; they are chosen by eye, and no
+law depends on them.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class SitePlace:
+class SiteScene:
     """A site without poles.
 
     Attributes
     ----------
     surroundings
-        Everything that stands there, the ground included, in the world frame.
+        All objects, the ground included, in the world frame.
     poses
         (4, 4) pose of each LiDAR in the world frame.
     reach
-        Half extents in x and y around the world's origin in which poles stand, metres.
+        Half extents in x and y around the world's origin of the area of poles, metres.
     """
 
     surroundings: list[Surface]
@@ -62,7 +62,7 @@ class SitePlace:
     reach: tuple[float, float]
 
 
-def posts(rng: np.random.Generator, count: int) -> SitePlace:
+def posts(rng: np.random.Generator, count: int) -> SiteScene:
     """Draw LiDARs on posts along a street, or at the corners and arms of a crossing."""
     heights = rng.uniform(1.8, 3.2, count)
     if rng.uniform() < 0.5:
@@ -76,12 +76,12 @@ def posts(rng: np.random.Generator, count: int) -> SitePlace:
         number = np.arange(count)
         corner: Array = np.asarray(np.pi / 4 + np.pi / 2 * (number % 4), dtype=np.float64)
         places = rng.uniform(5.0, 6.5, count)[:, None] * np.sqrt(2) * _level(corner)
-        # Those that find no free corner stand farther out on an arm.
+        # Those that find no free corner are farther out on an arm.
         outward = _level(np.asarray(corner + np.where(number // 4 % 2, np.pi / 4, -np.pi / 4)))
         places += (number // 4)[:, None] * rng.uniform(5.0, 7.0) * outward
         surroundings = _crossing(rng)
         reach = (5.0, 5.0) if count <= 4 else (9.0, 9.0)
-    return SitePlace(
+    return SiteScene(
         surroundings,
         [_pose(rng, np.r_[at, z]) for at, z in zip(places, heights, strict=True)],
         reach,
@@ -116,7 +116,7 @@ def _crossing(rng: np.random.Generator) -> list[Surface]:
     return surfaces
 
 
-def crane(rng: np.random.Generator, count: int) -> SitePlace:
+def crane(rng: np.random.Generator, count: int) -> SiteScene:
     """Draw LiDARs at the legs and under the portal of a harbour crane."""
     half = np.array([rng.uniform(4.0, 6.5), rng.uniform(4.0, 6.0)])
     surroundings = list(harbor(rng).surfaces[:-2])
@@ -142,10 +142,10 @@ def crane(rng: np.random.Generator, count: int) -> SitePlace:
         off[axis] = sign * (size + KEPT_FREE + 0.1)
         at = np.r_[corner + off, rng.uniform(1.2, 2.6)]
         poses.append(_pose(rng, at, off, np.radians(rng.uniform(0.0, 8.0))))
-    return SitePlace(surroundings, poses, (float(half[0]) + 3.0, float(half[1]) + 3.0))
+    return SiteScene(surroundings, poses, (float(half[0]) + 3.0, float(half[1]) + 3.0))
 
 
-def truck(rng: np.random.Generator, count: int) -> SitePlace:
+def truck(rng: np.random.Generator, count: int) -> SiteScene:
     """Draw LiDARs on the corners and sides of one vehicle in a yard."""
     half = np.array([rng.uniform(3.0, 5.0), 1.25])
     height = rng.uniform(2.6, 3.6)
@@ -164,21 +164,21 @@ def truck(rng: np.random.Generator, count: int) -> SitePlace:
         low = (k // 8 + k) % 2 == 0
         z = rng.uniform(0.7, 1.2) if low else rng.uniform(1.6, height - 0.2)
         poses.append(_pose(rng, np.r_[at, z], side, np.radians(rng.uniform(0.0, 6.0))))
-    return SitePlace(surroundings, poses, (float(half[0]) + 4.5, float(half[1]) + 4.5))
+    return SiteScene(surroundings, poses, (float(half[0]) + 4.5, float(half[1]) + 4.5))
 
 
-def ring(rng: np.random.Generator, count: int) -> SitePlace:
-    """Draw LiDARs in a ring on bare ground, where neighbours stand some 7 m apart."""
+def ring(rng: np.random.Generator, count: int) -> SiteScene:
+    """Draw LiDARs in a ring on bare ground, at some 7 m from their neighbours."""
     edge = rng.uniform(6.0, 8.0)
     start = rng.uniform(0, 2 * np.pi)
     headings: Array = np.asarray(start + 2 * np.pi * np.arange(count) / count)
     radius = edge / (2 * np.sin(np.pi / count)) + rng.uniform(-0.6, 0.6, count)
     places = radius[:, None] * _level(headings)
     poses = [_pose(rng, np.r_[at, rng.uniform(1.0, 2.0)]) for at in places]
-    return SitePlace([ground(ASPHALT)], poses, (float(radius.max()), float(radius.max())))
+    return SiteScene([ground(ASPHALT)], poses, (float(radius.max()), float(radius.max())))
 
 
-PLACES: dict[str, Callable[[np.random.Generator, int], SitePlace]] = {
+PLACES: dict[str, Callable[[np.random.Generator, int], SiteScene]] = {
     draw.__name__: draw for draw in (posts, crane, truck, ring)
 }
 """Kinds of sites by name: each takes a generator and the number of LiDARs."""
@@ -195,7 +195,7 @@ def _pose(
     return se3.from_rt(R, at)
 
 
-def stands_free(pole: Cylinder, surroundings: list[Surface]) -> bool:
+def is_clear(pole: Cylinder, surroundings: list[Surface]) -> bool:
     """Whether a pole keeps `KEPT_FREE` from everything but level ground and walls."""
     steps = np.linspace(-0.5, 0.5, 6) * pole.length
     points = pole.centre + steps[:, None] * pole.axis
@@ -240,7 +240,7 @@ def are_linked(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> bool:
 
 
 NEAREST = 2.0
-"""No pole stands nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
+"""No pole is nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
 
 FARTHEST = 12.0
 """Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
@@ -260,7 +260,7 @@ MIN_GAP = 1.0
 class Arrangement:
     """A place, the poles of each placement, who sees them, and who records."""
 
-    place: SitePlace
+    place: SiteScene
     poles: list[tuple[Cylinder, ...]]
     seen: Seen
     recorded: list[tuple[int, ...]]
@@ -301,7 +301,7 @@ def arrange(
 
 
 def _view(
-    place: SitePlace,
+    place: SiteScene,
     standing: Sequence[Cylinder],
     sensors: Sequence[Sensor],
     rng: np.random.Generator,
@@ -316,23 +316,23 @@ def _view(
             found.append(none)
             continue
         # Half as many returns again as a line needs, as noise takes some.
-        met = poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], 9)
-        found.append(tuple(a and b for a, b in zip(met, near, strict=True)))
+        seen_patches = poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], 9)
+        found.append(tuple(a and b for a, b in zip(seen_patches, near, strict=True)))
     return tuple(found)
 
 
 def _place_poles(
-    place: SitePlace,
+    place: SiteScene,
     rng: np.random.Generator,
     sensors: tuple[Sensor, ...],
     placements: int,
     poles: int,
     radius: float,
 ) -> Arrangement | None:
-    """Put the poles of each placement where they link LiDARs that nothing links yet."""
+    """Put the poles of each placement where they link LiDARs that are not linked yet."""
     at = np.array([pose[:2, 3] for pose in place.poses])
     everyone = tuple(range(len(sensors)))
-    standing: list[tuple[Cylinder, ...]] = []
+    drawn: list[tuple[Cylinder, ...]] = []
     seen: list[tuple[tuple[bool, ...], ...]] = []
     for left in range(placements, 0, -1):
         groups = groups_of(seen, len(sensors))
@@ -347,33 +347,33 @@ def _place_poles(
             joined = [one, *others[: max(len(groups) - may_remain, 1)]]
             middle = at[joined].mean(axis=0) + rng.normal(0, 1.5, 2)
             middle = np.clip(middle, -np.array(place.reach), place.reach)
-            new = _stand(rng, poles, middle, place, radius)
+            new = _draw_poles(rng, poles, middle, place, radius)
             if new is None:
                 continue
             view = _view(place, new, sensors, rng, everyone)
             if len(groups_of([*seen, view], len(sensors))) <= may_remain:
-                standing.append(new)
+                drawn.append(new)
                 seen.append(view)
                 break
         else:
             return None
-    return Arrangement(place, standing, tuple(seen), [everyone] * placements)
+    return Arrangement(place, drawn, tuple(seen), [everyone] * placements)
 
 
-def _stand(
-    rng: np.random.Generator, count: int, middle: Array, place: SitePlace, radius: float
+def _draw_poles(
+    rng: np.random.Generator, count: int, middle: Array, place: SiteScene, radius: float
 ) -> tuple[Cylinder, ...] | None:
-    """Draw poles around a place (2,); None if this draw has none that stand free."""
+    """Draw poles around a place (2,); None if this draw has none with enough room."""
     drawn = draw_poles(rng, count, (3.0, 3.0), (MIN_POLE_ANGLE, MAX_POLE_ANGLE), radius)
     if drawn is None:
         return None
     moved = tuple(replace(pole, centre=pole.centre + np.r_[middle, 0.0]) for pole in drawn)
-    if _too_near(moved, place) or not all(stands_free(p, place.surroundings) for p in moved):
+    if _too_near(moved, place) or not all(is_clear(p, place.surroundings) for p in moved):
         return None
     return moved
 
 
-def _too_near(poles: Sequence[Cylinder], place: SitePlace) -> bool:
+def _too_near(poles: Sequence[Cylinder], place: SiteScene) -> bool:
     return any(
         np.linalg.norm(pole.centre - pose[:3, 3]) < NEAREST
         for pole in poles
@@ -382,13 +382,13 @@ def _too_near(poles: Sequence[Cylinder], place: SitePlace) -> bool:
 
 
 def _place_ring(
-    place: SitePlace, rng: np.random.Generator, sensors: tuple[Sensor, ...], radius: float
+    place: SiteScene, rng: np.random.Generator, sensors: tuple[Sensor, ...], radius: float
 ) -> Arrangement | None:
     """Put two symmetric poles between each LiDAR and the next; None if the ring is ambiguous."""
     count = len(sensors)
     recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
     at = np.array([pose[:2, 3] for pose in place.poses])
-    middles, standing, seen = [], [], []
+    middles, drawn, seen = [], [], []
     for pair in recorded:
         for _ in range(MAX_SPOTS):
             middle = np.r_[at[list(pair)].mean(axis=0) + rng.uniform(-1.5, 1.5, 2), 0.0]
@@ -401,11 +401,11 @@ def _place_ring(
         else:
             return None
         middles.append(middle[:2])
-        standing.append(new)
+        drawn.append(new)
         seen.append(view)
     if closes_otherwise(np.array(middles)):
         return None
-    return Arrangement(place, standing, tuple(seen), recorded)
+    return Arrangement(place, drawn, tuple(seen), recorded)
 
 
 def closes_otherwise(axes: Array) -> bool:

@@ -17,7 +17,7 @@ from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .pairs import Recorders, SimulationError, is_seen, record_in_turn
 from .raycast import Cylinder, Surface, cast
 from .scanning import LabelledScan
-from .site_places import PLACES, Arrangement, Seen, SitePlace, are_linked, arrange
+from .site_places import PLACES, Arrangement, Seen, SiteScene, are_linked, arrange
 
 SITES = tuple(PLACES)
 """Kinds of sites. ``ring`` is for ambiguity: see `simulate_site`."""
@@ -33,8 +33,8 @@ DEFAULT_SENSORS = {
 MAX_LIDARS, MAX_PLACEMENTS = 12, 8
 """Of a simulated site."""
 
-Standing = Sequence[Sequence[Sequence[Cylinder]]]
-"""``standing[lidar][placement]``: the poles as they stand when a LiDAR records them."""
+PlacedPoles = Sequence[Sequence[Sequence[Cylinder]]]
+"""``standing[lidar][placement]``: the poles as they are when a LiDAR records them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class DrawnSite:
     kind, sensors, devices, noise, radius
         As of the `SimulatedSite`.
     at
-        Where everything stands, and who records what.
+        Positions of everything, and who records what.
     for_survey, for_changes, for_recording
         Generators of what comes next. ``for_changes`` is for those who change the site before it
         is recorded: whatever they draw, all else stays the same.
@@ -80,7 +80,7 @@ class SimulatedSite:
         point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
         where it recorded none.
     surroundings
-        All that stands there but the poles, in the world frame.
+        All objects but the poles, in the world frame.
     poles
         Of each placement.
     seen
@@ -169,7 +169,7 @@ def simulate_site(
     poles
         Of each placement, at least 2; None is 3. A ring has 2.
     sensors
-        Names of sensors, taken in turn; None takes the kind's own.
+        Names of sensors, used in turn; None takes those of the kind.
     radius
         Of the poles, metres.
     noise
@@ -233,7 +233,7 @@ def record_site(
     *,
     survey: Survey | None = None,
     frames: int = 1,
-    standing: Standing | None = None,
+    standing: PlacedPoles | None = None,
 ) -> SimulatedSite:
     """Record and survey a site that was drawn, once: the second half of `simulate_site`.
 
@@ -244,7 +244,7 @@ def record_site(
     survey, frames
         As of `simulate_site`.
     standing
-        Where poles move between two recordings; None if they stand as they were drawn.
+        Where poles move between two recordings; None if they are as they were drawn.
     """
     at, lidars = drawn.at, len(drawn.sensors)
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):
@@ -289,7 +289,7 @@ def _numbers(kind: str, lidars: int, placements: int | None, poles: int | None) 
 
 
 def _record(
-    drawn: DrawnSite, frames: int, standing: Standing
+    drawn: DrawnSite, frames: int, standing: PlacedPoles
 ) -> tuple[list[list[LabelledScan | None]], Seen]:
     """Record all placements, each until its recordings link what they are to link.
 
@@ -360,7 +360,7 @@ class Survey:
 
 def draw_survey(
     survey: Survey | None,
-    place: SitePlace,
+    place: SiteScene,
     poles: Sequence[Sequence[Cylinder]],
     sensors: Sequence[Sensor],
     rng: np.random.Generator,
@@ -393,7 +393,7 @@ def draw_survey(
 
 
 def _points(
-    survey: Survey, place: SitePlace, sensors: Sequence[Sensor], rng: np.random.Generator
+    survey: Survey, place: SiteScene, sensors: Sequence[Sensor], rng: np.random.Generator
 ) -> tuple[ControlPoint, ...]:
     """Draw control points in all directions around the middle of the LiDARs."""
     middle = np.mean([pose[:2, 3] for pose in place.poses], axis=0)
@@ -420,7 +420,7 @@ def _points(
     return tuple(points)
 
 
-def _is_in_view(at: Array, pose: Array, sensor: Sensor, place: SitePlace) -> bool:
+def _is_in_view(at: Array, pose: Array, sensor: Sensor, place: SiteScene) -> bool:
     """Whether a LiDAR sees a point (3,): within its field of view, with nothing before it."""
     own = se3.apply(se3.inverse(pose), at[None])[0]
     distance = float(np.linalg.norm(own))

@@ -15,7 +15,7 @@ from ..base.errors import Reason
 from ..base.sensors import Sensor
 from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
-from ..extraction.acceptance_shape import MAX_SURE_RMS, MIN_POLE_RINGS
+from ..extraction.acceptance_shape import MAX_CONFIRMED_RMS, MIN_POLE_RINGS
 from ..extraction.sensor_pattern import sensor_doubt
 from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
 from ..hypotheses.candidate_confirmation import candidate_reasons
@@ -234,8 +234,8 @@ def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Rea
     noise
         1 σ of its returns along the beam, metres.
     """
-    expected = MAX_SURE_RMS if sensor is None else sensor.range_noise
-    allowed = MAX_SURE_RMS if sensor is None else NOISE_RATIO * sensor.range_noise
+    expected = MAX_CONFIRMED_RMS if sensor is None else sensor.range_noise
+    allowed = MAX_CONFIRMED_RMS if sensor is None else NOISE_RATIO * sensor.range_noise
     if noise > allowed:
         yield Reason(
             "noisy_poles",

@@ -210,7 +210,7 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
 def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int], Reason]]:
     """Say of which pairs the poles leave a part of the pose to the place."""
     poles = adjusted.datum.poles
-    for each in adjusted.datum.hanging:
+    for each in adjusted.datum.dependent:
         across = each.across(poles)
         if len(across) > 1 and widest_angle([poles[k].direction for k in across]) >= MIN_ANGLE:
             # With what other LiDARs see the poles tell all of it.

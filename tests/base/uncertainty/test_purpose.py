@@ -115,7 +115,7 @@ def test_another_pose_or_a_doubt_takes_the_yes_away() -> None:
     assert doubted.words.endswith("not shown, 99 % sure if it were not for small_margin")
 
 
-def test_what_is_hardly_not_enough_is_not_said_to_be_95_percent_sure() -> None:
+def test_what_is_hardly_not_enough_is_not_reported_to_be_95_percent_sure() -> None:
     covariance = a_covariance(0)
     hardly = Need(displacement_bound(covariance, 30.0, 0.949), 30.0)
     assert fitness(covariance, hardly).words.endswith("not shown, 94 % sure")

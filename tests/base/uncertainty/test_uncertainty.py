@@ -53,7 +53,7 @@ def test_every_sampled_covariance_is_one_in_any_units() -> None:
         (np.diag([1.0, 0.0]), "zero"),
     ],
 )
-def test_what_is_no_covariance_is_told(C: Array, fault: str) -> None:
+def test_what_is_no_covariance_is_reported(C: Array, fault: str) -> None:
     said = covariance_fault(C)
     assert said is not None
     assert fault in said

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from retropole.fleet.dataset import Row, partition_of, read_rows
-from retropole.fleet.history.check import check_site, lost_check
+from retropole.fleet.history.check import check_site, unanswered_check
 from retropole.fleet.history.store import CheckRow
 from retropole.fleet.process import Reader
 from retropole.fleet.sites import FleetSite, find_sites
@@ -42,7 +42,7 @@ def beside(fleet: Path, answer: Row, tmp_path_factory: pytest.TempPathFactory) -
     return site
 
 
-def test_the_stored_result_may_lie_beside_the_target(beside: FleetSite, answer: Row) -> None:
+def test_the_stored_result_may_lie_next_to_the_target(beside: FleetSite, answer: Row) -> None:
     told: list[Hashed] = []
     one = check_site(beside, CHECK, told.append)
     assert one is not None
@@ -70,7 +70,7 @@ def test_a_time_that_is_given_counts(beside: FleetSite) -> None:
     assert one.time == datetime(2026, 10, 5, 3, 0, tzinfo=UTC)
 
 
-def test_each_fault_is_said(beside: FleetSite, fleet: Path, tmp_path: Path) -> None:
+def test_each_fault_is_reported(beside: FleetSite, fleet: Path, tmp_path: Path) -> None:
     damaged = msgspec.structs.replace(beside, source=str(fleet.parent / "damaged.pcd"))
     assert checked(damaged, tried=TRIED).codes == ("unreadable",)
     absent = msgspec.structs.replace(beside, result=str(tmp_path / "nothing.json"))
@@ -95,7 +95,7 @@ def test_the_other_way_round_is_no_movement(beside: FleetSite) -> None:
 
 
 def test_of_a_worker_that_died_what_is_known_is_kept(beside: FleetSite) -> None:
-    one = lost_check(beside, CHECK, failed(beside, "error", "killed", "its process crashed"))
+    one = unanswered_check(beside, CHECK, failed(beside, "error", "killed", "its process crashed"))
     assert (one.id, one.time, one.codes) == (beside.id, TRIED, ("killed",))
     assert one.message == "its process crashed"
     assert (one.stored_sha256, one.target_sha256) == ("", "")

@@ -16,7 +16,7 @@ from retropole.fleet.history import run
 from retropole.fleet.history.run import changes_of, check_fleet, replay
 from retropole.fleet.history.store import CheckRow, append, read
 from retropole.fleet.sites import find_sites
-from retropole.fleet.work import Outcome, Task, lost
+from retropole.fleet.work import Outcome, Task, unanswered
 from tests.fleet.fleets import here, in_disorder
 from tests.fleet.history.checks import MOVED, SIGMA, row
 
@@ -49,7 +49,7 @@ def checked(city: Path, answers: str, tmp_path_factory: pytest.TempPathFactory) 
     history = tmp_path_factory.mktemp("history")
     found = check_fleet(find_sites([str(city)]), str(history), here, answers=answers, now=NOW)
     assert (found.appended, len(found.sites)) == (8, 8)
-    assert [site.id for site in found.sites if site.is_told] == ["good"]
+    assert [site.id for site in found.sites if site.is_decided] == ["good"]
     assert not any(site.changes for site in found.sites)
     return history
 
@@ -93,7 +93,7 @@ def test_two_workers_give_the_bytes_of_one_process(
             replaying=partial(mapped, client),
         )
     assert [site.id for site in found.sites] == sorted(newest(str(checked)))
-    assert [site.is_told for site in found.sites].count(True) == 1
+    assert [site.is_decided for site in found.sites].count(True) == 1
     assert files_of(tmp_path) == files_of(checked)
 
 
@@ -112,7 +112,7 @@ def test_the_same_again_adds_nothing_and_checks_nothing(
     assert found.appended == 0
     known = {"good", "small/1", "small/2", "small/3"}
     assert {each.id for each in done if each.check is None} == known
-    assert next(site for site in found.sites if site.id == "good").is_told
+    assert next(site for site in found.sites if site.id == "good").is_decided
     assert files_of(checked) == before
 
 
@@ -159,7 +159,7 @@ def test_whose_process_never_answers_has_a_row_too(
 ) -> None:
     def silent(tasks: Iterator[Task]) -> Iterator[Outcome]:
         for task in tasks:
-            yield lost(task.site, "time_limit", "not done within 1 s")
+            yield unanswered(task.site, "time_limit", "not done within 1 s")
 
     sites = [site for site in find_sites([str(city)]) if site.id in ("good", "small/2")]
     found = check_fleet(sites, str(tmp_path), silent, answers=answers, now=NOW)
@@ -169,7 +169,7 @@ def test_whose_process_never_answers_has_a_row_too(
     ]
     # Once it does answer, that counts.
     found = check_fleet(sites[:1], str(tmp_path), here, answers=answers, now=NOW)
-    assert [site.is_told for site in found.sites] == [True]
+    assert [site.is_decided for site in found.sites] == [True]
 
 
 def test_an_interrupt_loses_no_check(city: Path, answers: str, tmp_path: Path) -> None:
@@ -219,12 +219,12 @@ def test_a_site_that_moved_stays_changed_until_it_is_calibrated_anew() -> None:
     assert not changes_of([*rows, *again]).changes
 
 
-def test_a_failure_of_this_run_is_told(tmp_path: Path) -> None:
+def test_a_failure_of_this_run_is_reported(tmp_path: Path) -> None:
     fine, failed = row(0), row(1, status="error", step=None, covariance=None, random=None)
     append(str(tmp_path), [fine, failed])
     ((_, rows),) = read(str(tmp_path))
-    assert changes_of(rows).is_told
-    assert not changes_of(rows, failed).is_told
+    assert changes_of(rows).is_decided
+    assert not changes_of(rows, failed).is_decided
     assert rows[1].time - rows[0].time == timedelta(days=7)
 
 

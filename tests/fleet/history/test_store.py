@@ -85,7 +85,7 @@ def test_there_is_no_history_before_the_first(tmp_path: Path) -> None:
     assert read(tmp_path / "none") == {}
 
 
-def test_what_is_damaged_is_said(tmp_path: Path) -> None:
+def test_what_is_damaged_is_reported(tmp_path: Path) -> None:
     append(str(tmp_path), [row()])
     (path,) = files(tmp_path)
     whole = path.read_bytes()
@@ -153,7 +153,7 @@ def test_a_file_that_is_damaged_is_named_and_left_out(tmp_path: Path) -> None:
     assert [str(first) in str(each) for each in told] == [True, True]
 
 
-def test_a_time_beyond_the_calendar_is_told(tmp_path: Path) -> None:
+def test_a_time_beyond_the_calendar_is_reported(tmp_path: Path) -> None:
     append(str(tmp_path), [row(k) for k in range(3)])
     (path,) = files(tmp_path)
     table = pq.ParquetFile(path).read()
@@ -171,7 +171,7 @@ def test_sites_are_read_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.Monk
         append(str(tmp_path), [row(k, name) for name in ("a", "b", "c")])
     append(str(tmp_path), [row(3, "d"), row(4, "a")])
     whole = read(tmp_path)
-    monkeypatch.setattr(store, "TOGETHER", 1)
+    monkeypatch.setattr(store, "SITES_PER_BATCH", 1)
     names = [{*table["id"].to_pylist()} for table in tables(str(tmp_path), None, raised)]
     assert sorted(map(sorted, names)) == [["a"], ["b"], ["c"], ["d"]]
     assert read(tmp_path) == whole

@@ -43,7 +43,7 @@ def test_a_quiet_site_stays_quiet(factor: float) -> None:
 
 
 @pytest.mark.parametrize("moved", [MOVED, ROTATED])
-def test_a_step_is_told_by_the_second_check_and_its_size_is_right(moved: np.ndarray) -> None:
+def test_a_step_is_reported_by_the_second_check_and_its_size_is_right(moved: np.ndarray) -> None:
     seen = watch(checks(22, lambda k: moved * (k >= 20)))
     (event,) = seen.alarms
     assert (event.kind, event.onset, event.found) == ("step", 20, 21)
@@ -78,14 +78,14 @@ def test_a_step_before_the_first_check_is_one_against_the_stored_pose() -> None:
     assert [(e.kind, e.onset) for e in seen.alarms] == [("step", 0)]
 
 
-def test_checks_of_which_no_two_agree_are_said_to_be_unsettled() -> None:
+def test_checks_of_which_no_two_agree_are_reported_to_be_unsettled() -> None:
     rng = np.random.default_rng(1)
     far = 100 * SIGMA * rng.normal(size=(60, 6))
     seen = watch(checks(20 + MOST_WAITING + 3, lambda k: far[k] * (k >= 20)))
     assert seen.alarms[0].kind == "unsettled"
 
 
-def test_a_drift_is_told_as_a_trend() -> None:
+def test_a_drift_is_reported_as_a_trend() -> None:
     drift = np.array([0.0, 0, 0, 0, 0.02, 0])
     seen = watch(checks(52, lambda k: drift * 7 * max(k - 8, 0) / YEAR))
     event = seen.alarms[0]
@@ -96,7 +96,7 @@ def test_a_drift_is_told_as_a_trend() -> None:
     assert off @ np.linalg.solve(event.covariance, off) < 30.0
 
 
-def test_the_past_is_not_told_otherwise_later() -> None:
+def test_the_past_is_not_changed_later() -> None:
     whole = checks(26, lambda k: MOVED * (k >= 12))
     early, late = watch(whole[:18]).events, watch(whole).events
     assert [(e.kind, e.onset, e.found) for e in early] == [
@@ -119,7 +119,7 @@ def test_what_the_scene_alone_finds_may_lie_elsewhere() -> None:
     assert not watch(seen).alarms
 
 
-def test_a_drift_of_5_mm_a_day_is_told_by_the_second_check_that_says_moved() -> None:
+def test_a_drift_of_5_mm_a_day_is_reported_by_the_second_check_that_says_moved() -> None:
     # 35 mm a week, from the middle of one on: neither a step nor quite a trend.
     drift = np.array([0.0, 0, 0, 0, 0.005, 0])
     for sigma in (0.5, 1.5):
@@ -170,7 +170,7 @@ def test_all_but_a_single_check_is_an_alarm(kind: EventKind, alarm: bool) -> Non
     assert Watched((event,)).alarms == ((event,) if alarm else ())
 
 
-def test_step_and_trend_are_told_apart_from_a_lead_on() -> None:
+def test_step_and_trend_are_distinguished_from_a_lead_on() -> None:
     assert Event("step", 3, 4, lead=CLEAR).is_clear
     assert not Event("step", 3, 4, lead=CLEAR - 0.1).is_clear
 
@@ -222,7 +222,7 @@ def test_a_change_is_that_of_least_squares_of_all_checks_at_once(
     )
     surprises = 0.0
     for n, one in enumerate(seen):
-        now, chi2 = watching._taken(now, one, n)
+        now, chi2 = watching._include(now, one, n)
         now = replace(now, total=np.full(len(SHARES), now.weight))
         now = replace(now, likelihood=1.0 * (np.arange(len(SHARES)) == law))
         surprises += chi2

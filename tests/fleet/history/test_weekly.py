@@ -14,7 +14,7 @@ pytest.importorskip("distributed", reason="needs the extra fleet")
 WEEKS = 4
 
 
-def test_a_site_that_stands_still_ends_with_0_and_one_that_drifts_with_4(tmp_path: Path) -> None:
+def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(tmp_path: Path) -> None:
     """A drift is told from the second check on, which confirms the first; by 70 mm."""
     still = watched(Case("still", "street"), 2, tmp_path / "still", WEEKS)
     assert [week.code for week in still.weeks] == [0] * WEEKS

@@ -38,7 +38,7 @@ LONG = 10.0
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look more often, and give up sooner."""
     monkeypatch.setattr(files, "POLL", 0.01)
-    monkeypatch.setattr(files, "SETTLED", 0.05)
+    monkeypatch.setattr(files, "UNCHANGED_FOR", 0.05)
     monkeypatch.setattr(files, "GIVE_UP", 0.4)
 
 
@@ -87,7 +87,7 @@ def test_times_of_points_are_those_of_the_sweep(tmp_path: Path) -> None:
         assert required(source.newest(LONG)).stamp == 1_700_000_000.25
 
 
-def test_a_folder_without_files_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_files_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ReadError, match="there is no such folder"):
         FolderSource(tmp_path / "none")
     with closing(FolderSource(tmp_path)) as source:
@@ -120,7 +120,7 @@ def test_a_half_written_file_waits_until_it_is_whole(
         # The older file, which is whole, does not wait for it.
         assert_cloud(source.newest(LONG), 5)
         # On a busy computer, this test may stand still for a while between two parts.
-        monkeypatch.setattr(files, "SETTLED", 0.5)
+        monkeypatch.setattr(files, "UNCHANGED_FOR", 0.5)
         monkeypatch.setattr(files, "GIVE_UP", 1.0)
         with path.open("wb") as file:
             for part in np.array_split(np.frombuffer(content, "u1"), 30):
@@ -434,7 +434,7 @@ def test_what_a_record_says_of_its_parts_leads_not_beyond_it(tmp_path: Path) -> 
 @pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX")
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])
 @pytest.mark.parametrize("kind", ["a named pipe", "a device", "a folder"])
-def test_what_is_no_file_is_said_and_not_opened(tmp_path: Path, suffix: str, kind: str) -> None:
+def test_what_is_no_file_is_reported_and_not_opened(tmp_path: Path, suffix: str, kind: str) -> None:
     path = tmp_path / f"run_0{suffix}"
     make = {
         "a named pipe": os.mkfifo,

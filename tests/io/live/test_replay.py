@@ -121,7 +121,7 @@ def test_packets_come_as_they_were_sent(clock: Clock) -> None:
             assert frame.stamp == read[frame.number].stamp
 
 
-def test_a_pause_of_the_recording_is_said(tmp_path: Path, clock: Clock) -> None:
+def test_a_pause_of_the_recording_is_reported(tmp_path: Path, clock: Clock) -> None:
     path = bag(tmp_path, "mcap", 2)
     with closing(ReplaySource(path, rate=0.01)) as source:
         assert source.waits_for == ""

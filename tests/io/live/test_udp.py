@@ -18,7 +18,7 @@ from retropole.io import Frame, read_frames
 from retropole.io.bags import opened
 from retropole.io.fields import Wanted
 from retropole.io.live import Source, source_of
-from retropole.io.live.udp import OusterSource, PacketSource, TableSource, Told, VelodyneSource
+from retropole.io.live.udp import OusterSource, PacketSource, Reported, TableSource, VelodyneSource
 from retropole.io.packets import drivers
 from retropole.io.packets.capture import packets, walk
 from tests.io.files import required
@@ -192,7 +192,7 @@ def test_sweeps_that_nobody_took_are_left_out_and_counted(
         assert source.newest(0) is None
 
 
-def test_other_packets_are_counted_and_said(velodyne: tuple[VelodyneSource, int]) -> None:
+def test_other_packets_are_counted_and_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
     assert source.waits_for == f"port {port}: no packet came"
     with sender(port) as send:
@@ -206,7 +206,7 @@ def test_other_packets_are_counted_and_said(velodyne: tuple[VelodyneSource, int]
         assert source.newest(0) is None
 
 
-def test_packets_of_no_known_velodyne_are_said(velodyne: tuple[VelodyneSource, int]) -> None:
+def test_packets_of_no_known_velodyne_are_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
     with sender(port) as send:
         # It tries when a sweep is whole, or takes too long.
@@ -419,7 +419,7 @@ def test_sweeps_of_a_model_of_the_tables_are_those_of_its_recording(
         assert any(np.array_equal(own.cloud.xyz, frame.cloud.xyz) for own in same)
 
 
-def test_what_is_of_another_maker_is_said() -> None:
+def test_what_is_of_another_maker_is_reported() -> None:
     port = free_port()
     with closing(source_of(f"hesai:{HOME}:{port}")) as source, sender(port) as send:
         send([bytes(1206)] * 3)
@@ -456,8 +456,8 @@ def test_angles_that_come_to_another_port_are_used(
 ) -> None:
     port, told = free_port(), free_port()
     # The usual one may be in use here.
-    on = Told.on
-    monkeypatch.setattr(Told, "on", lambda at, host: on(told if at == 7788 else at, host))
+    on = Reported.on
+    monkeypatch.setattr(Reported, "on", lambda at, host: on(told if at == 7788 else at, host))
     packets, up = ruby(np.random.default_rng(2), 2.5)
     text = f"robosense:{HOME}:{port},{told}" if where == "named" else f"robosense:{HOME}:{port}"
     with closing(source_of(text)) as source, sender(port) as send:
@@ -492,7 +492,7 @@ def test_two_lidars_tell_their_angles_to_one_port() -> None:
         first.close()
         assert second._heard()
     # Then the port is free.
-    Told(told, HOME).leave()
+    Reported(told, HOME).leave()
 
 
 def test_a_port_of_angles_that_cannot_be_heard() -> None:

@@ -45,7 +45,7 @@ def test_the_notes_say_which_angles_were_used(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.unique(up.round(6)), np.arange(16) - 5.5, atol=1e-5)
     cloud = tmp_path / "a.xyz"
     cloud.write_text("1 2 3\n")
-    with pytest.raises(UsageError, match="holds no packets"):
+    with pytest.raises(UsageError, match="has no packets"):
         open_recording(cloud, wanted=Wanted(angles=str(path)))
     known = Wanted().or_known(Wanted(angles=str(path)))
     assert open_recording(cloud, wanted=known).count == 1

@@ -40,8 +40,8 @@ def test_real_packets_give_the_reference(name: str, tmp_path: Path) -> None:
     # Of points of one ring, at one place, with one intensity, each is one.
     there = cKDTree(np.column_stack([expected, ring * 10, table["intensity"] * 1e-5]))
     ours = [cloud.xyz, required(cloud.ring) * 10, required(cloud.intensity) * 1e-5]
-    apart, same = there.query(np.column_stack(ours))
-    assert np.mean(apart < 1e-5) >= 0.999
+    difference, same = there.query(np.column_stack(ours))
+    assert np.mean(difference < 1e-5) >= 0.999
     assert len(np.unique(same)) >= 0.999 * len(same)
     late = required(cloud.time) - table["time_ns"][same] / 1e9
     assert np.mean(np.abs(late) < 1e-6) >= in_time

@@ -12,7 +12,7 @@ import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError
 from retropole.io import open_recording, read_cloud, read_frames, topics_of
-from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, alike, walk
+from retropole.io.packets.capture import CAPTURE_HEADER, PACKET_HEADER, similar_packets, walk
 from retropole.io.recordings import time_of_recording
 from tests.cli.commands import retropole_here
 from tests.damage import cut as cut_at_random
@@ -135,7 +135,7 @@ def test_an_ouster_without_metadata_says_what_to_supply(
 
 
 @pytest.mark.parametrize("name", [f"{OUSTER}.json", "only.json"])
-def test_metadata_of_an_ouster_are_found_beside_it(tmp_path: Path, name: str) -> None:
+def test_metadata_of_an_ouster_are_found_next_to_it(tmp_path: Path, name: str) -> None:
     needs_ouster()
     path = shared(f"ouster/{OUSTER}.pcap")
     shutil.copy(path, tmp_path)
@@ -272,7 +272,7 @@ def cut_in_a_header(data: bytes) -> bytes:
         (cut_in_a_header, 7, 5),
     ],
 )
-def test_the_rest_is_read_and_the_loss_is_said(
+def test_the_rest_is_read_and_the_loss_is_reported(
     tmp_path: Path, damage: object, left: int, lost: int
 ) -> None:
     pytest.importorskip("velodyne_decoder")
@@ -299,7 +299,7 @@ def test_a_packet_that_the_decoder_passes_over_is_counted(
     assert "1 of 10 packets cannot be read" in cloud.notes[0]
 
 
-def test_a_loss_is_said_on_the_console_and_in_the_result(tmp_path: Path) -> None:
+def test_a_loss_is_reported_on_the_console_and_in_the_result(tmp_path: Path) -> None:
     pytest.importorskip("velodyne_decoder")
     path = tmp_path / "a.pcap"
     path.write_bytes(cut(velodyne()))
@@ -355,7 +355,7 @@ def test_damage_of_a_pcapng_costs_the_packet(tmp_path: Path) -> None:
     assert "at 2 places" in cloud.notes[0]
 
 
-def test_lidars_of_one_capture_are_told_apart(tmp_path: Path) -> None:
+def test_lidars_of_one_capture_are_distinguished(tmp_path: Path) -> None:
     first, second = turning("XT16"), turning("XT32M")
     mixed = [
         packet
@@ -383,7 +383,7 @@ def test_a_capture_of_two_velodynes_gives_each(tmp_path: Path) -> None:
     path, both = tmp_path / "one.pcap", tmp_path / "both.pcap"
     path.write_bytes(velodyne())
     alone = read_cloud(path)
-    payloads = [each.first.payload for each in alike(path, walk(path), lambda _: None)]
+    payloads = [each.first.payload for each in similar_packets(path, walk(path), lambda _: None)]
     sent = [datagram(payload, f"10.0.0.{k}") for payload in payloads for k in (1, 2)]
     both.write_bytes(pcap(sent))
     cloud = read_cloud(both, topic="10.0.0.2:10000")

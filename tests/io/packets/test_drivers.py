@@ -113,7 +113,7 @@ def test_a_bag_of_a_velodyne_gives_what_its_capture_gives(tmp_path: Path, is_ros
             stamp=time(sec=int(own.time), nanosec=round(own.time % 1 * 1e9)),
             data=np.frombuffer(own.payload, np.uint8),
         )
-        for own, *_ in capture.alike(path, capture.walk(path), lambda _: None)
+        for own, *_ in capture.similar_packets(path, capture.walk(path), lambda _: None)
         if len(own.payload) == 1206
     ]
     seq = {"seq": 0} if is_ros1 else {}

@@ -12,7 +12,7 @@ import pytest
 
 from retropole.base.errors import ReadError
 from retropole.io import read_cloud
-from retropole.io.packets.interpolated import angles_told, decode, positions
+from retropole.io.packets.interpolated import decode, positions, reported_angles
 from retropole.io.packets.models import MODELS, Angles, Interpolated, Model, recognized
 from tests.io.packets.written import MANUALS, SECONDS, as_array, difop, together
 
@@ -112,7 +112,7 @@ def test_angles_of_the_unit() -> None:
     rest = b"".join(struct.pack(">BH", 0, 3000 + 100 * k) for k in range(30))
     start = bytes.fromhex("a5ff005a11115555").ljust(468, b"\0")
     packet = (start + angles[0] + rest + angles[1]).ljust(1248, b"\0")
-    told = angles_told(_named("RS-LiDAR-32"), packet)
+    told = reported_angles(_named("RS-LiDAR-32"), packet)
     assert told is not None
     assert "DIFOP" in told.found
     np.testing.assert_allclose(np.degrees(told.elevation[:3]), [-10.281, 2.333, 3.0])
@@ -122,7 +122,7 @@ def test_angles_of_the_unit() -> None:
 def test_angles_of_a_helios_with_16_channels() -> None:
     up, aside = [15.0 - 2 * k for k in range(16)], [0.1 * k for k in range(16)]
     for repeated in (up, [0.0] * 16):
-        told = angles_told(_named("Helios"), difop(up + repeated, aside + aside))
+        told = reported_angles(_named("Helios"), difop(up + repeated, aside + aside))
         assert told is not None
         np.testing.assert_allclose(np.degrees(told.elevation), up)
         np.testing.assert_allclose(np.degrees(told.azimuth), aside)
@@ -132,12 +132,12 @@ def test_angles_of_an_rs_16_are_of_24_bits() -> None:
     up = [15 - 2 * k for k in range(8)] + [15 - 2 * k for k in range(8)]
     start = bytes.fromhex("a5ff005a11115555").ljust(1165, b"\0")
     sent = b"".join(struct.pack(">I", each * 10_000 + 500)[1:] for each in up)
-    told = angles_told(_named("RS-LiDAR-16"), (start + sent).ljust(1248, b"\0"))
+    told = reported_angles(_named("RS-LiDAR-16"), (start + sent).ljust(1248, b"\0"))
     assert told is not None
     wanted = [-(each + 0.05) for each in up[:8]] + [each + 0.05 for each in up[8:]]
     np.testing.assert_allclose(np.degrees(told.elevation), wanted)
     # One that was never filled says nothing; the table is right then.
-    assert angles_told(_named("RS-LiDAR-16"), start.ljust(1248, b"\0")) is None
+    assert reported_angles(_named("RS-LiDAR-16"), start.ljust(1248, b"\0")) is None
 
 
 def test_angles_of_a_leishen_of_version_3() -> None:
@@ -149,7 +149,7 @@ def test_angles_of_a_leishen_of_version_3() -> None:
     packet[245 : 245 + len(words)] = words
     packet[186:188], packet[190:192] = struct.pack(">H", 130), struct.pack(">H", 0x8000 + 150)
     (model,) = [each for each in MODELS if each.name == "C32" and each.sizes == (1206,)]
-    told = angles_told(model, bytes(packet))
+    told = reported_angles(model, bytes(packet))
     assert told is not None
     np.testing.assert_allclose(np.degrees(told.elevation), wanted, atol=1e-9)
     np.testing.assert_allclose(np.degrees(told.azimuth), [-1.5, -1.5, 1.3, 1.3] * 8)
@@ -180,7 +180,7 @@ def test_any_bytes_are_read() -> None:
         read = together(decode(model, packets, angles, positions(model, packets)))
         assert np.isfinite(read.xyz).all()
         assert len(read.xyz) <= 7 * model.layout.count * model.layout.channels
-        angles_told(model, packets[0].tobytes())
+        reported_angles(model, packets[0].tobytes())
 
 
 def _named(name: str) -> Model:
@@ -204,7 +204,7 @@ def test_a_real_helios() -> None:
                 at += 1512 + 4
     model = recognized(packets[0])
     assert model is not None
-    angles = angles_told(model, told[0])
+    angles = reported_angles(model, told[0])
     sent = as_array(packets)
     read = together(decode(model, sent, angles, positions(model, sent)))
     cloud = read_cloud(next(REAL.glob("*.pcd")))

@@ -35,7 +35,7 @@ def test_every_relation_is_counted() -> None:
         assert list(counted[kind, KERNEL_WIDTH]) == written
 
 
-def test_a_cloud_on_itself_is_sharper_than_one_beside_it() -> None:
+def test_a_cloud_on_itself_is_sharper_than_one_next_to_it() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(0), noise=EXACT)
     beside = se3.retract(pair.T_target_source, np.array([0, 0, 0, 0, 0.3, 0.3]))
     for thinned in (True, False):

@@ -70,7 +70,7 @@ def test_experiments_make_what_they_say() -> None:
 
 
 @pytest.mark.parametrize(("seeds", "scenes"), [(1, 1), (5, 5), (20, 20), (100, 20), (200, 40)])
-def test_each_experiment_runs_as_many_scenes_as_asked_for_or_says_how_many(
+def test_each_experiment_runs_as_many_scenes_as_requested_or_says_how_many(
     seeds: int, scenes: int
 ) -> None:
     listed = experiments(seeds, None)
@@ -81,7 +81,7 @@ def test_each_experiment_runs_as_many_scenes_as_asked_for_or_says_how_many(
     assert fewer(listed, ["table1_sensors"], seeds) == []
 
 
-def test_only_what_is_asked_for_is_run() -> None:
+def test_only_what_is_requested_is_run() -> None:
     said: list[str] = []
     made = reproduce(1, None, said.append, only=["table1", "eq3_4_points"])
     assert [exhibit.name for exhibit in made] == ["table1_sensors", "eq3_4_points"]
@@ -90,7 +90,7 @@ def test_only_what_is_asked_for_is_run() -> None:
     assert names_of(Path()) == [*names_of(), "table4_recorded"]
 
 
-def test_the_command_makes_those_asked_for(tmp_path: Path) -> None:
+def test_the_command_makes_those_requested(tmp_path: Path) -> None:
     words = ["-m", "studies.paper", "--only", "table1", "--out", str(tmp_path)]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.full
 
 
 @pytest.mark.parametrize("length", [1.0, 2.0])
-def test_poles_are_as_long_as_asked(length: float) -> None:
+def test_poles_are_as_long_as_requested(length: float) -> None:
     short, tall = set_up(3, length), set_up(3, 6.0)
     np.testing.assert_array_equal(short.T_target_source, tall.T_target_source)
     for k, pole in enumerate(short.poles):

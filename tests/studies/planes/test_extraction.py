@@ -59,7 +59,7 @@ def test_no_cloud_and_no_plane() -> None:
     assert extract_planes(PointCloud(line), rng).planes == ()
 
 
-def test_strips_are_no_planes_and_a_search_that_only_finds_strips_says_so(
+def test_strips_are_no_planes_and_a_search_that_only_finds_strips_reports_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rng = np.random.default_rng(1)

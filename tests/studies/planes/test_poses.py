@@ -77,7 +77,7 @@ def test_swapping_the_clouds_inverts_the_refined_pose(planes: list[Plane]) -> No
     assert there.pose.rms == pytest.approx(back.pose.rms, rel=1e-6)
 
 
-def test_a_refinement_that_still_moves_says_so(
+def test_a_refinement_that_still_moves_reports_it(
     planes: list[Plane], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(poses, "MAX_REFINE_STEPS", 1)

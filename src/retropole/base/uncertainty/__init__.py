@@ -103,7 +103,7 @@ class RadiusEstimate(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m
     Attributes
     ----------
     given, given_sigma, estimated, sigma
-        What the user said, and how far it may be off; and what the data and that say together.
+        The user's value and its uncertainty; and the estimate from it and the data.
     """
 
     given: Size

@@ -21,7 +21,7 @@ PRIOR, PER_SHARE, PER_Z_MARGIN, PER_CLEAR_Z_MARGIN = 0.23, 0.29, -0.42, -3.65
 """Of the log odds that an answer is wrong: for the share of the voxels that conflict with it (its
 logarithm), for its z-margin within `CLEAR_Z_MARGIN`, and for the rest. A logistic regression of 407
 answers with two poles, 66 of them wrong (benchmarks/deception.py, seeds 20000 to 20022; the least
-chance that it gives a wrong one is 27 %). So it holds where as many recordings deceive as there;
+chance that it gives a wrong one is 27 %). So it applies where as many recordings deceive as there;
 docs/evidence/verdicts.md shows how well, on other seeds."""
 
 DECEIVING = 66 / 407
@@ -34,8 +34,8 @@ smaller odds, with which no wrong answer to such recordings was confirmed (bench
 --times, seeds 100 to 135)."""
 
 UNUSABLE = 0.2
-"""Above this probability that it is wrong an answer is not to be used, and what is told of it is
-what to do instead. Chosen: one in five and more of such answers are wrong."""
+"""Above this probability that it is wrong an answer is not to be used, and what is reported of it
+is what to do instead. Chosen: one in five and more of such answers are wrong."""
 
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000
@@ -58,7 +58,7 @@ class Confirmation(
     Attributes
     ----------
     agreeing, contradicting
-        Voxels off the ground, of both clouds, that agree with the pose, and that stand where the
+        Voxels off the ground, of both clouds, that agree with the pose, and that are where the
         other LiDAR looked through.
     contradicted
         Share of the voxels that conflict with the pose; 0 if there is none. It follows from the
@@ -75,12 +75,12 @@ class Confirmation(
     trusted
         Whether the user does.
     together
-        Whether both LiDARs recorded every placement at the same time, by their own clocks.
+        Whether both LiDARs recorded every placement at the same time, by their clocks.
     deceiving
         Share of such recordings that deceive, which the next is stated for.
     along
-        (3,) unit vector, target axes, along which the scene holds the pose least; None if that
-        is no shift, or nothing stands.
+        (3,) unit vector, target axes, along which the scene constrains the pose least; None if that
+        is no shift, or nothing is above the ground.
     probability_wrong
         Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
         deceive; None without a margin. It follows from the others.
@@ -137,22 +137,22 @@ class Confirmation(
         Each count is that of the field of its name: what should agree and does not is
         distinguished.
         """
-        said = counted(self.agreeing, "patch agrees", "patches agree")
-        said += f", {counted(self.contradicting, 'contradicts', 'contradict')}"
-        return f"{said}, {self.missing:,} should agree and do not" if self.missing else said
+        text = counted(self.agreeing, "patch agrees", "patches agree")
+        text += f", {counted(self.contradicting, 'contradicts', 'contradict')}"
+        return f"{text}, {self.missing:,} should agree and do not" if self.missing else text
 
     @property
     def words(self) -> str:
         """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
-        said = self.counts
+        text = self.counts
         if self.conflicting:
-            said += f" ({100 * self.contradicted:.1f} % against it)"
+            text += f" ({100 * self.contradicted:.1f} % against it)"
         if self.better_at is not None:
-            said += f"; it fits better {self.better_at:.1f} m away"
+            text += f"; it fits better {self.better_at:.1f} m away"
         if self.probability_wrong is None:
-            return said
+            return text
         at_once = "; both LiDARs recorded at the same time" if self.together else ""
-        return f"{said}{at_once}; chance of a wrong pose {self.chance_words}"
+        return f"{text}{at_once}; chance of a wrong pose {self.chance_words}"
 
     @property
     def chance_words(self) -> str:

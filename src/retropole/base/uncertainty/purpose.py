@@ -39,7 +39,7 @@ class Need(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
 
 
 DEFAULT_AT = 30.0
-"""Range that a need is for where none is said: the one at which the budget is stated, metres."""
+"""Default range of a need: the one at which the budget is stated, metres."""
 
 LARGEST_NEED, FARTHEST = 10.0, 1000.0
 """Errors and distances that a need may name, metres: no LiDAR is that poor, and none reaches it."""
@@ -83,12 +83,12 @@ def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no",
 
 
 def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
-    said = f"{need.words}: {answer}"
+    text = f"{need.words}: {answer}"
     if answer == "not shown":
-        sure = f"{said}, {whole_percent(probability)} sure"
-        return sure + (f" if it were not for {', '.join(doubts)}" if doubts else "")
+        text_with_chance = f"{text}, {whole_percent(probability)} sure"
+        return text_with_chance + (f" if it were not for {', '.join(doubts)}" if doubts else "")
     likely = probability if answer == "yes" else 1.0 - probability
-    return f"{said}, {whole_percent(likely)} sure"
+    return f"{text}, {whole_percent(likely)} sure"
 
 
 def whole_percent(share: float) -> str:
@@ -162,7 +162,7 @@ def displacement_bound(
 ) -> float:
     """Bound how far off any point at a distance is, metres, with a probability.
 
-    The bound holds for all directions at once, and for every nearer point: with this probability
+    The bound applies to all directions at once, and for every nearer point: with this probability
     no point up to there lands further from its true place. The 1 σ of `predicted_error` is a mean
     over directions; the bound at 95 % is 2 to 3 times as large.
     """
@@ -178,7 +178,7 @@ def displacement_bounds(
 
 
 def is_surely_met(covariance: Array, need: Need) -> bool:
-    """Whether a need is met with a probability of `CONFIDENCE`, whatever the distribution.
+    """Whether a need is fulfilled with a probability of `CONFIDENCE`, whatever the distribution.
 
     By the inequality of Chebyshev, without a draw: no error moves a point by more than
     ``|δ| + distance |φ|``, whose mean square is at most ``2 (tr Σ_δ + distance² tr Σ_φ)``. It says
@@ -201,9 +201,9 @@ def fitness(
     need
         What is requested.
     wrong
-        Probability that it is another pose altogether, which the covariance does not count.
+        Probability that it is another pose altogether, which the covariance does not include.
     doubts
-        Codes of what else it does not count: with one of them the answer is never yes.
+        Codes of what else it does not include: with one of them the answer is never yes.
     """
     sizes = displacements(covariance, need.at)
     right = 1.0 - wrong

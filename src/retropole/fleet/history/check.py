@@ -133,18 +133,18 @@ def _recorded(
 
 
 def check_site(
-    site: FleetSite, check: Check, tell: Callable[[Hashed], None] = lambda hashed: None
+    site: FleetSite, check: Check, report: Callable[[Hashed], None] = lambda hashed: None
 ) -> CheckRow | None:
     """Check one site, unless the history has this very check.
 
     Parameters
     ----------
     site
-        A pair, and the place of its stored result: ``result.json`` next to the target where it
+        A pair, and the path of its stored result: ``result.json`` next to the target where it
         names none.
     check
         What to compare it with.
-    tell
+    report
         Called with the hashes of its files before anything is read of what is in them.
 
     Returns
@@ -166,7 +166,7 @@ def check_site(
                 target_sha256=target,
                 source_sha256=source,
             )
-            tell(Hashed(tried.key, inputs, tried.stored_sha256))
+            report(Hashed(tried.key, inputs, tried.stored_sha256))
             if tried.key in check.known:
                 return None
             tried = _checked(site, check, local, stored, tried)
@@ -178,7 +178,7 @@ def check_site(
     return tried
 
 
-def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
+def unanswered_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
     """Make the row of a check whose process or worker never answered, of what is known of it."""
     hashes = [each.sha256 or "" for each in row.inputs] or ["", ""]
     return replace(

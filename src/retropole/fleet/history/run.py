@@ -20,7 +20,7 @@ from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
 from . import store
-from .check import WatchedPair, lost_check, watched_pairs
+from .check import WatchedPair, unanswered_check, watched_pairs
 from .store import CheckRow
 from .watch import Event, Watched, watch
 
@@ -30,7 +30,7 @@ FLUSH = 100
 
 @dataclass(frozen=True, eq=False)
 class SiteChange:
-    """What the history says of one site.
+    """The history of one site.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class SiteChange:
         return self.watched.alarms
 
     @property
-    def is_told(self) -> bool:
+    def is_decided(self) -> bool:
         """Whether the newest check gave a step at all."""
         return self.newest.is_usable
 
     def is_new(self, event: Event) -> bool:
         """Whether the newest check found it."""
-        return self.is_told and event.found == len(self.times) - 1
+        return self.is_decided and event.found == len(self.times) - 1
 
     def words(self, event: Event) -> str:
         """Say what changed, since when and by how much."""
@@ -90,7 +90,7 @@ def _length(vector: Array, covariance: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class FleetCheck:
-    """What a run did: how many checks were new to the history, and what it says of each site.
+    """What a run did: how many checks were new to the history, and its summary of each site.
 
     What of the history is damaged, and was left out, is named in `damaged`.
     """
@@ -129,16 +129,16 @@ def check_fleet(
     doing
         What does the tasks: `engine.outcomes` with its client.
     answers
-        Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
+        Path or URL of a dataset of `batch.calibrate_fleet` with the stored results; None
         where each site names its own, or has it next to the target.
     tolerance
-        Movement that matters, rad and m; None for as little as the data tell.
+        Movement that matters, rad and m; None for the least that the data show.
     time_limit
         Of one site, seconds.
     now
         When the run begins: the time of sites whose files cannot be read. None takes the clock.
     progress
-        Is told how many of the sites are checked, and when the rest may be.
+        Receives how many of the sites are checked, and when the rest may be.
     replaying
         What replays the history of sites: `engine.mapped` with its client, or `map` here.
 
@@ -198,7 +198,7 @@ def check_fleet(
             if one.check is not None:
                 new.append(one.check)
             elif one.row is not None:
-                new.append(lost_check(by_id[one.id], blank, one.row))
+                new.append(unanswered_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
         return store.append(history, new, set().union(*(keys_of(row.id) for row in new)))
 
@@ -229,7 +229,7 @@ def replay(
     """Say what changed at sites, in the order of their ids, and what of the history is damaged.
 
     Without ids, at all that the history has.
-    `newest` holds the result of each site of a run, by its id, and `known` the files that existed.
+    `newest` has the result of each site of a run, by its id, and `known` the files that existed.
     """
     damaged: list[ReadError] = []
     changes: list[SiteChange] = []

@@ -2,7 +2,7 @@
 
 ``HISTORY/month=2026-11/<hash>.parquet``: each append writes one file for each month in which it has
 new rows, named by the keys of its rows and written whole or not at all. Nothing is ever rewritten.
-It is read a few sites at a time; what is damaged is told and left out.
+It is read a few sites at a time; what is damaged is reported and left out.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "sw
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
 MOST_STEP = 1e6
-"""Steps of a pose are below this, rad and m: squares of larger ones leave what a number holds."""
+"""Steps of a pose are below this, rad and m: squares of larger ones overflow."""
 
 PLACE = "place"
 """Column of the file that a row was read of; no file has it."""
@@ -48,7 +48,7 @@ LARGEST_FILE = 2**31
 READERS = 8
 """Files that are read at once: of an object store most of the time is waiting. Not tuned."""
 
-TOGETHER = 20
+SITES_PER_BATCH = 20
 """Sites that are read, and replayed, together: 7 MB in a year of daily checks."""
 
 Step = Annotated[list[float], Meta(min_length=6, max_length=6)]
@@ -59,8 +59,8 @@ def _raise(error: ReadError) -> None:
     raise error
 
 
-Tell = Callable[[ReadError], None]
-"""Is told what is damaged, which is then left out; or raises it."""
+Report = Callable[[ReadError], None]
+"""Receives what is damaged, which is then left out; or raises it."""
 
 Sites = dict[str, tuple[str, ...]]
 """Files of a history, and the sites that each has."""
@@ -118,7 +118,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     def key(self) -> str:
         """What makes it this check: the same site, time, stored result and recordings.
 
-        A check that ended in an error does not stand for one that succeeds.
+        A check that ended in an error does not replace one that succeeds.
         """
         hashes = self.stored_sha256, self.target_sha256, self.source_sha256
         return key_of(self.id, self.time.astimezone(UTC), hashes, self.status, self.codes)
@@ -189,7 +189,7 @@ def row_of(columns: Mapping[str, Any]) -> CheckRow:
 
 
 def observed(rows: Iterable[CheckRow]) -> list[tuple[CheckRow, Observed]]:
-    """Give what the checks of one site say of its newest stored pose, in the order of time.
+    """Give the checks of one site against its newest stored pose, in the order of time.
 
     A site that was calibrated anew begins anew: steps from an older pose are left out.
     """
@@ -272,32 +272,32 @@ def schema() -> Any:
 
 
 def contents(
-    folder: str, tell: Tell = _raise, known: Collection[str] = ()
+    folder: str, report: Report = _raise, known: Collection[str] = ()
 ) -> tuple[Sites, dict[str, bytearray]]:
     """Look what a history has, but in files that are `known`: the files, and the keys of each site.
 
     Of millions of checks the keys are kept as lines of text: sets would need four times the memory.
     """
     sites: Sites = {}
-    alike: dict[tuple[str, ...], tuple[str, ...]] = {}
+    names_of: dict[tuple[str, ...], tuple[str, ...]] = {}
     keys: dict[str, bytearray] = {}
     months = filter(re.compile(r"month=\d{4}-\d{2}").fullmatch, names_in(folder))
     files = (
         below(folder, month, name) for month in months for name in names_in(below(folder, month))
     )
     places = [place for place in files if place.endswith(".parquet") and place not in known]
-    for place, table in _tables(places, tell, ["id", "key"]):
+    for place, table in _tables(places, report, ["id", "key"]):
         names = table["id"].to_pylist()
         # Files that were appended one after the other have the same sites.
         own = (*sorted(set(names)),)
-        sites[place] = alike.setdefault(own, own)
+        sites[place] = names_of.setdefault(own, own)
         for name, key in zip(names, table["key"].to_pylist(), strict=True):
             keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
     return sites, keys
 
 
 def tables(
-    folder: str, ids: Collection[str] | None, tell: Tell, known: Sites | None = None
+    folder: str, ids: Collection[str] | None, report: Report, known: Sites | None = None
 ) -> Iterator[Any]:
     """Read a history as tables of a few sites each, with all rows of these and the `PLACE` of each.
 
@@ -307,8 +307,8 @@ def tables(
         Path or URL of the history; where there is none, it is empty.
     ids
         Sites to read; None reads all.
-    tell
-        Is told of each file that is damaged or not of this schema.
+    report
+        Receives each file that is damaged or not of this schema.
     known
         What `contents` gave; what was appended since is found.
     """
@@ -317,7 +317,7 @@ def tables(
 
     known = known or {}
     files: dict[str, list[str]] = {}
-    for place, names in (known | contents(folder, tell, known)[0]).items():
+    for place, names in (known | contents(folder, report, known)[0]).items():
         for name in names:
             files.setdefault(name, []).append(place)
     wanted = files.keys() if ids is None else files.keys() & {*ids}
@@ -327,25 +327,25 @@ def tables(
         return table.filter(compute.is_in(table["id"], value_set=pa.array(names)))
 
     # Sites that were appended together are in the same files, of which the last is one.
-    for _, alike in groupby(order, lambda name: files[name][-1]):
-        for some in _parts([*alike], 5 * TOGETHER):
+    for _, group in groupby(order, lambda name: files[name][-1]):
+        for some in _parts([*group], 5 * SITES_PER_BATCH):
             places = sorted({place for name in some for place in files[name]})
             found = [
                 own.append_column(PLACE, pa.array([place] * len(own), pa.string()))
-                for place, table in _tables(places, tell)
+                for place, table in _tables(places, report)
                 if len(own := of(table, some))
             ]
             if found:
                 table = pa.concat_tables(found)
-                yield from (of(table, few) for few in _parts(some, TOGETHER))
+                yield from (of(table, few) for few in _parts(some, SITES_PER_BATCH))
 
 
 def _parts(names: list[str], most: int) -> Iterator[list[str]]:
     return (names[k : k + most] for k in range(0, len(names), most))
 
 
-def rows_of(table: Any, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
-    """Give the checks of each site of a table in the order of time; what is no row is told."""
+def rows_of(table: Any, report: Report = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
+    """Give the checks of each site of a table in the order of time; what is no row is reported."""
     micros = table.set_column(
         table.schema.get_field_index("time"), "time", table["time"].cast("int64")
     )
@@ -358,13 +358,13 @@ def rows_of(table: Any, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRo
                 # The same check may be there twice.
                 sound[columns["key"]] = row_of(columns)
             except ReadError as error:
-                tell(ReadError(f"{place}: {error}"))
+                report(ReadError(f"{place}: {error}"))
         if sound:
             yield name, [*sound.values()]
 
 
 def read(
-    folder: str, ids: Collection[str] | None = None, tell: Tell = _raise
+    folder: str, ids: Collection[str] | None = None, report: Report = _raise
 ) -> Iterator[tuple[str, list[CheckRow]]]:
     """Read a history: the checks of each site in the order of time, a site at a time.
 
@@ -373,14 +373,14 @@ def read(
     MissingExtraError
         Without the extra ``fleet``.
     ReadError
-        Of what is damaged, without `tell`.
+        Of what is damaged, without `report`.
     """
-    for table in tables(folder, ids, tell):
-        yield from rows_of(table, tell)
+    for table in tables(folder, ids, report):
+        yield from rows_of(table, report)
 
 
 def _tables(
-    places: Iterable[str], tell: Tell, columns: list[str] | None = None
+    places: Iterable[str], report: Report, columns: list[str] | None = None
 ) -> Iterator[tuple[str, Any]]:
     """Read files, but those that are damaged; a few at once."""
     with ThreadPoolExecutor(READERS) as readers:
@@ -389,7 +389,7 @@ def _tables(
                 # Its checks are not lost, and what would be written has its name.
                 raise found
             if isinstance(found, ReadError):
-                tell(found)
+                report(found)
             else:
                 yield place, found
 

@@ -19,7 +19,7 @@ varies slowly the site has a Kalman filter; the likeliest one decides.
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
 1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
-if its own scatter were so much wider. So none alone makes a change, but two that agree do. Such a
+if its own scatter were that much wider. So none alone makes a change, but two that agree do. Such a
 one waits until another shows what it was: an *outlier*, where the next fits again (a lorry stood in
 view), or the first of a *step*. A change that was found becomes part of what is expected, and the
 watch goes on.
@@ -51,7 +51,7 @@ LEVEL_FACTOR = 1.5
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
 """Prior of the ratio of a site's random scatter to what is stated, in σ, before its first check;
-and how many checks that counts as. The site's own surprises then correct it."""
+and how many checks that is worth. The site's own surprises then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
 """Of what varies slowly the variance relative to the random part, and the days in which it forgets;
@@ -87,8 +87,8 @@ SHORTEST_TREND = 120.0
 """Days a trend must have lasted: over fewer it is no other than a step, unless it is plain."""
 
 BEHIND = 20.0
-"""By how much less a step may be beyond its threshold than a short trend, and still be told: over
-few checks chance makes one of the other."""
+"""By how much less a step may be beyond its threshold than a short trend, and still be reported:
+over few checks chance makes one of the other."""
 
 LEAST = np.radians(0.05), 0.005
 """A smaller change, or trend in a year, of rotation and translation, rad and m, is none: a sixth of
@@ -172,7 +172,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What the checks of a site say so far.
+    """The checks of a site so far.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ def _begin(first: Observed) -> _Filter:
     return blank
 
 
-def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
+def _include(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
     """Take the check n in, and give its χ²; what is too old is left out, and changes begin."""
     days, scale = check.days - now.days, np.sqrt(now.total / now.weight)[:, None]
     F = np.zeros((len(TIMES), 1, 6, 6)) + np.eye(6)
@@ -333,7 +333,8 @@ def _taken(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
 
 
 def _kept(now: _Filter, n: int, days: float) -> BoolArray:
-    """(M,) changes that are still tried: of older trends the first of each so many days."""
+    """(M,) changes that are still tried: of older trends the first of each period of this many
+    days."""
     span = np.where(now.is_trend, now.began // SPACING, -now.onset - 1.0)
     first = np.zeros(len(span), dtype=bool)
     first[np.unique(span, return_index=True)[1]] = True
@@ -344,8 +345,8 @@ def _kept(now: _Filter, n: int, days: float) -> BoolArray:
 def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
-    A change may be one of translation alone, as of a foundation that settles, which has three
-    degrees of freedom; it counts as the χ²(6) that chance exceeds as often.
+    A change may be one of translation alone, as of a foundation that sinks, which has three
+    degrees of freedom; it is converted to the χ²(6) that chance exceeds as often.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
     pushed = (V.T @ b).T[..., None]
@@ -355,7 +356,7 @@ def _statistics(now: _Filter) -> Array:
     return np.asarray(np.maximum((b**2 / A).sum(axis=0), as_six))
 
 
-def _adopted(now: _Filter, m: int) -> _Filter:
+def _accepted(now: _Filter, m: int) -> _Filter:
     """Make a change part of what is expected."""
     D, A = now.deviation[..., m], now.information[..., m, None]
     mean = now.mean + D * now.vector[..., m, None] / A
@@ -377,9 +378,9 @@ def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
         so_far = size * (now.days - now.began[m]) / YEAR if short[m] else size
         if np.linalg.norm(so_far[:3]) >= LEAST[0] or np.linalg.norm(so_far[3:]) >= LEAST[1]:
             others = statistics[now.is_trend != now.is_trend[m]].max(initial=0.0)
-            told = float(statistics[m]), float(statistics[m] - others)
+            evidence = float(statistics[m]), float(statistics[m] - others)
             kind: EventKind = "trend" if now.is_trend[m] else "step"
-            return m, Event(kind, int(now.onset[m]), n, size, covariance, *told)
+            return m, Event(kind, int(now.onset[m]), n, size, covariance, *evidence)
     return None
 
 
@@ -395,8 +396,8 @@ def _stays_moved(newest: Sequence[Observed]) -> bool:
     if len(newest) < 2 or not all(moved[-2:]):
         return False
     before, last = newest[-2:]
-    apart = last._replace(step=last.step - before.step)
-    return _from_stored(apart) <= _from_stored(last) or (len(moved) > 2 and all(moved))
+    since = last._replace(step=last.step - before.step)
+    return _from_stored(since) <= _from_stored(last) or (len(moved) > 2 and all(moved))
 
 
 def watch(checks: Sequence[Observed]) -> Watched:
@@ -411,7 +412,7 @@ def watch(checks: Sequence[Observed]) -> Watched:
         return Watched()
     now, events, waiting = _begin(checks[0]), list[Event](), list[int]()
     for n, check in enumerate(checks):
-        now, chi2 = _taken(now, check, n)
+        now, chi2 = _include(now, check, n)
         waiting += [n] * (chi2 > GATE)
         found = _found(now, n)
         if found is not None or chi2 <= GATE:
@@ -420,10 +421,10 @@ def watch(checks: Sequence[Observed]) -> Watched:
             waiting = []
         if found is not None:
             m, event = found
-            # The first check alone may stand against the stored pose and all others.
+            # The first check alone may contradict the stored pose and all others.
             first = event.onset == 1 and _from_stored(check) < _from_stored(checks[0])
             events.append(Event("outlier", 0, n) if first else event)
-            now = _adopted(now, m)
+            now = _accepted(now, m)
         elif len(waiting) > MOST_WAITING:
             events.append(Event("unsettled", waiting[0], n))
             waiting = []

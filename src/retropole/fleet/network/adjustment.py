@@ -36,7 +36,7 @@ left of what no observation checks, far below what any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple
-of the χ² that chance allows: the tests of nearer ones tell better which of two is wrong."""
+of the χ² that chance allows: the tests of nearer ones show better which of two is wrong."""
 
 KERNEL = 15.0
 """From about this many σ on an edge has less weight in the robust start (Cauchy). With 5, 5 more of
@@ -45,8 +45,8 @@ KERNEL = 15.0
 FAINT = 1e-6
 """Weight of residuals that are left out: GTSAM then still has the covariance of their ends."""
 
-HELD = 1e-6
-"""1 σ of what holds the datum, rad and m."""
+DATUM_SIGMA = 1e-6
+"""1 σ of the constraint of the datum, rad and m."""
 
 MOST_ROUNDS = 30
 """So often the network is adjusted again at most."""
@@ -61,7 +61,7 @@ class NetworkAdjustment:
     T_world_node
         (N, 4, 4) poses: map points of each node into the frame of the network.
     covariance
-        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum holds.
+        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum fixes it.
     cross
         (E, 6, 6) covariance between the first and the second pose of each edge.
     used
@@ -79,7 +79,7 @@ class NetworkAdjustment:
     components
         Nodes that are connected, and what ties them to the ground.
     doubtful
-        (N,) poses that are tied to their datum by rivals: they may be elsewhere.
+        (N,) poses that are tied to their datum by rivals: they may be wrong.
     unit_variance
         Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
@@ -131,7 +131,7 @@ def adjust_network(
     graph
         Relative poses, and what ties them to the ground. No pose need be known before.
     progress
-        Is told each step as it begins.
+        Receives each step as it begins.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _adjusted(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustmen
 
 
 def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = False) -> Any:
-    """Observations as a graph of GTSAM, those that are active (M,); then what holds each datum."""
+    """Observations as a graph of GTSAM, those that are active (M,); then what fixes each datum."""
     gtsam, (edges, points) = engine(), (graph.edges, graph.points)
     model, kernels = gtsam.noiseModel, gtsam.noiseModel.mEstimator
     # Far from control a network bends by more than its controls are uncertain at first: none of
@@ -220,16 +220,17 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
     for node, world, at, root in sights:
         factors.add(gtsam.GPSFactorArm(node, world, at, noise(root[:3, :3], huber)))
     for each in find_components(graph, active):
-        held = np.eye(6) * (len(each.points) == 0)
-        held[:3, :3] = each.held.T @ each.held
+        constrained = np.eye(6) * (len(each.points) == 0)
+        constrained[:3, :3] = each.held.T @ each.held
         if len(each.held):
-            holding = model.Gaussian.SqrtInformation(held / HELD)
+            holding = model.Gaussian.SqrtInformation(constrained / DATUM_SIGMA)
             factors.add(gtsam.PriorFactorPose3(int(each.nodes[0]), gtsam.Pose3(), holding))
     return factors
 
 
 def _ordering(graph: Graph, factors: Any) -> Any:
-    """Put what is held last: eliminated earlier, it would drown what all else says in rounding."""
+    """Put what is fixed last: eliminated earlier, it would drown all other information in
+    rounding."""
     everything = np.ones(len(graph.ends), dtype=bool)
     last = [int(each.nodes[0]) for each in find_components(graph, everything)]
     gtsam = engine()
@@ -277,7 +278,7 @@ def find_start(graph: Graph) -> Any:
     for k in range(graph.nodes):
         places.insert(k, np.zeros(3))
 
-    def alike(variance: Array) -> Any:
+    def within_rounding(variance: Array) -> Any:
         # Two outvote one, however precise that claims to be.
         sigma = float(np.sqrt(np.median(variance))) if len(variance) else 1.0
         fair = model.mEstimator.Fair.Create(1.0)
@@ -285,7 +286,7 @@ def find_start(graph: Graph) -> Any:
 
     own = np.diagonal(edges.covariance, axis1=1, axis2=2)
     turned, moved = own[:, :3].mean(axis=1), own[:, 3:].mean(axis=1)
-    noise = alike(turned)
+    noise = within_rounding(turned)
     for (i, j), T in zip(ends, edges.T_i_j, strict=True):
         turns.add(gtsam.BetweenFactorRot3(i, j, gtsam.Rot3(T[:3, :3]), noise))
     rotations = gtsam.InitializePose3.initializeOrientations(poses)
@@ -293,7 +294,7 @@ def find_start(graph: Graph) -> Any:
     R = np.array([rotations.atRot3(k).matrix() for k in range(graph.nodes)])
     arm = np.einsum("kab,kb->ka", R[edges.i], edges.T_i_j[:, :3, 3])
     # A direction that is off by its σ moves the far end by that much more.
-    noise = alike(moved + turned * np.sum(arm**2, axis=1))
+    noise = within_rounding(moved + turned * np.sum(arm**2, axis=1))
     for (i, j), way in zip(ends, arm, strict=True):
         moves.add(gtsam.BetweenFactorPoint3(i, j, way, noise))
     options = gtsam.GaussNewtonParams()
@@ -412,12 +413,14 @@ def all_tests(graph: Graph, values: Any, active: BoolArray) -> Tests:
     measured = np.arange(6) < graph.numbers[:, None]
     shows *= measured[:, :, None] & measured[:, None, :]
     part, way = np.linalg.eigh((shows + np.swapaxes(shows, 1, 2)) / 2)
-    told = part > LEAST_CHECKED
-    part = np.where(told, part, 0.0)
-    along = np.einsum("kab,ka->kb", way, b) ** 2 * told
-    chi2 = np.where(active[:, None], along / np.where(told, part, 1.0), along * part).sum(axis=1)
+    is_reported = part > LEAST_CHECKED
+    part = np.where(is_reported, part, 0.0)
+    along = np.einsum("kab,ka->kb", way, b) ** 2 * is_reported
+    chi2 = np.where(active[:, None], along / np.where(is_reported, part, 1.0), along * part).sum(
+        axis=1
+    )
     shows = (way * part[:, None]) @ np.swapaxes(way, 1, 2)
-    return Tests(own, cross, b, shows, chi2, np.count_nonzero(told, axis=1))
+    return Tests(own, cross, b, shows, chi2, np.count_nonzero(is_reported, axis=1))
 
 
 def _rivals(graph: Graph, tests: Tests, active: BoolArray) -> dict[int, list[int]]:

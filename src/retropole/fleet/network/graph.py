@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
 
-LEAST_APART = 1e-5
+LEAST_INDEPENDENT = 1e-5
 """Part of its own variance that is added to that of each number: GTSAM gives up where one is known
 2¹² times better given another."""
 
@@ -50,7 +50,7 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Surveyed points that a node sees, or that it stands on.
+    """Surveyed points that a node sees, or that it is on.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Graph:
         turn = twice(np.swapaxes(self.edges.T_i_j[:, :3, :3], 1, 2))
         C[self.numbers == 6] = turn @ self.edges.covariance @ np.swapaxes(turn, 1, 2)
         C[self.numbers == 3, :3, :3] = self.points.covariance
-        C[:, range(6), range(6)] *= 1 + LEAST_APART
+        C[:, range(6), range(6)] *= 1 + LEAST_INDEPENDENT
         try:
             # GTSAM takes a matrix without upper entries for a diagonal one.
             return np.swapaxes(np.linalg.cholesky(np.linalg.inv(C)), 1, 2)
@@ -153,8 +153,8 @@ class Component:
     points
         (C,) control points that tie it to the frame of the network.
     held
-        (H, 3) axes about which its first node is held, since control gives no information about
-        these rotations; without control all of its pose is held.
+        (H, 3) axes about which its first node is fixed, since control gives no information about
+        these rotations; without control all of its pose is fixed.
     """
 
     nodes: IntArray
@@ -207,7 +207,7 @@ def _open(points: Array) -> Array:
 def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """Add to the wanted observations (M,) those of the least squares that hold all together.
 
-    Two contradicting edges that a node alone hangs by both look wrong; without either it would
+    Two contradicting edges that alone connect a node both look wrong; without either it would
     have no place at all.
     """
     size = graph.nodes + 1
@@ -233,7 +233,7 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
     near = np.zeros(graph.nodes + 1)
     for _ in range(2):
         reach = np.maximum(score, np.maximum(near[i], near[j]))
-        # The ground is no neighbourhood: controls at two ends of a city do not meet there.
+        # The ground is no neighbourhood: it does not connect controls at two ends of a city.
         for end in (i, j):
             np.maximum.at(near, end, reach)
         near[-1] = 0.0

@@ -97,7 +97,7 @@ def source_of(
     senders
         Of packets, as `udp.PacketSource` takes them.
     wanted
-        Of packets by the tables, the unit's own angles; of clouds, the field of the intensity.
+        Of packets by the tables, the angles of the unit; of clouds, the field of the intensity.
 
     Raises
     ------
@@ -126,8 +126,8 @@ def source_of(
         listens = _port(text, port), host or ALL_INTERFACES, senders
         if kind != "velodyne":
             own = None if wanted.angles is None else Path(wanted.angles)
-            told = _port(text, more) if has_more else None
-            return TableSource(kind, *listens, told, angles=own)
+            reported = _port(text, more) if has_more else None
+            return TableSource(kind, *listens, reported, angles=own)
         if has_more:
             raise UsageError(f"{text!r}: a Velodyne sends to one port")
         return VelodyneSource(*listens)

@@ -86,7 +86,7 @@ def _configured(domain: int, interface: str | None) -> str | None:
             f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
         )
         if interface.startswith("lo"):
-            # It knows no multicast, so those that are there have to be asked one by one.
+            # It knows no multicast, so those that are there have to be contacted one by one.
             discovery = (
                 "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>"
                 '<Peer address="127.0.0.1"/></Peers></Discovery>'
@@ -288,12 +288,12 @@ class DdsSource:
         number, self._count = self._count, self._count + 1
         now, data = time.time_ns(), taken[-1].data
         frame = frame_of("", self.name, number, now, data, "cdr", wanted=self._wanted)
-        apart = _clock_of(data) - now / NANOSECONDS
+        delay = _clock_of(data) - now / NANOSECONDS
         # A sweep takes 0.1 s, and its way some.
-        if abs(apart) < 1.0:
+        if abs(delay) < 1.0:
             return frame
-        way = "ahead of" if apart > 0 else "behind"
-        note = f"its stamps are {abs(apart):.3g} s {way} the clock of this computer"
+        way = "ahead of" if delay > 0 else "behind"
+        note = f"its stamps are {abs(delay):.3g} s {way} the clock of this computer"
         return replace(frame, cloud=replace(frame.cloud, notes=(note,)))
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ from ...base.quantities import counted
 from .. import READERS, open_recording
 from ..bags import MAX_TOPICS, check_extra, entries_of, open_database, topics_in
 from ..fields import USUAL, Wanted
-from ..recordings import CLOUDS, Frame, holds_clouds, time_of_recording
+from ..recordings import CLOUDS, Frame, has_clouds, time_of_recording
 from ..ros import MAX_LISTED, frame_of
 from ..unpacking import LARGEST_RECORD, MAX_UNPACKED, allowance, opened_within
 from .replay import QUIET
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 POLL = 0.1
 """Seconds between two looks: as often as most sensors turn."""
 
-SETTLED, GIVE_UP = 0.3, 2.0
+UNCHANGED_FOR, GIVE_UP = 0.3, 2.0
 """Seconds without a change after which a file is tried, since some formats do not show that a part
 is missing; and after which one that cannot be read is not tried again."""
 
@@ -165,7 +165,7 @@ class FolderSource(_Looking):
         for k, path in enumerate(news):
             file = self._files[path]
             unchanged = monotonic() - file.since
-            if unchanged < SETTLED or (file.has_failed and unchanged < GIVE_UP):
+            if unchanged < UNCHANGED_FOR or (file.has_failed and unchanged < GIVE_UP):
                 continue
             try:
                 frame = next(open_recording(path, wanted=self._wanted).read(range(1)))
@@ -231,7 +231,7 @@ class Recorded:
     def wants(self, topic: str, kind: str) -> bool:
         """Keep the type of a topic in mind, and return whether its messages are wanted."""
         self._kinds[topic] = kind
-        return holds_clouds(kind) and self._topic in (None, topic)
+        return has_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
         """Take the last of this many messages that came."""
@@ -250,7 +250,7 @@ class Recorded:
 
     @property
     def _clouds(self) -> list[str]:
-        return sorted(name for name, kind in self._kinds.items() if holds_clouds(kind))
+        return sorted(name for name, kind in self._kinds.items() if has_clouds(kind))
 
     def take(self) -> tuple[str, str, int, Message] | None:
         """Give topic, type, number and message of the newest cloud, and stay with that topic.
@@ -265,7 +265,7 @@ class Recorded:
         if self._topic is None and len(clouds) > 1:
             raise ReadError(f"has {len(clouds)} topics of point clouds, name one of them: {listed}")
         kind = self._kinds.get(self._topic or "", CLOUDS)
-        if not holds_clouds(kind):
+        if not has_clouds(kind):
             other = f"topic {self._topic} is of {kind}, expected {CLOUDS}"
             raise ReadError(f"{other}; topics of that are: {listed}")
         chosen = self._topic or next(iter(self._newest), "")
@@ -354,7 +354,7 @@ class GrowingMcap:
             self.has_ended = True
         if code not in READ:
             return
-        # Alone, so that nothing in it leads beyond it.
+        # Alone, so that nothing in it links outside it.
         record = readers[code](ReadDataStream(BytesIO(file.read(length))))
         spend = allowance(length, MAX_UNPACKED)
         for topic, kind, entry, encoding in entries_of(record, self._index, spend):
@@ -443,7 +443,7 @@ class BagSource(_Looking):
     ReadError
         If there is no such file or folder.
     UsageError
-        If the bag is of a kind that shows what it holds only when it is closed.
+        If the bag is of a kind that shows its content only when it is closed.
     """
 
     def __init__(self, path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> None:

@@ -1,7 +1,7 @@
 """Packets that a sensor sends to a port of this computer.
 
 They are decoded as those of a capture are (`io.packets`). A thread receives them, since what the
-system holds back for a program is less than a sweep.
+system buffers for a program is less than a sweep.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from ...base.errors import MissingExtraError, UsageError, naming, reported, said, shortened
 from ...base.quantities import counted
 from ..fields import frame_from_columns
-from ..packets.angles import angles_told, read_angles
+from ..packets.angles import read_angles, reported_angles
 from ..packets.interpolated import DIFOP_START
 from ..packets.models import MODELS, Angles, Model, recognized
 from ..packets.ouster import ouster_sweeps
@@ -33,15 +33,15 @@ from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
 """Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
-Velodyne does unless it is configured otherwise, comes to this address alone."""
+Velodyne does unless it is configured otherwise, reaches this address alone."""
 
 PAUSE = 2.0
 """Seconds without a packet after which a sensor has stopped: another one is taken then, and the
 same one begins a new sweep."""
 
 WINDOW, FEWEST = 0.1, 10
-"""Packets of the senders are counted over so many seconds. Who sends fewer is no sensor, which send
-30 and more: the busiest of all is taken instead."""
+"""Packets of the senders are counted over this many seconds. Who sends fewer is no sensor, which
+send 30 and more: the busiest of all is taken instead."""
 
 LOOK = 0.2
 """Seconds after which the thread looks whether it is to end."""
@@ -92,7 +92,7 @@ class _Mailbox:
         self._is_closed = False
 
     def put(self, item: _Came) -> None:
-        """Put a sweep in the place of the one before."""
+        """Replace the previous sweep."""
         with self._changed:
             self._held = self._count, item
             self._count += 1
@@ -102,11 +102,11 @@ class _Mailbox:
         """Take the newest sweep and its number, counted from 0; None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
-            held, self._held = self._held, None
-            return held
+            buffered, self._held = self._held, None
+            return buffered
 
     def close(self) -> None:
-        """Wake whoever waits, and forget what is held."""
+        """Wake whoever waits, and forget what is buffered."""
         with self._changed:
             self._held, self._is_closed = None, True
             self._changed.notify_all()
@@ -316,7 +316,7 @@ class VelodyneSource(PacketSource):
         super().__init__(port, host, kind, senders)
 
 
-class Told:
+class Reported:
     """What LiDARs report of themselves on a port: the newest such packet of each, by its address.
 
     Several listen to it where their LiDARs send to one port; the last to leave closes it.
@@ -327,7 +327,7 @@ class Told:
         As `VelodyneSource`.
     """
 
-    _open: ClassVar[dict[tuple[str, int], Told]] = {}
+    _open: ClassVar[dict[tuple[str, int], Reported]] = {}
     _lock: ClassVar[Lock] = Lock()
 
     def __init__(self, port: int, host: str) -> None:
@@ -338,7 +338,7 @@ class Told:
         self._thread.start()
 
     @classmethod
-    def on(cls, port: int, host: str) -> Told:
+    def on(cls, port: int, host: str) -> Reported:
         """Listen to a port, with those that do already."""
         with cls._lock:
             own = cls._open.get((host, port))
@@ -379,9 +379,9 @@ class TableSource(PacketSource):
         As `VelodyneSource` takes them.
     told
         Port to which it sends its angles; None for that of its maker, where it has one and no other
-        program listens there. They may also come to the first port.
+        program listens there. They may also use the first port.
     angles
-        File of the unit's own angles.
+        File of the angles of the unit.
 
     Raises
     ------
@@ -404,12 +404,12 @@ class TableSource(PacketSource):
         self._tells = any(getattr(model.layout, "difop", None) for model in models)
         if told is not None and not self._tells:
             raise UsageError(f"port {told}: a {title} sends its angles to no port")
-        self._told: Told | None = None
+        self._told: Reported | None = None
         self._own_told: dict[str, bytes] = {}
         unheard = ""
         try:
             if (told or usual) not in (0, port):
-                self._told = Told.on(told or usual, host)
+                self._told = Reported.on(told or usual, host)
         except UsageError as error:
             if told is not None:
                 raise
@@ -429,7 +429,7 @@ class TableSource(PacketSource):
                 model, heard = recognized(packet), b"" if angles else self._heard()
                 if model is not None and (model is not known or heard is not last):
                     last = heard
-                    own = read_angles(angles, model) if angles else angles_told(model, heard)
+                    own = read_angles(angles, model) if angles else reported_angles(model, heard)
                     if model is not known or (own is not None and not own.looks_as(used)):
                         known, take, used = model, live(model, own), own
                 whole = take(packet)
@@ -459,7 +459,7 @@ class TableSource(PacketSource):
             self._told = None
 
     def _heard(self) -> bytes:
-        """What the LiDAR whose packets are taken told last; empty before it did."""
+        """What the LiDAR whose packets are taken reported last; empty before it did."""
         address = self._sender[0] if self._sender else ""
         others = self._told.packets if self._told else {}
         return self._own_told.get(address) or others.get(address, b"")

@@ -24,11 +24,20 @@ from ..bags import opened
 from ..fields import USUAL, Columns, Wanted, frame_from_columns, noted
 from ..recordings import PACKETS_OF, Frame, Recording, Topic, is_unix
 from . import drivers
-from .angles import angles_told, read_angles
-from .capture import PCAPNG_START, Alike, Capture, Datagram, alike, sizes_in_words, stacks_of, walk
+from .angles import read_angles, reported_angles
+from .capture import (
+    PCAPNG_START,
+    Capture,
+    Datagram,
+    SimilarPackets,
+    similar_packets,
+    sizes_in_words,
+    stacks_of,
+    walk,
+)
 from .interpolated import DIFOP_START
 from .models import Angles, Model, recognized, unknown
-from .ouster import OUSTER, metadata_beside, model_named, sweeps_of_capture
+from .ouster import OUSTER, find_metadata, model_named, sweeps_of_capture
 from .sweeps import AT_ONCE, Sweep, index_of, positions_of, stacked, sweeps_of
 from .velodyne import is_velodyne, model_of, velodyne_sweeps
 
@@ -50,7 +59,7 @@ class Sender:
     rows, times
         Its packets, by their numbers in the recording; when each came, by the recorder's clock, s.
     angles, told
-        Its own, where a packet told them, and how many packets tell about it.
+        Its own, where a packet reported them, and how many packets report on it.
     """
 
     title: str
@@ -77,7 +86,7 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     topic
         ``IP:port`` of the sender; needed where several LiDARs sent.
     wanted
-        The unit's own angles, and the field of the intensity.
+        The angles of the unit, and the field of the intensity.
 
     Raises
     ------
@@ -102,8 +111,8 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
     # Of a damaged packet nothing shows who sent it, but that it is as long as others.
     known = sum(len(each.rows) + each.told for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
-    alike = int(np.count_nonzero(capture.records[:, 1] == length))
-    unreadable = max(alike - known, 0) if len(senders) == 1 else 0
+    similar_packets = int(np.count_nonzero(capture.records[:, 1] == length))
+    unreadable = max(similar_packets - known, 0) if len(senders) == 1 else 0
     is_plain = len(senders) == 1 and not unreadable and not len(capture.gaps)
     with path.open("rb") as file:
         is_plain &= file.read(4) != PCAPNG_START
@@ -121,8 +130,8 @@ def _surveyed(path: Path, capture: Capture) -> tuple[dict[str, Sender], IntArray
     """Survey a capture; besides, where the payload of each packet begins in the file."""
     starts = np.zeros(len(capture.records), np.int64)
 
-    def coming() -> Iterator[Alike]:
-        for each in alike(path, capture, _marks):
+    def coming() -> Iterator[SimilarPackets]:
+        for each in similar_packets(path, capture, _marks):
             starts[list(each.rows)] = each.starts
             yield each
 
@@ -157,7 +166,7 @@ def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
             left -= len(part)
             yield stacked(part)
 
-    alone = (Alike(each, (row,), (each.time,)) for row, each in enumerate(every()))
+    alone = (SimilarPackets(each, (row,), (each.time,)) for row, each in enumerate(every()))
     senders, sizes = survey(alone)
     if not senders:
         raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
@@ -177,20 +186,20 @@ def topics_of_capture(path: Path) -> tuple[Topic, ...]:
     return topics if len(topics) > 1 else ()
 
 
-def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
+def survey(coming: Iterator[SimilarPackets]) -> tuple[dict[str, Sender], Counter[int]]:
     """Find which LiDARs sent packets, and count the sizes of all other packets."""
     senders: dict[str, Sender] = {}
     sizes: Counter[int] = Counter()
-    told: dict[str, bytes] = {}
-    telling = Counter[str]()
+    reported: dict[str, bytes] = {}
+    identifying = Counter[str]()
     for (payload, name, _), rows, times, _ in coming:
         own = senders.get(name)
         model = recognized(payload)
         if model is None and not is_velodyne(payload):
             sizes[len(payload)] += 1
-            telling[name.partition(":")[0]] += payload.startswith(DIFOP_START)
-            if payload and len(told) < 100:
-                told.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
+            identifying[name.partition(":")[0]] += payload.startswith(DIFOP_START)
+            if payload and len(reported) < 100:
+                reported.setdefault(f"{name.partition(':')[0]} {payload[:2].hex()}", payload)
             continue
         if own is None:
             own = senders[name] = _sender(model, payload)
@@ -199,11 +208,11 @@ def survey(coming: Iterator[Alike]) -> tuple[dict[str, Sender], Counter[int]]:
             own.times.frombytes(np.asarray(times, np.float64).tobytes())
     for name, own in senders.items():
         found = (
-            angles_told(own.model, payload)
-            for key, payload in told.items()
+            reported_angles(own.model, payload)
+            for key, payload in reported.items()
             if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
         )
-        own.told = telling[name.partition(":")[0]]
+        own.told = identifying[name.partition(":")[0]]
         own.angles = next((each for each in found if each is not None), None)
     # A damaged address or port looks like another LiDAR, which sends next to nothing.
     most = max((len(own.rows) for own in senders.values()), default=0)
@@ -287,7 +296,7 @@ def _decoded(
     """Open packets that the library of a maker decodes, which is to count their sweeps, too."""
     count = sum(1 for _ in sweeps())
     if not count:
-        raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")
+        raise ReadError(f"{path}: has no sweep, its packets have {sizes}")
 
     def frames(numbers: range) -> Iterator[Frame]:
         for number, sweep in enumerate(sweeps()):
@@ -314,7 +323,7 @@ def _frame(
 
 
 def _clock_of(model: Model, frame: Frame) -> float | None:
-    """When a sweep began by the LiDAR's own clock; None if packets do not say which second."""
+    """When a sweep began by the clock of the LiDAR; None if packets do not say which second."""
     time, layout = frame.cloud.time, model.layout
     if time is None or not len(time) or getattr(layout, "clock", "") == "microseconds":
         return None
@@ -329,7 +338,7 @@ def _first(columns: Columns) -> float | None:
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
     """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
     words = sizes_in_words(capture)
-    metadata = metadata_beside(path, words)
+    metadata = find_metadata(path, words)
     note = capture.note(0)
     read = partial(sweeps_of_capture, path, metadata)
     with naming(metadata), reported("file of an Ouster's metadata"):

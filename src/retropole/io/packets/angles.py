@@ -1,4 +1,4 @@
-"""Where the channels of a unit look: what its own file says, or its packets."""
+"""Directions of the channels of a unit, by its file or its packets."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def read_angles(path: Path, model: Model) -> Angles:
         return Angles(table[:, 0], table[:, 1], path.name)
 
 
-def angles_told(model: Model, payload: bytes) -> Angles | None:
-    """Take a unit's own angles from a packet in which it has them; None of any other."""
+def reported_angles(model: Model, payload: bytes) -> Angles | None:
+    """Take the angles of a unit from a packet in which it has them; None of any other."""
     if isinstance(model.layout, Interpolated):
-        return interpolated.angles_told(model, payload)
+        return interpolated.reported_angles(model, payload)
     return None

@@ -90,7 +90,7 @@ def decode(
     ahead, aside, up = angles.ways
     start = np.round(positions[:, :1] * CIRCLE)
     whole = ((start + wrapped(azimuth - azimuth[:, :1], CIRCLE)) / CIRCLE)[..., None]
-    beside = angles.azimuth / (2 * np.pi)
+    turns = angles.azimuth / (2 * np.pi)
     for own in fired(model, packets):
         sine, cosine, distance = sines[own.part], cosines[own.part], own.distance
         xyz = own.take(
@@ -101,10 +101,10 @@ def decode(
         # But for the blocks around 0°, all channels of one are in the same turn.
         turn, last = (
             np.ceil(whole[own.part] + each).astype(np.int64) - 1
-            for each in (beside.min(), beside.max())
+            for each in (turns.min(), turns.max())
         )
         if (turn != last).any():
-            turn = np.ceil(whole[own.part] + beside).astype(np.int64) - 1
+            turn = np.ceil(whole[own.part] + turns).astype(np.int64) - 1
         yield Returns(
             xyz.T, own.intensity, own.take(angles.ring)[0], own.time, own.take(turn)[0], own.packet
         )
@@ -160,11 +160,11 @@ def fired(model: Model, packets: NDArray[np.uint8]) -> Iterator[Fired]:
 
 
 def _are_same(one: NDArray[np.uint16], two: NDArray[np.uint16], unit: float) -> BoolArray:
-    apart = np.abs(np.subtract(one, two, dtype=np.int32))
+    difference = np.abs(np.subtract(one, two, dtype=np.int32))
     limit = round(NEAR_TWIN / unit)
-    same: BoolArray = apart < limit
+    same: BoolArray = difference < limit
     # As floats of 32 bits these may be nearer or not.
-    edge = np.nonzero(apart == limit)
+    edge = np.nonzero(difference == limit)
     first, second = (np.multiply(each[edge], unit, dtype=np.float64) for each in (one, two))
     same[edge] = ~is_other(first, second)
     return same
@@ -178,7 +178,7 @@ def _blocks_s(layout: Blocks, echoes: int) -> Array:
 
 
 def _states(layout: Blocks, packets: NDArray[np.uint8], echoes: int) -> IntArray:
-    """Tell for each block (N, B) which of the firing times are its own."""
+    """Find for each block (N, B) which of the firing times are its own."""
     shape = (len(packets), layout.count)
     states = np.zeros(shape, np.int64)
     if layout.states == "loops":

@@ -71,7 +71,7 @@ class Capture:
     records
         (N, 2) start and size of each packet, bytes.
     gaps
-        (M, 2) start and size of what lies between them and holds none, bytes.
+        (M, 2) start and size of what lies between them and has none, bytes.
     size
         Of the file, bytes.
     times, links
@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        If the file is no capture, holds no whole packet, or is damaged all over.
+        If the file is no capture, has no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -135,7 +135,7 @@ def walk(path: Path) -> Capture:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
     if not records and (gaps or not header):
-        raise ReadError(f"holds no whole packet in the {size - header} bytes after its header")
+        raise ReadError(f"has no whole packet in the {size - header} bytes after its header")
     found_records = _table(records)
     return Capture(
         np.column_stack([found_records["start"], found_records["size"]]),
@@ -154,7 +154,7 @@ Step = tuple[Record | NDArray[np.void] | None, int, int]
 was looked for."""
 
 OF_ONE_SIZE = 8
-"""So many records of one size in a row may be followed by more, which are found at once."""
+"""This many records of one size in a row may be followed by more, which are found at once."""
 
 
 def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
@@ -169,7 +169,9 @@ def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
     return np.concatenate([*parts, np.array(ones, RECORDS)])
 
 
-def _alike_records(block: bytes, here: int, length: int, at: int, order: Order) -> NDArray[np.void]:
+def _similar_records(
+    block: bytes, here: int, length: int, at: int, order: Order
+) -> NDArray[np.void]:
     """Find the records of one size that follow each other, but the last, from a place on."""
     step = PACKET_HEADER + length
     count = (len(block) - here) // step
@@ -188,7 +190,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
     header = struct.Struct(f"{order.mark}4I")
     at = CAPTURE_HEADER
     while at < size:
-        # As long as each leads to another, they are read from a block at once.
+        # As long as each is followed by another, they are read from a block at once.
         file.seek(at)
         block = file.read(LARGE_BLOCK)
         last, here, same = len(block) - PACKET_HEADER, 0, 0
@@ -204,7 +206,7 @@ def _plain(file: BinaryIO, size: int, order: Order, tries: list[int]) -> Iterato
             start = at + here + PACKET_HEADER
             same = same + 1 if length_after == length else 0
             if same > OF_ONE_SIZE:
-                many = _alike_records(block, here, length, at, order)
+                many = _similar_records(block, here, length, at, order)
                 following = here + len(many) * (PACKET_HEADER + length)
                 if len(many):
                     yield many, at + following, at + here
@@ -393,7 +395,7 @@ def _follow(file: BinaryIO, at: int, size: int, order: str) -> bool:
     return True
 
 
-class Alike(NamedTuple):
+class SimilarPackets(NamedTuple):
     """Packets of one sender that differ in what they measured alone.
 
     Attributes
@@ -412,9 +414,9 @@ class Alike(NamedTuple):
     starts: Sequence[int] | IntArray = ()
 
 
-def alike(
+def similar_packets(
     path: Path, capture: Capture, marks: Callable[[bytes], Sequence[slice] | None]
-) -> Iterator[Alike]:
+) -> Iterator[SimilarPackets]:
     """Read what UDP carries in the packets of a capture; similar ones together.
 
     A packet that carries none, or is damaged, gives an empty payload.
@@ -447,7 +449,7 @@ def alike(
                 here = int(starts[row]) + payload
                 own = marks(first.payload) if first.payload and block else None
                 if own is None:
-                    yield Alike(first, (row,), (time,), (here,))
+                    yield SimilarPackets(first, (row,), (time,), (here,))
                     left = left[1:]
                     continue
                 parts = [
@@ -459,7 +461,7 @@ def alike(
                 found = np.frombuffer(block, np.uint8)[places]
                 is_like[is_like] = (found == found[0]).all(axis=1)
                 rows, left = left[is_like], left[~is_like]
-                yield Alike(first, rows, capture.times[rows], starts[rows] + payload)
+                yield SimilarPackets(first, rows, capture.times[rows], starts[rows] + payload)
 
 
 def _udp(packet: bytes, link: int, time: float) -> tuple[Datagram, int, IntArray]:

@@ -1,4 +1,4 @@
-"""When packets were sent, by the clocks of their LiDARs: each maker writes time in its own way."""
+"""When packets were sent, by the clocks of their LiDARs: each maker writes time differently."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Packets whose blocks say an azimuth each, between which that of each firing is interpolated:
 RoboSense's spinning LiDARs, and Leishen's C series.
 
-Of some LiDARs a block holds two firings of all channels, of others two blocks hold one. Here both
+Of some LiDARs a block has two firings of all channels, of others two blocks have one. Here both
 become rows, which begin at one azimuth. The beam leaves the LiDAR at a lens next to its axis.
 """
 
@@ -32,8 +32,8 @@ SMALL = 1e-6
 """Units by which the ends of a range, which are kept, may miss whole ones."""
 
 WIDEST_STEP = 1.0
-"""Degrees from a row to the next; where it is more, the LiDAR was told to leave a sector out. At 20
-turns a second it is 0.4°, with two firings in a row 0.8°."""
+"""Degrees from a row to the next; where it is more, the LiDAR was configured to leave a sector out.
+At 20 turns a second it is 0.4°, with two firings in a row 0.8°."""
 
 STEP_BACK = 0.1
 """Turns by which packets that came late may be back."""
@@ -141,29 +141,31 @@ def decode(
         )
 
 
-def angles_told(model: Model, payload: bytes) -> Angles | None:
-    """Take the unit's own angles from its DIFOP packet; None of any other, or if it has none.
+def reported_angles(model: Model, payload: bytes) -> Angles | None:
+    """Take the angles of the unit from its DIFOP packet; None of any other, or if it has none.
 
     A LiDAR of half as many channels leaves the second half empty, or repeats the first.
     """
-    told = _layout(model).difop
-    if told is None or len(payload) not in model.sizes or not payload.startswith(DIFOP_START):
+    reported = _layout(model).difop
+    if reported is None or len(payload) not in model.sizes or not payload.startswith(DIFOP_START):
         return None
-    if told.below:
-        bits = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), told.at)
-        elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * told.unit
-        elevation[: told.below] *= -1
+    if reported.below:
+        bits = np.frombuffer(payload, np.uint8, 3 * len(model.elevation_deg), reported.at)
+        elevation = bits.reshape(-1, 3) @ [2**16, 2**8, 1] * reported.unit
+        elevation[: reported.below] *= -1
         azimuth = np.zeros(len(elevation))
-    elif told.order:
-        elevation = np.frombuffer(payload, ">i2", len(told.order), told.at)[list(told.order)]
-        sent = np.frombuffer(payload, ">u2")[np.array(told.aside) // 2].astype(np.int64)
+    elif reported.order:
+        elevation = np.frombuffer(payload, ">i2", len(reported.order), reported.at)[
+            list(reported.order)
+        ]
+        sent = np.frombuffer(payload, ">u2")[np.array(reported.aside) // 2].astype(np.int64)
         azimuth = np.where(sent < 2**15, sent, 2**15 - sent)
-        elevation, azimuth = elevation * told.unit, azimuth * told.unit
+        elevation, azimuth = elevation * reported.unit, azimuth * reported.unit
     else:
         slots = _layout(model).channels * _layout(model).blocks_in_row
         entry = np.dtype([("sign", "u1"), ("value", ">u2")])
-        entries = np.frombuffer(payload, entry, 2 * slots, told.at)
-        degrees = np.where(entries["sign"] == 0, 1, -1) * entries["value"] * told.unit
+        entries = np.frombuffer(payload, entry, 2 * slots, reported.at)
+        degrees = np.where(entries["sign"] == 0, 1, -1) * entries["value"] * reported.unit
         elevation, azimuth = degrees.reshape(2, slots)
         half = slots // 2
         is_empty = (entries["sign"][half:slots] == UNSET).all() or not elevation[half:].any()
@@ -193,9 +195,9 @@ def _placing(
     # Few steps differ, so that sines and cosines are those of few angles.
     steps, of_step = np.unique(step, return_inverse=True)
     of_step = of_step.reshape(step.shape)
-    on, beside = np.deg2rad(np.outer(steps, share)), angles.azimuth[channel]
-    beam = np.cos(angles.elevation)[channel] * np.exp(1j * (on + beside))
-    of_lens = on + np.deg2rad(layout.lens[1]) + layout.has_lens_of_channels * beside
+    on, azimuths = np.deg2rad(np.outer(steps, share)), angles.azimuth[channel]
+    beam = np.cos(angles.elevation)[channel] * np.exp(1j * (on + azimuths))
+    of_lens = on + np.deg2rad(layout.lens[1]) + layout.has_lens_of_channels * azimuths
     lens, up = layout.lens[0] * np.exp(1j * of_lens), np.sin(angles.elevation)[channel]
     # In the plane, ahead is real and clockwise is imaginary.
     beams, lenses = ((own.real.copy(), own.imag.copy()) for own in (beam, lens))
@@ -255,24 +257,24 @@ def _firings(
 ) -> tuple[_Rows, Array, float]:
     """Give rows, when each firing of a row is (S,), and when the next row begins, both seconds.
 
-    If a row holds two firings of the channels, and packets come twice as often as these take,
+    If a row has two firings of the channels, and packets come twice as often as these take,
     the second half is the other return of the first one.
     """
     slots = rows.distance.shape[2]
-    period, held = layout.period_us * 1e-6, max(slots // channels, 1)
-    firing = np.repeat(layout.firing_us, layout.together)[: slots // held] * 1e-6
-    if held == 1:
+    period, buffered = layout.period_us * 1e-6, max(slots // channels, 1)
+    firing = np.repeat(layout.firing_us, layout.together)[: slots // buffered] * 1e-6
+    if buffered == 1:
         return rows, firing, period
     gaps = np.diff(sent)
     gaps = gaps[gaps > 0]
-    rest = rows.distance.shape[1] * held * period
+    rest = rows.distance.shape[1] * buffered * period
     if layout.is_halved and len(gaps) and np.median(gaps) < 0.75 * rest:
-        shape = len(sent), -1, slots // held
+        shape = len(sent), -1, slots // buffered
         parts = rows.distance.reshape(shape), rows.intensity.reshape(shape)
-        azimuth = np.repeat(rows.azimuth, held, axis=1)
-        return _Rows(azimuth, *parts, np.repeat(rows.valid, held, axis=1)), firing, period
-    starts = np.repeat(np.arange(held) * period, slots // held)
-    return rows, starts + np.tile(firing, held), held * period
+        azimuth = np.repeat(rows.azimuth, buffered, axis=1)
+        return _Rows(azimuth, *parts, np.repeat(rows.valid, buffered, axis=1)), firing, period
+    starts = np.repeat(np.arange(buffered) * period, slots // buffered)
+    return rows, starts + np.tile(firing, buffered), buffered * period
 
 
 def _is_dual(azimuth: Array) -> bool:

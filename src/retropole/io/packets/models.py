@@ -60,7 +60,7 @@ has the 128 kB from which on glibc asks the system for new pages each time, whic
 
 
 def parts_in_cache(packets: int, slots: int) -> Iterator[slice]:
-    """Divide packets that hold so many returns each into those that are decoded at a time."""
+    """Divide packets of this many returns each into those that are decoded at a time."""
     step = max(IN_CACHE // slots, 1)
     return (slice(k, min(k + step, packets)) for k in range(0, packets, step))
 
@@ -156,7 +156,7 @@ class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True
         When the first or, where counted back, the last group of blocks with one azimuth fires,
         µs after the packet's time, and from group to group.
     firing_us
-        When each channel fires after its block, µs; several where what a packet says selects one.
+        When each channel fires after its block, µs; several where the packet selects one.
     states, state
         How one of them is selected, and the offset of what selects it: ``loops`` by a flag, of
         which sets of channels take turns; ``bits`` by two bits for each block.
@@ -181,7 +181,7 @@ class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True
 
     @property
     def slots(self) -> int:
-        """Returns that a packet holds at most."""
+        """Most returns of a packet."""
         return self.count * self.channels
 
 
@@ -230,7 +230,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
     distance_bits
         Of a distance, those that are one.
     difop
-        Where the unit's own angles are in its DIFOP packet.
+        Where the angles of the unit are in its DIFOP packet.
     """
 
     count: int
@@ -254,7 +254,7 @@ class Interpolated(Layout, frozen=True, tag_field="family", tag="interpolated", 
 
     @property
     def slots(self) -> int:
-        """Returns that a packet holds at most."""
+        """Most returns of a packet."""
         return self.count * self.channels
 
 
@@ -314,7 +314,7 @@ class Points(Layout, frozen=True, tag_field="family", tag="points", kw_only=True
 
     @property
     def slots(self) -> int:
-        """Returns that a packet holds at most."""
+        """Most returns of a packet."""
         return self.count * self.points
 
 
@@ -388,7 +388,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def _tables() -> Iterator[Model]:
-    """Read the tables of all makers; one that is ``like`` another has what it does not say."""
+    """Read the tables of all makers; one that is ``like`` another inherits what it does not
+    state."""
     for maker in MAKERS:
         file = files("retropole.io.packets").joinpath(f"{maker}.toml")
         tables: dict[str, dict[str, Any]] = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -429,8 +430,8 @@ def is_other(first: Array, second: Array) -> BoolArray:
 
     The second is kept in any case.
     """
-    apart = np.abs(first.astype(np.float32) - second.astype(np.float32))
-    return apart >= np.float32(NEAR_TWIN)
+    difference = np.abs(first.astype(np.float32) - second.astype(np.float32))
+    return difference >= np.float32(NEAR_TWIN)
 
 
 def rings_of(elevation: Array) -> IntArray:

@@ -17,15 +17,15 @@ from ..fields import Columns
 from .sweeps import Sweep
 
 
-def metadata_beside(path: Path, sizes: str) -> Path:
+def find_metadata(path: Path, sizes: str) -> Path:
     """Find the metadata of an Ouster next to its packets: with the same name, or the only ones."""
     same = path.with_suffix(".json")
     if same.is_file():
         return same
-    beside = sorted(path.parent.glob("*.json"))
-    if len(beside) == 1:
-        return beside[0]
-    have = f"{len(beside)} files .json, none of them {same.name}" if beside else "no .json"
+    files = sorted(path.parent.glob("*.json"))
+    if len(files) == 1:
+        return files[0]
+    have = f"{len(files)} files .json, none of them {same.name}" if files else "no .json"
     raise ReadError(
         f"{path}: its packets are of no known LiDAR ({sizes}); those of an Ouster need the "
         f"sensor's metadata next to them as {same.name}, found {have}"

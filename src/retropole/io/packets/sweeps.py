@@ -55,9 +55,9 @@ AT_ONCE = 1024
 """Packets of a bag that are in memory at a time: 1.5 MB."""
 
 PILED = 64
-"""Packets that come now are looked at so many at a time: every 5 to 30 ms."""
+"""Packets that come now are looked at this many at a time: every 5 to 30 ms."""
 
-MOST_HELD = 2**14
+MOST_KEPT = 2**14
 """Packets that come now are kept at most, where no sweep becomes whole: 1.2 s of an OT128."""
 
 
@@ -108,7 +108,7 @@ def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
     Parameters
     ----------
     model, positions, angles
-        Of the packets, (N, 2) where in their turns they are, and the unit's own angles.
+        Of the packets, (N, 2) where in their turns they are, and the angles of the unit.
     """
     if not len(positions):
         return Index(positions, np.zeros(0, np.int64), [])
@@ -130,7 +130,7 @@ def index_of(model: Model, positions: Array, angles: Angles | None) -> Index:
     return Index(
         positions,
         turns[turns_by_row],
-        [_together(rows[order[starts[k] : ends[k]]]) for k in turns_by_row],
+        [_coherent(rows[order[starts[k] : ends[k]]]) for k in turns_by_row],
     )
 
 
@@ -141,7 +141,7 @@ def _margin(model: Model, angles: Angles | None) -> float:
     return float(np.abs(azimuth).max(initial=0.0) / (2 * np.pi)) + 1e-6
 
 
-def _together(rows: IntArray) -> IntArray:
+def _coherent(rows: IntArray) -> IntArray:
     """Leave out packets far from the others of a sweep, as a damaged one that names its turn."""
     near = rows[np.abs(rows - np.median(rows)) <= len(rows)]
     return near if len(near) else rows[:1]
@@ -168,20 +168,22 @@ def sweeps_of(
     needed = np.unique(np.concatenate([index.rows[k] for k in numbers]))
     coming = read(needed)
     # What was read and may be needed still, and how many of those needed came before it.
-    held: list[NDArray[np.uint8]] = []
+    buffered: list[NDArray[np.uint8]] = []
     before = 0
     for number in numbers:
         places = np.searchsorted(needed, index.rows[number])
-        while held and before + len(held[0]) <= places[0]:
-            before += len(held.pop(0))
-        end = before + sum(map(len, held))
+        while buffered and before + len(buffered[0]) <= places[0]:
+            before += len(buffered.pop(0))
+        end = before + sum(map(len, buffered))
         while end <= places[-1] and (stack := next(coming, None)) is not None:
-            held.append(stack)
+            buffered.append(stack)
             end += len(stack)
         places = places[(places >= before) & (places < end)]
         if len(places):
             rows = needed[places]
-            packets = (held[0] if len(held) == 1 else np.concatenate(held))[places - before]
+            packets = (buffered[0] if len(buffered) == 1 else np.concatenate(buffered))[
+                places - before
+            ]
             ends = int(index.turns.min()), int(index.turns.max())
             turn = int(index.turns[number])
             yield number, sweep(model, angles, packets, index.positions[rows], turn, ends)
@@ -244,22 +246,22 @@ def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]
     is given.
     """
     margin = _margin(model, angles)
-    held: list[bytes] = []
+    buffered: list[bytes] = []
     positions = np.zeros((0, 2))
     coming: list[bytes] = []
     following: int | None = None
 
     def take(payload: bytes) -> Sweep | None:
-        nonlocal held, positions, coming, following
-        if held and len(payload) != len(held[0]):
+        nonlocal buffered, positions, coming, following
+        if buffered and len(payload) != len(buffered[0]):
             return None
         coming.append(payload)
         if len(coming) < PILED:
             return None
         before = [positions] if len(positions) else []
-        carried = held[-1:] if before else []
+        carried = buffered[-1:] if before else []
         found = _on(model, stacked([*carried, *coming]), before)[len(carried) :]
-        held, positions, coming = held + coming, np.concatenate([positions, found]), []
+        buffered, positions, coming = buffered + coming, np.concatenate([positions, found]), []
         direction = 1 if positions[-1, 0] >= positions[0, 0] else -1
         if following is None:
             following = int(np.floor(positions[0, 0])) + direction
@@ -270,15 +272,15 @@ def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]
         done = None
         if (whole - following) * direction >= 0:
             rows = _rows_of(positions, whole, margin)
-            packets = stacked([held[row] for row in rows.tolist()])
+            packets = stacked([buffered[row] for row in rows.tolist()])
             done = sweep(model, angles, packets, positions[rows], whole, (whole - 9, whole + 9))
             following = whole + direction
         start = 0
         if done is not None:
             kept = _rows_of(positions, following, margin)
-            start = int(kept[0]) if len(kept) else len(held) - 1
-        start = max(start, len(held) - MOST_HELD)
-        held, positions = held[start:], positions[start:]
+            start = int(kept[0]) if len(kept) else len(buffered) - 1
+        start = max(start, len(buffered) - MOST_KEPT)
+        buffered, positions = buffered[start:], positions[start:]
         return done
 
     return take

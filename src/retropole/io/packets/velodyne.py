@@ -29,7 +29,7 @@ RETURN_MODES = (0x37, 0x38, 0x39)
 
 
 def is_velodyne(payload: bytes) -> bool:
-    """Whether a packet holds returns of a Velodyne: its size, and where its blocks begin."""
+    """Whether a packet has returns of a Velodyne: its size, and where its blocks begin."""
     # The lower lasers of an HDL-64E have another second byte.
     starts = payload[: 12 * BLOCK_SIZE : BLOCK_SIZE]
     return len(payload) == VELODYNE_SIZE and starts == VELODYNE_START[:1] * 12
@@ -48,7 +48,7 @@ def velodyne_sweeps(path: Path, coming: Callable[[], Iterator[Datagram]] | None)
     path
         Of the capture.
     coming
-        Its packets, where it holds more than those of one Velodyne; None if it is to be read by
+        Its packets, where it has more than those of one Velodyne; None if it is to be read by
         velodyne-decoder, which finds out which HDL-64E it is.
     """
     try:
