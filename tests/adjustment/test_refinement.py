@@ -201,7 +201,8 @@ def test_patches_without_errors_lie_where_the_residuals_by_error_say() -> None:
     error = np.abs(step - before.by_errors(b))
     # Which patches of the target a surface is blended of changes as well, where they are apart.
     assert np.quantile(error, 0.95) < 0.01 * np.abs(step).max()
-    assert np.median(np.abs(step)) > 0.1 * np.abs(step).max()
+    # Not by a few: a patch that is seen at a grazing angle moves most.
+    assert np.median(np.abs(step)) > 0.1 * np.quantile(np.abs(step), 0.95)
 
 
 @pytest.mark.full
