@@ -415,7 +415,7 @@ def test_what_is_not_drawn_or_named_is_reported(monkeypatch: pytest.MonkeyPatch)
     html = fleet_map([at("a", 1, 1), at("b", 1, 1.1, "error"), at("c", 1.1, 1.1), nowhere])
     assert set(places(html)) == {"a", "b"}
     assert "3 sites." in html
-    assert "1 site not drawn" in html
+    assert "1 site of unknown position not drawn" in html
     assert "2 have their names" in html
     assert len(re.findall(r'<path d="M[\d]+ [\d]+h.01"/>', html)) == 1 + 1  # And of the legend.
     assert "svg" not in fleet_map([nowhere])
