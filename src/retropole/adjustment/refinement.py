@@ -8,7 +8,8 @@ scene disagree, what is stated covers both.
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
 residual is no check. So the answer is sought again without each such place, with weights and
-partners anew, and what is stated covers both.
+partners anew, and what is stated covers both. Since a map was made cars may have driven off and
+others parked almost there: whatever may have is one place, however large.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
 """
@@ -40,15 +41,16 @@ from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
-from ..surfaces.consistency import without_movable
+from ..surfaces.consistency import movable_objects
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
+    by_objects,
     every_nth_patch,
     some_of,
     without_errors,
 )
 from ..surfaces.patches import Patches, surface_patches
-from .descent import FEW, End, RefinementProblem, approach, converge, scene_pairs, support_of
+from .descent import FEW, End, RefinementProblem, ScenePair, approach, converge, scene_pairs, support_of
 from .solved import Places, parts_of, places_of_poses
 
 MAX_SHARE = 0.3
@@ -264,10 +266,8 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     """Refine the poles' pose by the surfaces of all placements; None if there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
-    is_map = targets[0].cloud.is_map
-    seen = merge_clouds([averaged(scan.cloud) for scan in targets])
     return refine(
-        without_movable(seen) if is_map else seen,
+        merge_clouds([averaged(scan.cloud) for scan in targets]),
         merge_clouds([averaged(scan.cloud) for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
@@ -276,7 +276,6 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
             aligned.radius.given_sigma,
             left_in([each.placement for each in paired]),
         ),
-        distortion=MAP_DISTORTION if is_map else None,
     )
 
 
@@ -289,7 +288,6 @@ def refine(
     model: ErrorModel | None = None,
     start: Array | None = None,
     origins_known: bool = False,
-    distortion: Array | None = None,
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -309,8 +307,6 @@ def refine(
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
         an object and its back cannot be distinguished by their normals.
-    distortion
-        (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
@@ -322,6 +318,11 @@ def refine(
     scenes = scene_pairs(patches, (0, 1))
     if not scenes:
         return None
+    if target.is_map:
+        T = poles.T_target_source if start is None else start
+        objects = movable_objects(target, se3.apply(T, patches[1].centres))
+        sets = by_objects(scenes[0].sets, objects)
+        scenes = [ScenePair((0, 1), sets, every_nth_patch(sets, FEW))]
     given = gaussian_factor(poles) if factor is None else factor
     if model is not None:
         given = replace(given, left=np.array(model.left))
@@ -330,6 +331,7 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
+    distortion = MAP_DISTORTION if target.is_map else None
     return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, distortion)
 
 
@@ -356,7 +358,7 @@ def refine_pair(
     start
         (4, 4) where the search starts; None takes the poles' pose.
     distortion
-        As of `refine`.
+        (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------

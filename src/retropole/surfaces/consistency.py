@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
-from ..extraction.lines import FIT_ROUNDS
+from ..extraction.lines import FIT_ROUNDS, clusters
 from .averaging import DEPTH_TOLERANCE, averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
@@ -45,6 +45,9 @@ metres. Depths agree within no more than the second."""
 
 RELATIVE_TOLERANCE = 0.02
 """Depths agree within `DEPTH_TOLERANCE` and this part of the range."""
+
+BLOCK = 5.0
+"""Side of a cube whose voxels may all be of one thing, metres."""
 
 PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""
@@ -166,16 +169,32 @@ def _is_movable(points: Array, ground: Array, up: Array) -> BoolArray:
     return np.asarray(tallest[column] < MOVABLE)
 
 
-def without_movable(cloud: PointCloud) -> PointCloud:
-    """Leave out of a map what may have driven off: off the ground, and nothing high is above it.
+def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
+    """Number what may have driven off since a map was made, object by object.
 
-    A car that stands near where one stood when the map was made would draw a pose along with it.
+    Parameters
+    ----------
+    cloud
+        The map.
+    points
+        (N, 3) on surfaces, in its frame, metres.
+
+    Returns
+    -------
+    (N,)
+        From 1 on; 0 for the ground, and where something high stands in the map or in the points.
     """
     # The same map gives the same.
     standing = standing_in(cloud, np.random.default_rng(0))
-    height = np.abs((cloud.xyz - standing.ground) @ standing.up)
-    on_ground = height < CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(cloud.xyz - cloud.origin)
-    return cloud.select(on_ground | ~_is_movable(cloud.xyz, standing.ground, standing.up))
+    both = np.concatenate([cloud.xyz, points])
+    movable = _is_movable(both, standing.ground, standing.up)[len(cloud) :]
+    height = np.abs((points - standing.ground) @ standing.up)
+    movable &= height > CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(points - cloud.origin)
+    found = np.zeros(len(points), dtype=np.int64)
+    own = np.flatnonzero(movable)
+    for k, members in enumerate(clusters(points[own], VOXEL_SIDE), 1):
+        found[own[members]] = k
+    return found
 
 
 def grounds_in(
@@ -258,12 +277,34 @@ def _ground(
 
 def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
     """Count the voxels of both clouds that agree with a pose (4, 4), target from source."""
-    there = _votes(target, source, T)
-    back = _votes(source, target, se3.inverse(T))
-    agreeing = there[0] + back[0]
+    found = verdicts(target, source, T)
+    agreeing = int(np.count_nonzero(found > 0))
     expected = EXPECTED * min(target.voxels, source.voxels)
     missing = max(round(expected) - agreeing, 0)
-    return Confirmation(agreeing=agreeing, contradicting=there[1] + back[1], missing=missing)
+    return Confirmation(
+        agreeing=agreeing, contradicting=int(np.count_nonzero(found < 0)), missing=missing
+    )
+
+
+def verdicts(target: Standing, source: Standing, T: Array) -> IntArray:
+    """Say of each voxel, of the source and then of the target, what the other LiDAR saw of it.
+
+    1 where it agrees with a pose (4, 4), -1 where it is in the way, and 0 where nothing is known.
+    """
+    return np.concatenate(
+        [_votes(target, source, T), _votes(source, target, se3.inverse(T))]
+    )
+
+
+def blocks(target: Standing, source: Standing, T: Array) -> IntArray:
+    """Number the cubes of `BLOCK` that each voxel lies in, in the order of `verdicts`."""
+    at = []
+    for each, pose in ((source, T), (target, np.eye(4))):
+        own = np.zeros((int(each.voxel.max(initial=-1)) + 1, 3))
+        own[each.voxel] = np.floor(se3.apply(pose, each.points) / BLOCK)
+        at.append(own)
+    cells = np.concatenate(at)
+    return labels_of(cells) if len(cells) else np.zeros(0, np.int64)
 
 
 def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:
@@ -329,10 +370,10 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     return _Judged(in_the_way, yes, no)
 
 
-def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
-    """How many voxels of the other cloud agree with what the seer saw, and how many do not."""
+def _votes(seer: Standing, other: Standing, T: Array) -> IntArray:
+    """Say of each voxel of the other cloud whether what the seer saw agrees, or sees through it."""
     _, yes, no = _judged(seer, other, T)
-    return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
+    return np.where(no > yes, -1, np.where(yes > 0, 1, 0))
 
 
 LAYER = 0.75
