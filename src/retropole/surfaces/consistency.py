@@ -189,11 +189,16 @@ def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
     both = np.concatenate([cloud.xyz, points])
     movable = _is_movable(both, standing.ground, standing.up)[len(cloud) :]
     height = np.abs((points - standing.ground) @ standing.up)
-    movable &= height > CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(points - cloud.origin)
+    stands = height > CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(points - cloud.origin)
+    own = np.flatnonzero(movable & stands)
     found = np.zeros(len(points), dtype=np.int64)
-    own = np.flatnonzero(movable)
     for k, members in enumerate(clusters(points[own], VOXEL_SIDE), 1):
         found[own[members]] = k
+    # Its foot is as near the ground as ground is.
+    foot = np.flatnonzero(movable & ~stands)
+    if len(own) and len(foot):
+        near = tree_of(points[own]).query(points[foot], distance_upper_bound=VOXEL_SIDE)[1]
+        found[foot] = np.r_[found[own], 0][near]
     return found
 
 
