@@ -34,7 +34,7 @@ from ..alignment.certainty import (
 from ..alignment.network import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array, PointCloud, PoseEstimate
+from ..base.datatypes import Array, IntArray, PointCloud, PoseEstimate
 from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
@@ -44,8 +44,10 @@ from ..surfaces.averaging import averaged
 from ..surfaces.consistency import movable_objects
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
+    PatchSets,
     by_objects,
     every_nth_patch,
+    pair_patches,
     some_of,
     without_errors,
 )
@@ -279,6 +281,31 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     )
 
 
+MOVED = 1.5
+"""Root mean square of an object's residuals, in what the pose and they may be off by, from which it
+is taken to have moved."""
+
+
+def without_moved(sets: PatchSets, objects: IntArray, T: Array, covariance: Array) -> PatchSets:
+    """Leave out of a map what does not lie where it did, as a whole.
+
+    Parameters
+    ----------
+    sets, objects
+        Patches, and (M,) on which object each of the source is, from 1 on; 0 for none.
+    T, covariance
+        (4, 4) and (6, 6) a pose from other surfaces.
+    """
+    pairs = pair_patches(sets, T, covariance, origins_known=False)
+    if pairs is None or not objects.any():
+        return sets
+    spread = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1) + pairs.variance
+    size = np.bincount(pairs.cluster)
+    off = np.bincount(pairs.cluster, pairs.residuals**2 / spread) / size
+    moved = pairs.places[off > MOVED**2]
+    return some_of(sets, (objects == 0) | ~np.isin(sets.clusters, moved))
+
+
 def refine(
     target: PointCloud,
     source: PointCloud,
@@ -321,7 +348,7 @@ def refine(
     if target.is_map:
         T = poles.T_target_source if start is None else start
         objects = movable_objects(target, se3.apply(T, patches[1].centres))
-        sets = by_objects(scenes[0].sets, objects)
+        sets = without_moved(by_objects(scenes[0].sets, objects), objects, T, poles.covariance)
         scenes = [ScenePair((0, 1), sets, every_nth_patch(sets, FEW))]
     given = gaussian_factor(poles) if factor is None else factor
     if model is not None:
