@@ -52,7 +52,16 @@ from ..surfaces.patch_pairs import (
     without_errors,
 )
 from ..surfaces.patches import Patches, surface_patches
-from .descent import FEW, End, RefinementProblem, ScenePair, approach, converge, scene_pairs, support_of
+from .descent import (
+    FEW,
+    End,
+    RefinementProblem,
+    ScenePair,
+    approach,
+    converge,
+    scene_pairs,
+    support_of,
+)
 from .solved import Places, parts_of, places_of_poses
 
 MAX_SHARE = 0.3

@@ -304,9 +304,7 @@ def verdicts(target: Standing, source: Standing, T: Array) -> IntArray:
 
     1 where it agrees with a pose (4, 4), -1 where it is in the way, and 0 where nothing is known.
     """
-    return np.concatenate(
-        [_votes(target, source, T), _votes(source, target, se3.inverse(T))]
-    )
+    return np.concatenate([_votes(target, source, T), _votes(source, target, se3.inverse(T))])
 
 
 def blocks(target: Standing, source: Standing, T: Array) -> IntArray:

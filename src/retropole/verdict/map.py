@@ -5,6 +5,12 @@ from __future__ import annotations
 from ..base.errors import Refusal
 from ..base.quantities import counted
 
+MORE_OF_MAP = (
+    "take a larger part of the map or one with more in it, record where the LiDAR sees more of it, "
+    "or compare with surveyed points"
+)
+"""What helps where a map leaves a direction to little."""
+
 DIFFERS = {"scene_contradicts", "too_few_poles", "poles_scene_contradict"}
 """Refusals of poses in a map that what the LiDAR sees speaks against."""
 
