@@ -256,4 +256,4 @@ def test_in_a_map_cars_that_parked_elsewhere_do_not_draw_a_registration() -> Non
 def turned(rng: np.random.Generator, count: int) -> Array:
     """Unit vectors (N, 2) in all directions."""
     angle = rng.uniform(0, 2 * np.pi, count)
-    return np.c_[np.cos(angle), np.sin(angle)]
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
