@@ -520,10 +520,10 @@ def test_an_object_that_moved_is_left_out_as_a_whole() -> None:
     )
     objects = movable_objects(given, patches[1].centres)
     assert set(objects) == {0, 1, 2}
-    kept = without_moved(by_objects(sets, objects), objects, np.eye(4), np.diag(MAP_SIGMA**2))
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
     assert len(kept.source.centres) == np.count_nonzero(objects == 0)
     same = patches[0], surface_patches(PointCloud(street(rng, 4.0)))
     sets = prepare_patches(*same, Layout((np.unique(same[0].bands), np.unique(same[1].bands))))
     objects = movable_objects(given, same[1].centres)
-    kept = without_moved(by_objects(sets, objects), objects, np.eye(4), np.diag(MAP_SIGMA**2))
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
     assert len(kept.source.centres) == len(objects)

@@ -34,7 +34,7 @@ from ..alignment.certainty import (
 from ..alignment.network import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array, IntArray, PointCloud, PoseEstimate
+from ..base.datatypes import Array, PointCloud, PoseEstimate
 from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
@@ -291,28 +291,27 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
 
 
 MOVED = 1.5
-"""Root mean square of an object's residuals, in what the pose and they may be off by, from which it
-is taken to have moved."""
+"""Root mean square of a place's residuals, in what the pose and they may be off by, from which it
+is taken for another surface: a car that parked elsewhere, or the back of a trunk."""
 
 
-def without_moved(sets: PatchSets, objects: IntArray, T: Array, covariance: Array) -> PatchSets:
-    """Leave out of a map what does not lie where it did, as a whole.
+def without_moved(sets: PatchSets, T: Array, covariance: Array) -> PatchSets:
+    """Leave out of a map what does not lie where it did, each place as a whole.
 
     Parameters
     ----------
-    sets, objects
-        Patches, and (M,) on which object each of the source is, from 1 on; 0 for none.
+    sets
+        Patches of both.
     T, covariance
-        (4, 4) and (6, 6) a pose from other surfaces.
+        (4, 4) and (6, 6) a pose that all surfaces registered.
     """
     pairs = pair_patches(sets, T, covariance, origins_known=False)
-    if pairs is None or not objects.any():
+    if pairs is None:
         return sets
     spread = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1) + pairs.variance
     size = np.bincount(pairs.cluster)
     off = np.bincount(pairs.cluster, pairs.residuals**2 / spread) / size
-    moved = pairs.places[off > MOVED**2]
-    return some_of(sets, (objects == 0) | ~np.isin(sets.clusters, moved))
+    return some_of(sets, ~np.isin(sets.clusters, pairs.places[off > MOVED**2]))
 
 
 def refine(
@@ -357,7 +356,7 @@ def refine(
     if target.is_map:
         T = poles.T_target_source if start is None else start
         objects = movable_objects(target, se3.apply(T, patches[1].centres))
-        sets = without_moved(by_objects(scenes[0].sets, objects), objects, T, poles.covariance)
+        sets = without_moved(by_objects(scenes[0].sets, objects), T, poles.covariance)
         scenes = [ScenePair((0, 1), sets, every_nth_patch(sets, FEW))]
     given = gaussian_factor(poles) if factor is None else factor
     if model is not None:
@@ -420,7 +419,8 @@ def refine_pair(
         best = max(ends, key=support_of)
         mahalanobis_sq = _denial(problem, best, poles, within=True)
     highest = best
-    disagree = mahalanobis_sq > DISAGREE
+    # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
+    disagree = mahalanobis_sq > DISAGREE and distortion is None
     if disagree:
         # One of both is wrong by more than it states (Birge 1932): the poles count for as much
         # less.

@@ -54,9 +54,9 @@ MAX_CONTRADICTED = 0.06
 them and 11 of real pairs (benchmarks/no_poles.py) 4.2 % at most."""
 
 MAP_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
-"""1 σ of a pose in a map that is registered to what cannot have driven off, rad and m: chosen. Of 86
-in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two with the wheels
-of cars that had moved by more."""
+"""1 σ of a pose in a map that is registered to what cannot have driven off, rad and m: chosen. Of
+86 in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two with the
+wheels of cars that had moved by more."""
 
 LEAVES = "one pole, or parallel ones, leave a part of the pose open"
 """What the poles do not tell."""
