@@ -80,7 +80,8 @@ MOVABLE = 2.5
 SHARP = VOXEL_SIDE / RANGE_CELL
 """What of a map is farther does not speak against a pose, metres: in a cell of directions wider
 than its cube a LiDAR looks past it. With it, the far front of a square, which is seen along itself,
-spoke against 3 of 44 true poses (benchmarks/mapped.py, seeds 0 to 99)."""
+spoke against 3 of 29 true poses there by more than `hypotheses.by_place.MAX_CONTRADICTED`
+(benchmarks/mapped.py, seeds 0 to 99)."""
 
 
 class Line(Protocol):
