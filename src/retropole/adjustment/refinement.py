@@ -429,6 +429,10 @@ def refine_pair(
         best = _converged_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
+    if distortion is not None:
+        # The registration was of the same surfaces: it says where to search, and nothing more.
+        problem = replace(problem, factor=problem.factor.weakened(UNSURE))
+        best = _converged_anew(problem, best, covariance / UNSURE) or best
     parts = parts_of(problem, best)
     own = uncertainty_of_pair(parts).covariance
     decisive, by_places = [], np.zeros((POSE, POSE))
