@@ -9,7 +9,13 @@ import pytest
 
 from benchmarks.again import record_again
 from retropole.adjustment.agreement import check_agreement, check_contradiction, check_decisive
-from retropole.adjustment.refinement import MAX_SHARE, Refinement, leverage, refine
+from retropole.adjustment.refinement import (
+    MAX_SHARE,
+    Refinement,
+    leverage,
+    refine,
+    without_moved,
+)
 from retropole.adjustment.solved import Places
 from retropole.alignment.adjustment import BeamAlignment
 from retropole.base import se3
@@ -18,12 +24,19 @@ from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
 from retropole.checking.metrics import e_rt
+from retropole.hypotheses.by_place import MAP_SIGMA
 from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, SimulatedPair, draw_device, simulate_pair
-from retropole.surfaces.patch_pairs import pair_patches, prepare_patches, without_errors
+from retropole.surfaces.consistency import movable_objects
+from retropole.surfaces.patch_pairs import (
+    by_objects,
+    pair_patches,
+    prepare_patches,
+    without_errors,
+)
 from retropole.surfaces.patches import surface_patches
 from retropole.surfaces.scans import find_poles
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
@@ -463,3 +476,55 @@ def places(marginal: Array, information: Array) -> Places:
     """Places that do not pull."""
     nothing = np.zeros(information.shape[:2])
     return Places(np.asarray(np.linalg.inv(marginal)), marginal, information, nothing, nothing)
+
+
+def street(rng: np.random.Generator, car_at: float, count: int = 12_000) -> Array:
+    """Ground, two high walls along x, two that face it, and a car's front and rear."""
+    ground = np.c_[rng.uniform(-15, 15, (3 * count, 2)), rng.normal(-2, 0.004, 3 * count)]
+    parts = [ground]
+    for y in (-6.0, 6.0):
+        wall = np.c_[rng.uniform(-15, 15, count), np.full(count, y), rng.uniform(-2, 3, count)]
+        parts.append(wall)
+    for x, y in ((-12.0, 5.0), (11.0, -5.0)):
+        face = np.c_[np.full(400, x), y + rng.uniform(-1, 1, 400), rng.uniform(-2, 2, 400)]
+        parts.append(face)
+    ends = np.c_[
+        car_at + 2.0 * rng.choice([-1.0, 1.0], 3000),
+        rng.uniform(-1, 1, 3000),
+        rng.uniform(-2, -0.5, 3000),
+    ]
+    cloud = np.concatenate([*parts, ends])
+    return cloud + rng.normal(0, 0.004, cloud.shape)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("moved", first_of([0.2, -0.15, 0.0]))
+def test_in_a_map_a_car_that_parked_elsewhere_does_not_draw_the_pose(moved: float) -> None:
+    rng = np.random.default_rng(2)
+    poles = PoseEstimate(np.eye(4), np.diag(MAP_SIGMA**2), 0.01)
+    found = refine(
+        PointCloud(street(rng, 4.0), is_map=True), PointCloud(street(rng, 4.0 + moved)), poles
+    )
+    assert found is not None
+    assert found.pose.covariance is not None
+    assert np.linalg.norm(found.pose.T_target_source[:3, 3]) < 0.02
+    assert mahalanobis_sq(found.pose, np.eye(4)) < CHI2_6_95
+
+
+@pytest.mark.full
+def test_an_object_that_moved_is_left_out_as_a_whole() -> None:
+    rng = np.random.default_rng(2)
+    given = PointCloud(street(rng, 4.0), is_map=True)
+    patches = surface_patches(given), surface_patches(PointCloud(street(rng, 4.2)))
+    sets = prepare_patches(
+        *patches, Layout((np.unique(patches[0].bands), np.unique(patches[1].bands)))
+    )
+    objects = movable_objects(given, patches[1].centres)
+    assert set(objects) == {0, 1, 2}
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
+    assert len(kept.source.centres) == np.count_nonzero(objects == 0)
+    same = patches[0], surface_patches(PointCloud(street(rng, 4.0)))
+    sets = prepare_patches(*same, Layout((np.unique(same[0].bands), np.unique(same[1].bands))))
+    objects = movable_objects(given, same[1].centres)
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
+    assert len(kept.source.centres) == len(objects)

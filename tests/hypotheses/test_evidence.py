@@ -10,11 +10,25 @@ import pytest
 from msgspec import structs
 
 from retropole.base import se3
-from retropole.base.datatypes import Calibration, Hypothesis, Match, Placement, Scan
+from retropole.base.datatypes import (
+    Calibration,
+    Hypothesis,
+    Match,
+    Placement,
+    PointCloud,
+    Scan,
+)
 from retropole.base.sensors import find_sensor
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.hypotheses.correspondence import extended
-from retropole.hypotheses.evidence import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
+from retropole.hypotheses.evidence import (
+    MAX_WRONG,
+    _margin_in_map,
+    confirm,
+    count,
+    is_in_conflict,
+    scenes_of,
+)
 from retropole.hypotheses.placements import PairedPlacement
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import (
@@ -26,6 +40,7 @@ from retropole.simulation import (
     simulate_pair,
 )
 from retropole.simulation.scenes import METAL, TAPE, UP
+from retropole.surfaces.consistency import standing_in
 from retropole.surfaces.scans import find_poles
 from tests.tiers import first_of
 
@@ -189,3 +204,28 @@ def test_posts_that_a_shift_lays_on_their_neighbours_do_not_check_a_pole(is_regu
     match = Match(pairs, T, 0.0, True, True, np.eye(6))
     paired = [PairedPlacement(found, Hypothesis(match, None, None, 0.5, 0.0, 0.5))]
     assert confirm(paired, T, (), rng).redundant is not is_regular
+
+
+@pytest.mark.full
+def test_what_agrees_with_either_pose_in_a_map_changes_nothing() -> None:
+    """Walls along a street lie on themselves when shifted along it; posts do not."""
+    rng = np.random.default_rng(4)
+    ground = np.c_[rng.uniform(-20, 20, (20_000, 2)), np.full(20_000, -2.0)]
+    posts = [
+        np.c_[rng.normal([x, y], 0.05, (200, 2)), rng.uniform(-2, 2, 200)]
+        for x, y in rng.uniform([-18, -4], [18, 4], (8, 2))
+    ]
+    shift = se3.from_rt(np.eye(3), np.array([1.5, 0.0, 0.0]))
+    margins = []
+    for far in (6.0, 20.0):
+        walls = [
+            np.c_[rng.uniform(-far, far, 9000), np.full(9000, y), rng.uniform(-2, 3, 9000)]
+            for y in (-6.0, 6.0)
+        ]
+        both = [
+            standing_in(PointCloud(np.concatenate([ground, *posts, *walls]), is_map=each), rng)
+            for each in (True, False)
+        ]
+        margins.append(_margin_in_map((both[0], both[1]), np.eye(4))(shift))
+        assert _margin_in_map((both[0], both[1]), shift)(np.eye(4)) < -1.5
+    assert 1.5 < margins[0] < 1.2 * margins[1] < 1.5 * margins[0]

@@ -7,21 +7,24 @@ import pytest
 from scipy.ndimage import maximum_filter
 
 from retropole.base import se3
-from retropole.base.datatypes import PointCloud
+from retropole.base.datatypes import Array, PointCloud
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.consistency import (
     EXPECTED,
     PEAKS,
+    SHARP,
     Standing,
     _with_neighbours,
     best_lifts,
     best_shifts,
+    blocks,
     consistency,
     contradicting_points,
+    movable_objects,
     standing_in,
-    without_movable,
+    verdicts,
 )
 from retropole.surfaces.visibility import OVERLAP_DISTANCE
 
@@ -201,18 +204,50 @@ def test_a_cell_and_its_neighbours_are_those_of_scipy() -> None:
         np.testing.assert_array_equal(_with_neighbours(grid.copy()), maximum_filter(grid, 3))
 
 
-def test_of_a_map_only_ground_and_what_is_high_counts() -> None:
-    """A car is left out; a wall is kept down to its foot."""
-    rng = np.random.default_rng(3)
+def place_with_a_car(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Ground 2 m down, a car, and a wall."""
     ground = np.c_[rng.uniform(-20, 20, (20_000, 2)), rng.normal(-2, 0.01, 20_000)]
-    car = rng.uniform([4, 3, -1.6], [8, 5, -0.4], (2_000, 3))
+    car = rng.uniform([4, 3, -2.0], [8, 5, -0.4], (2_000, 3))
     wall = np.c_[np.full(4_000, 12.5), rng.uniform([-9, -2], [9, 3], (4_000, 2))]
+    return ground, car, wall
+
+
+def test_what_may_have_driven_off_is_one_object_down_to_its_wheels() -> None:
+    """A car is; a wall is none, and of the ground only what is under the car."""
+    rng = np.random.default_rng(3)
+    ground, car, wall = place_with_a_car(rng)
     cloud = PointCloud(np.concatenate([ground, car, wall]), is_map=True)
-    kept = without_movable(cloud).xyz
-    high = kept[kept[:, 2] > -1.3]
-    assert len(high) > 3_000
-    np.testing.assert_array_equal(high[:, 0], 12.5)
-    assert np.isclose(kept, -2.0, atol=0.05)[:, 2].sum() > 19_900
+    of_ground, of_car, of_wall = np.split(
+        movable_objects(cloud, cloud.xyz), np.cumsum([len(ground), len(car)])
+    )
+    assert set(of_car) == {1}
+    assert not of_wall.any()
+    near = (np.abs(ground[:, :2] - [6, 4]) < [3.5, 2.5]).all(axis=1)
+    assert not of_ground[~near].any()
+
+
+def test_what_is_low_of_a_map_does_not_count_nor_what_a_lidar_looks_past() -> None:
+    rng = np.random.default_rng(3)
+    ground, car, wall = place_with_a_car(rng)
+    far = wall + np.array([SHARP, 0.0, 0.0])
+    cloud = PointCloud(np.concatenate([ground, car, wall, far]), is_map=True)
     points = standing_in(cloud, rng).points
     assert len(points) > 300
     np.testing.assert_allclose(points[:, 0], 12.5, atol=0.01)
+
+
+def test_a_voxel_agrees_or_is_in_the_way_and_one_thing_is_few_blocks() -> None:
+    rng = np.random.default_rng(3)
+    ground, _, wall = place_with_a_car(rng)
+    one = standing_in(PointCloud(np.concatenate([ground, wall])), rng)
+    same = verdicts(one, one, np.eye(4))
+    assert len(same) == 2 * one.voxels
+    assert np.all(same == 1)
+    nearer = se3.from_rt(np.eye(3), np.array([-3.0, 0.0, 0.0]))
+    found = consistency(one, one, nearer)
+    assert found.agreeing < len(same) / 10
+    assert np.count_nonzero(verdicts(one, one, nearer) < 0) == found.contradicting > 0
+    block = blocks(one, one, np.eye(4))
+    half = len(block) // 2
+    np.testing.assert_array_equal(block[:half], block[half:])
+    assert len(np.unique(block)) <= 10

@@ -33,3 +33,15 @@ def test_all_others_stay_and_nothing_speaks_of_setting_up_poles_where_it_is_ambi
     found = of_map(Refusal("ambiguous", "the scene does not tell 3 hypotheses apart: add a pole"))
     assert "add a pole" not in found.message
     assert "--prior-xyz" in found.message
+
+
+def test_a_pose_that_fits_elsewhere_nearly_as_well_is_ambiguous_and_the_map_right() -> None:
+    values = {"agreeing": 900, "contradicting": 3, "missing": 0, "lead": 1.1}
+    found = of_map(Refusal("too_few_poles", "m", {**values, "probability_wrong": 0.09}))
+    assert found.code == "ambiguous"
+    assert "1.1 σ" in found.message
+    assert "9 %" in found.message
+    values["contradicting"] = 300
+    assert of_map(Refusal("too_few_poles", "m", {**values, "probability_wrong": 0.5})).code == (
+        "map_differs"
+    )

@@ -205,8 +205,12 @@ def check_minima(refined: Refinement | None) -> Iterator[Reason]:
         )
 
 
-def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
-    """Warn where one place alone decides a direction of the pose."""
+RECORD_MORE = "add a placement of the poles, or record where more stands around"
+"""What to do where one place decides."""
+
+
+def check_decisive(refined: Refinement | None, helps: str = RECORD_MORE) -> Iterator[Reason]:
+    """Warn where one place alone decides a direction of the pose, and say what helps."""
     for place in () if refined is None else refined.decisive:
         radians, metres = (float(np.linalg.norm(part)) for part in np.split(place.apart, 2))
         x, y, z = (float(v) for v in place.at)
@@ -215,8 +219,7 @@ def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
             f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
             f"the target, holds {place.share:.0%} of the information about the pose along one "
             f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
-            "elsewhere. What is stated is that of the rest: add a placement of the poles, or "
-            "record where more objects are around",
+            f"elsewhere. What is stated is that of the rest: {helps}",
             {
                 "share": place.share,
                 "x_m": x,
@@ -228,18 +231,28 @@ def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
         )
 
 
-def check_agreement(refined: Refinement | None) -> list[Reason]:
-    """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
+def check_agreement(refined: Refinement | None, *, is_map: bool = False) -> list[Reason]:
+    """Warn where the scene moves the pose further away than the poles' uncertainty allows.
+
+    Of a map, from where the LiDAR was registered to what cannot have driven off.
+    """
     if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
         return []
     off_poles = refined.from_poles
+    before, question = (
+        "the poles",
+        "did something move between the two recordings, or is --radius wrong?",
+    )
+    if is_map:
+        before = "where all that is high fits best"
+        question = "has something moved since the map was made, or is the map distorted?"
     return [
         Reason(
             "poles_and_scene_disagree",
             f"the scene moves the pose {1000 * off_poles.translation:.0f} mm and "
-            f"{np.degrees(off_poles.rotation):.2f}° away from the poles, "
-            f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
-            "something move between the two recordings, or is --radius wrong?",
+            f"{np.degrees(off_poles.rotation):.2f}° away from {before}, "
+            f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: "
+            f"{question}",
             {
                 "pull": refined.mahalanobis_sq,
                 "moved_m": off_poles.translation,

@@ -8,7 +8,8 @@ scene disagree, what is stated covers both.
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
 residual is no check. So the answer is sought again without each such place, with weights and
-partners anew, and what is stated covers both.
+partners anew, and what is stated covers both. Since a map was made cars may have driven off and
+others parked almost there: whatever may have is one place, however large.
 
 From where the search for the refined pose starts again, and when two ends are two minima.
 """
@@ -40,15 +41,27 @@ from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
 from ..surfaces.averaging import averaged
-from ..surfaces.consistency import without_movable
+from ..surfaces.consistency import movable_objects
 from ..surfaces.patch_pairs import (
     MIN_CORRESPONDENCE_DISTANCE,
+    PatchSets,
+    by_objects,
     every_nth_patch,
+    pair_patches,
     some_of,
     without_errors,
 )
 from ..surfaces.patches import Patches, surface_patches
-from .descent import FEW, End, RefinementProblem, approach, converge, scene_pairs, support_of
+from .descent import (
+    FEW,
+    End,
+    RefinementProblem,
+    ScenePair,
+    approach,
+    converge,
+    scene_pairs,
+    support_of,
+)
 from .solved import Places, parts_of, places_of_poses
 
 MAX_SHARE = 0.3
@@ -264,10 +277,8 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     """Refine the poles' pose by the surfaces of all placements; None if there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
-    is_map = targets[0].cloud.is_map
-    seen = merge_clouds([averaged(scan.cloud) for scan in targets])
     return refine(
-        without_movable(seen) if is_map else seen,
+        merge_clouds([averaged(scan.cloud) for scan in targets]),
         merge_clouds([averaged(scan.cloud) for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
@@ -276,8 +287,31 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
             aligned.radius.given_sigma,
             left_in([each.placement for each in paired]),
         ),
-        distortion=MAP_DISTORTION if is_map else None,
     )
+
+
+MOVED = 1.5
+"""Root mean square of a place's residuals, in what the pose and they may be off by, from which it
+is taken for another surface: a car that parked elsewhere, or the back of a trunk."""
+
+
+def without_moved(sets: PatchSets, T: Array, covariance: Array) -> PatchSets:
+    """Leave out of a map what does not lie where it did, each place as a whole.
+
+    Parameters
+    ----------
+    sets
+        Patches of both.
+    T, covariance
+        (4, 4) and (6, 6) a pose that all surfaces registered.
+    """
+    pairs = pair_patches(sets, T, covariance, origins_known=False)
+    if pairs is None:
+        return sets
+    spread = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1) + pairs.variance
+    size = np.bincount(pairs.cluster)
+    off = np.bincount(pairs.cluster, pairs.residuals**2 / spread) / size
+    return some_of(sets, ~np.isin(sets.clusters, pairs.places[off > MOVED**2]))
 
 
 def refine(
@@ -289,7 +323,6 @@ def refine(
     model: ErrorModel | None = None,
     start: Array | None = None,
     origins_known: bool = False,
-    distortion: Array | None = None,
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -309,8 +342,6 @@ def refine(
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
         an object and its back cannot be distinguished by their normals.
-    distortion
-        (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
@@ -322,6 +353,11 @@ def refine(
     scenes = scene_pairs(patches, (0, 1))
     if not scenes:
         return None
+    if target.is_map:
+        T = poles.T_target_source if start is None else start
+        objects = movable_objects(target, se3.apply(T, patches[1].centres))
+        sets = without_moved(by_objects(scenes[0].sets, objects), T, poles.covariance)
+        scenes = [ScenePair((0, 1), sets, every_nth_patch(sets, FEW))]
     given = gaussian_factor(poles) if factor is None else factor
     if model is not None:
         given = replace(given, left=np.array(model.left))
@@ -330,6 +366,7 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
+    distortion = MAP_DISTORTION if target.is_map else None
     return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, distortion)
 
 
@@ -356,7 +393,7 @@ def refine_pair(
     start
         (4, 4) where the search starts; None takes the poles' pose.
     distortion
-        As of `refine`.
+        (6, 6) how far the target may be off where the source is, rad and m: of a map.
 
     Returns
     -------
@@ -382,7 +419,8 @@ def refine_pair(
         best = max(ends, key=support_of)
         mahalanobis_sq = _denial(problem, best, poles, within=True)
     highest = best
-    disagree = mahalanobis_sq > DISAGREE
+    # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
+    disagree = mahalanobis_sq > DISAGREE and distortion is None
     if disagree:
         # One of both is wrong by more than it states (Birge 1932): the poles count for as much
         # less.
@@ -391,6 +429,10 @@ def refine_pair(
         best = _converged_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
+    if distortion is not None:
+        # The registration was of the same surfaces: it says where to search, and nothing more.
+        problem = replace(problem, factor=problem.factor.weakened(UNSURE))
+        best = _converged_anew(problem, best, covariance / UNSURE) or best
     parts = parts_of(problem, best)
     own = uncertainty_of_pair(parts).covariance
     decisive, by_places = [], np.zeros((POSE, POSE))

@@ -314,9 +314,12 @@ def align_beams(
     return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma, left))
 
 
-def without_poles(T: Array, radius: float) -> BeamAlignment:
-    """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing."""
-    covariance = np.diag(SURROUNDINGS_SIGMA**2)
+def without_poles(T: Array, radius: float, sigma: Array = SURROUNDINGS_SIGMA) -> BeamAlignment:
+    """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing.
+
+    With its 1 σ (6,), rad and m.
+    """
+    covariance = np.diag(sigma**2)
     pose = PoseEstimate(T, covariance, 0.0)
     nothing = np.zeros((0, 3))
     return BeamAlignment(

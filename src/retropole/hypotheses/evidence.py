@@ -10,7 +10,7 @@ are wrong in simulation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -24,11 +24,13 @@ from ..surfaces.consistency import (
     Standing,
     best_lifts,
     best_shifts,
+    blocks,
     coincides,
     consistency,
     grounds_in,
     is_ground_on_ground,
     standing_in,
+    verdicts,
 )
 from ..surfaces.static import recorded_together
 from ..surfaces.visibility import OVERLAP_DISTANCE
@@ -101,9 +103,10 @@ def confirm(
     margins, better = [], []
     fewer = [(target.downsampled(), source.downsampled()) for target, source in scenes]
     own = count(fewer, T)
+    margin = _margin_in_map(fewer[0], T) if paired[0].placement.target.cloud.is_map else None
     for pose in poses:
         found = count(fewer, pose)
-        margins.append(_z_margin(own, found))
+        margins.append(_z_margin(own, found) if margin is None else margin(pose))
         if (
             found.agreeing >= BETTER * max(own.agreeing, 1)
             and found.contradicted <= own.contradicted
@@ -212,6 +215,21 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
     """By how many σ more voxels agree, and fewer conflict with, at one pose than at another."""
     net = (here.agreeing - here.conflicting) - (there.agreeing - there.conflicting)
     return float(net / np.sqrt(here.total + there.total + 1))
+
+
+def _margin_in_map(scene: tuple[Standing, Standing], T: Array) -> Callable[[Array], float]:
+    """Give by how many σ a pose (4, 4) in a map is better than another.
+
+    Most of a street agrees with either. So only what differs counts, and by blocks, since what one
+    thing says is said by many of its voxels: half of all blocks would prefer either pose by chance.
+    """
+    here, block = verdicts(*scene, T), blocks(*scene, T)
+
+    def margin(other: Array) -> float:
+        by_block = np.bincount(block, here - verdicts(*scene, other))
+        return float(by_block.sum() / np.sqrt(np.sum(by_block**2) + 1))
+
+    return margin
 
 
 def _apart(T: Array, other: Array, points: Array) -> float:

@@ -25,13 +25,14 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, every_nth
 from ..base.uncertainty.confirmation import Confirmation
-from ..extraction.lines import FIT_ROUNDS
+from ..extraction.lines import FIT_ROUNDS, clusters
 from .averaging import DEPTH_TOLERANCE, averaged
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import (
     OVERLAP_DISTANCE,
     OWN_VEHICLE,
+    RANGE_CELL,
     SCORING_VOXEL,
     RangeImage,
     cells_of,
@@ -45,6 +46,9 @@ metres. Depths agree within no more than the second."""
 
 RELATIVE_TOLERANCE = 0.02
 """Depths agree within `DEPTH_TOLERANCE` and this part of the range."""
+
+BLOCK = 5.0
+"""Side of a cube whose voxels may all be of one thing, metres."""
 
 PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""
@@ -71,6 +75,13 @@ OTHER_GROUND = np.radians(10.0)
 
 MOVABLE = 2.5
 """What is no higher above the ground may have driven off since a map was made, metres: a van."""
+
+
+SHARP = VOXEL_SIDE / RANGE_CELL
+"""What of a map is farther does not speak against a pose, metres: in a cell of directions wider
+than its cube a LiDAR looks past it. With it, the far front of a square, which is seen along itself,
+spoke against 3 of 29 true poses there by more than `hypotheses.by_place.MAX_CONTRADICTED`
+(benchmarks/mapped.py, seeds 0 to 99)."""
 
 
 class Line(Protocol):
@@ -148,7 +159,8 @@ def standing_in(
     if cloud.is_map:
         kept = on_ground | ~_is_movable(points, ground, up)
         points, ranges, on_ground = points[kept], ranges[kept], on_ground[kept]
-    standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
+    counts = (ranges > OWN_VEHICLE) & ~on_ground & (ranges < (SHARP if cloud.is_map else np.inf))
+    standing = points[counts]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     voxel = labels_of(np.floor(standing / VOXEL_SIDE)) if len(standing) else np.zeros(0, np.int64)
@@ -166,16 +178,37 @@ def _is_movable(points: Array, ground: Array, up: Array) -> BoolArray:
     return np.asarray(tallest[column] < MOVABLE)
 
 
-def without_movable(cloud: PointCloud) -> PointCloud:
-    """Leave out of a map what may have driven off: off the ground, and nothing high is above it.
+def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
+    """Number what may have driven off since a map was made, object by object.
 
-    A car that stands near where one stood when the map was made would draw a pose along with it.
+    Parameters
+    ----------
+    cloud
+        The map.
+    points
+        (N, 3) on surfaces, in its frame, metres.
+
+    Returns
+    -------
+    (N,)
+        From 1 on; 0 for the ground, and where something high stands in the map or in the points.
     """
     # The same map gives the same.
     standing = standing_in(cloud, np.random.default_rng(0))
-    height = np.abs((cloud.xyz - standing.ground) @ standing.up)
-    on_ground = height < CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(cloud.xyz - cloud.origin)
-    return cloud.select(on_ground | ~_is_movable(cloud.xyz, standing.ground, standing.up))
+    both = np.concatenate([cloud.xyz, points])
+    movable = _is_movable(both, standing.ground, standing.up)[len(cloud) :]
+    height = np.abs((points - standing.ground) @ standing.up)
+    stands = height > CLEARANCE + RELATIVE_TOLERANCE * se3.lengths(points - cloud.origin)
+    own = np.flatnonzero(movable & stands)
+    found = np.zeros(len(points), dtype=np.int64)
+    for k, members in enumerate(clusters(points[own], VOXEL_SIDE), 1):
+        found[own[members]] = k
+    # Its foot is as near the ground as ground is.
+    foot = np.flatnonzero(movable & ~stands)
+    if len(own) and len(foot):
+        near = tree_of(points[own]).query(points[foot], distance_upper_bound=VOXEL_SIDE)[1]
+        found[foot] = np.r_[found[own], 0][near]
+    return found
 
 
 def grounds_in(
@@ -258,12 +291,32 @@ def _ground(
 
 def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
     """Count the voxels of both clouds that agree with a pose (4, 4), target from source."""
-    there = _votes(target, source, T)
-    back = _votes(source, target, se3.inverse(T))
-    agreeing = there[0] + back[0]
+    found = verdicts(target, source, T)
+    agreeing = int(np.count_nonzero(found > 0))
     expected = EXPECTED * min(target.voxels, source.voxels)
     missing = max(round(expected) - agreeing, 0)
-    return Confirmation(agreeing=agreeing, contradicting=there[1] + back[1], missing=missing)
+    return Confirmation(
+        agreeing=agreeing, contradicting=int(np.count_nonzero(found < 0)), missing=missing
+    )
+
+
+def verdicts(target: Standing, source: Standing, T: Array) -> IntArray:
+    """Say of each voxel, of the source and then of the target, what the other LiDAR saw of it.
+
+    1 where it agrees with a pose (4, 4), -1 where it is in the way, and 0 where nothing is known.
+    """
+    return np.concatenate([_votes(target, source, T), _votes(source, target, se3.inverse(T))])
+
+
+def blocks(target: Standing, source: Standing, T: Array) -> IntArray:
+    """Number the cubes of `BLOCK` that each voxel lies in, in the order of `verdicts`."""
+    at = []
+    for each, pose in ((source, T), (target, np.eye(4))):
+        own = np.zeros((int(each.voxel.max(initial=-1)) + 1, 3))
+        own[each.voxel] = np.floor(se3.apply(pose, each.points) / BLOCK)
+        at.append(own)
+    cells = np.concatenate(at)
+    return labels_of(cells) if len(cells) else np.zeros(0, np.int64)
 
 
 def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:
@@ -329,10 +382,10 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     return _Judged(in_the_way, yes, no)
 
 
-def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
-    """How many voxels of the other cloud agree with what the seer saw, and how many do not."""
+def _votes(seer: Standing, other: Standing, T: Array) -> IntArray:
+    """Say of each voxel of the other cloud whether what the seer saw agrees, or sees through it."""
     _, yes, no = _judged(seer, other, T)
-    return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))
+    return np.where(no > yes, -1, np.where(yes > 0, 1, 0))
 
 
 LAYER = 0.75

@@ -285,6 +285,15 @@ def some_of(sets: PatchSets, some: slice | BoolArray) -> PatchSets:
     )
 
 
+def by_objects(sets: PatchSets, objects: IntArray) -> PatchSets:
+    """Give the same with all patches of the source on one object at one place.
+
+    The objects (M,) are numbered from 1 on; 0 are patches on none, whose place stays.
+    """
+    beyond = objects + sets.clusters.max(initial=0)
+    return replace(sets, clusters=np.where(objects > 0, beyond, sets.clusters))
+
+
 def without_rings(sets: PatchSets) -> PatchSets:
     """Give the same without the errors of single rings."""
     target, source = sets.layout.bands

@@ -6,7 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..adjustment.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..adjustment.agreement import (
+    RECORD_MORE,
+    check_agreement,
+    check_decisive,
+    check_minima,
+    check_radius,
+)
 from ..adjustment.refinement import Refinement
 from ..alignment.adjustment import BeamAlignment
 from ..base import quantities
@@ -24,6 +30,7 @@ from ..hypotheses.correspondence import left_out, widest_angle
 from ..hypotheses.evidence import check_unconfirmed
 from ..hypotheses.placements import PairedPlacement, is_by_place
 from ..surfaces.static import other_times
+from .map import MORE_OF_MAP
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""
@@ -67,6 +74,7 @@ def weaknesses(
     confirmation
         How far what stands in the scene agrees with the answer.
     """
+    is_map = paired[0].placement.target.cloud.is_map
     return [
         *check_unconfirmed(confirmation),
         *other_times([each.placement for each in paired]),
@@ -84,9 +92,9 @@ def weaknesses(
         *check_noise("source", paired[0].placement.source.sensor, aligned.noise[1]),
         *_weak_pose(aligned, weakest),
         *check_radius(aligned.radius, aligned.radius_conflict),
-        *check_agreement(refined),
+        *check_agreement(refined, is_map=is_map),
         *check_minima(refined),
-        *check_decisive(refined),
+        *check_decisive(refined, MORE_OF_MAP if is_map else RECORD_MORE),
         *_not_converged(aligned, refined),
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from ..adjustment.refinement import DISTORTION
 from ..alignment.certainty import FLOOR
 from ..base import quantities
 from ..base.datatypes import Calibration
@@ -19,6 +20,7 @@ from ..base.uncertainty.purpose import (
     fitness,
     is_surely_met,
 )
+from .map import MORE_OF_MAP
 
 DOUBTS = (
     "not_confirmed",
@@ -94,7 +96,8 @@ def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[st
     if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
         # Of its doubts each says by itself what to do.
         if not is_doubted:
-            yield "what would help: another pole, or a placement with the poles in another way"
+            more = "another pole, or a placement with the poles in another way"
+            yield f"what would help: {MORE_OF_MAP if _is_in_map(answer) else more}"
         return
     least = displacement_bound(floor(), fit.at_m)
     if least > fit.within_m:
@@ -107,6 +110,10 @@ def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[st
     for sources, helps in _remedies(answer).items():
         yield f"{lead} against {sources}: {helps}".lstrip()
         lead = ""
+
+
+def _is_in_map(answer: Calibration) -> bool:
+    return answer.placements[0].target.cloud.is_map
 
 
 def _remedies(answer: Calibration) -> dict[str, str]:
@@ -124,6 +131,9 @@ def _remedies(answer: Calibration) -> dict[str, str]:
             part = quantities.percent(entry.share_at_30m) + unit
             unknown = None if entry.sensor is None or is_known[entry.sensor] else entry.sensor
             words = f"{source_words(entry.name, entry.sensor)} ({part})"
-            helping.setdefault(remedy(entry.name, unknown), []).append(words)
+            helps = remedy(entry.name, unknown)
+            if _is_in_map(answer) and entry.name != DISTORTION and entry.sensor is None:
+                helps = MORE_OF_MAP
+            helping.setdefault(helps, []).append(words)
             share, unit = share + entry.share_at_30m, ""
     return {" and ".join(sources): helps for helps, sources in helping.items()}
