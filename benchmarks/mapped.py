@@ -48,7 +48,7 @@ from retropole.io.maps import as_map
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import FIELD, Box, Surface, draw_device, scan
 from retropole.simulation.scenes import METAL, SURROUNDINGS
-from retropole.surfaces.consistency import standing_in
+from retropole.surfaces.consistency import objects_in
 from retropole.surfaces.registration import voxel_downsample
 from semireal import PAIRS, distance, load
 
@@ -176,7 +176,7 @@ class Outcome:
 
 def share_of(given: PointCloud, lidar: PointCloud, T: Array) -> float:
     """Share of what the LiDAR sees off the ground that lies on the map under a pose (4, 4)."""
-    standing = standing_in(lidar, np.random.default_rng(0)).points
+    standing = objects_in(lidar, np.random.default_rng(0)).points
     near, _ = cKDTree(given.xyz).query(se3.apply(T, standing), distance_upper_bound=ON_THE_MAP)
     return float(np.mean(near <= ON_THE_MAP)) if len(standing) else 0.0
 

@@ -41,7 +41,7 @@ from retropole.checking.metrics import Errors, errors_of
 from retropole.checking.rivals import FUNCTIONS, fpfh_ransac, kiss_matcher
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import simulate_pair
-from retropole.surfaces.consistency import consistency, standing_in
+from retropole.surfaces.consistency import consistency, objects_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies.planes.planes import planar_surfaces
@@ -112,7 +112,7 @@ def best_by_count(method: str, target: PointCloud, source: PointCloud) -> Array:
             found.append(COUNTED[method](target, source, rng, (voxel,)).T_target_source)
     if not found:
         raise Refusal("unmatched", "no voxel gives an answer")
-    standing = standing_in(target, rng), standing_in(source, rng)
+    standing = objects_in(target, rng), objects_in(source, rng)
     counts = [consistency(*standing, T) for T in found]
     best = max(range(len(found)), key=lambda k: counts[k].agreeing - counts[k].contradicting)
     return found[best]

@@ -30,7 +30,11 @@ from .base.sensors import Sensor
 from .base.timing import timed
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
-from .hypotheses.by_place import align_by_place_where_open, check_held, check_told
+from .hypotheses.by_place import (
+    align_by_place_where_open,
+    check_confirmed_by_surroundings,
+    check_constrained,
+)
 from .hypotheses.choice import list_hypotheses, take_by_hand
 from .hypotheses.evidence import check_confirmation, confirm
 from .hypotheses.joint_choice import Choices, check_linked, choose_poses, linked_groups
@@ -232,7 +236,7 @@ def calibrate_placements(
             with step("refine"):
                 refined = refine_by_scene(paired, aligned) if scene else None
                 by_surfaces = (None, None) if refined is None else (refined.pose, refined.held)
-                check_held(paired, *by_surfaces)
+                check_constrained(paired, *by_surfaces)
                 check_contradiction(refined)
                 check_near_poles(aligned, refined)
             with step("confirm"):
@@ -244,7 +248,7 @@ def calibrate_placements(
                     paired, pose, others, rng, trusted=trusted, deceiving=options.deceiving
                 )
                 check_confirmation(confirmation)
-                check_told(paired, confirmation)
+                check_confirmed_by_surroundings(paired, confirmation)
                 check_similarity(refined, placements, pose)
                 if poles != 0:
                     check_unit(found[0], radius=radius, thresholds=thresholds)

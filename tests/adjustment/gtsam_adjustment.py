@@ -47,7 +47,7 @@ NOTHING = 1e-11
 """Eigenvalues of a correlation matrix below this are rounding."""
 
 MIN_HOLD, RIDGE = 6.0, 1e-9
-"""As `surfaces.patch_pairs.held_directions` has them."""
+"""As `surfaces.patch_pairs.constrained_directions` has them."""
 
 START_ROTATION, START_TRANSLATION, START_ERROR = 0.01, 0.05, 1.0
 """1 σ of the start about the answer, rad and m, and of errors in their own σ."""

@@ -11,7 +11,7 @@ from retropole.base.sensors import Threshold
 from retropole.carried.track import (
     Found,
     _longest_way,
-    _not_standing,
+    _moving,
     _poles_in,
     find_track,
 )
@@ -32,7 +32,7 @@ def found(sweep: int, x: float) -> Found:
 def test_what_stands_is_left_out_and_a_pole_that_rests_is_not() -> None:
     standing = [found(k, -3.0) for k in range(100)]
     carried = [found(k, 0.08 * max(k - 30, 0)) for k in range(100)]
-    kept = _not_standing(sorted(standing + carried, key=lambda each: each.sweep), 100)
+    kept = _moving(sorted(standing + carried, key=lambda each: each.sweep), 100)
     assert len(kept) == 100
     assert min(each.point[0] for each in kept) >= 0.0
 

@@ -21,7 +21,7 @@ from retropole.checking.drift import NEAR_TRANSLATION, check, swapped_clouds, sw
 from retropole.hypotheses.evidence import MAX_CONFLICTING, count, scenes_of
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.surfaces.consistency import Standing
+from retropole.surfaces.consistency import SceneObjects
 from tests.tiers import first_of
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
@@ -266,7 +266,7 @@ def test_recording_again_moves_the_source_alone(street: SimulatedPair) -> None:
 
 SCENES = ("street", "harbor", "corridor")
 
-Scenes = list[tuple[Standing, Standing]]
+Scenes = list[tuple[SceneObjects, SceneObjects]]
 
 
 @cache

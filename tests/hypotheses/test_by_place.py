@@ -26,8 +26,8 @@ from retropole.hypotheses import by_place
 from retropole.hypotheses.by_place import (
     HELD,
     align_by_place_where_open,
-    check_held,
-    check_told,
+    check_confirmed_by_surroundings,
+    check_constrained,
     choose_by_place,
     confirmed_by_place,
     has_rival,
@@ -140,25 +140,25 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     (hypothesis, *_) = score_hypotheses(*scans, poses_in(placement))
     paired = [PairedPlacement(placement, hypothesis)]
     with pytest.raises(Refusal, match="too few surfaces") as refused:
-        check_held(paired, None)
+        check_constrained(paired, None)
     assert refused.value.code == "degenerate_poles"
     T = hypothesis.match.T_target_source
     refined = refine(*scans, PoseEstimate(T, np.diag(SURROUNDINGS_SIGMA**2), 0.01))
     assert refined is not None
-    check_held(paired, refined.pose)
+    check_constrained(paired, refined.pose)
     assert refined.pose.covariance is not None
     for k in range(6):
         variance = np.diag(refined.pose.covariance).copy()
         variance[k] = (1.1 * HELD * SURROUNDINGS_SIGMA[k]) ** 2
         loose = PoseEstimate(T, np.diag(variance), 0.01)
         with pytest.raises(Refusal, match="hold the pose to"):
-            check_held(paired, loose)
+            check_constrained(paired, loose)
     doubted = np.diag((2 * HELD * SURROUNDINGS_SIGMA) ** 2)
-    check_held(paired, PoseEstimate(T, doubted, 0.01), refined.held)
+    check_constrained(paired, PoseEstimate(T, doubted, 0.01), refined.held)
     with pytest.raises(Refusal, match="hold the pose to"):
-        check_held(paired, PoseEstimate(T, 400 * doubted, 0.01), refined.held)
+        check_constrained(paired, PoseEstimate(T, 400 * doubted, 0.01), refined.held)
     two = replace(hypothesis, match=replace(hypothesis.match, by_place=False))
-    check_held([PairedPlacement(placement, two)], None)
+    check_constrained([PairedPlacement(placement, two)], None)
 
 
 def test_what_nothing_about_the_poles_gives_is_laid_from_above(
@@ -237,7 +237,7 @@ def test_why_the_place_does_not_tell_is_said_in_one_line(
     paired = PairedPlacement(Placement(nothing, nothing), Hypothesis(match, None, None, 0, 0, 0))
     found = Confirmation(agreeing=1234, contradicting=123, missing=123, z_margin=0.1)
     with pytest.raises(Refusal, match="chance of a wrong pose") as refusal:
-        check_told([paired], found)
+        check_confirmed_by_surroundings([paired], found)
     assert len(str(refusal.value)) <= 300
 
 

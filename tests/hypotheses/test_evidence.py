@@ -40,7 +40,7 @@ from retropole.simulation import (
     simulate_pair,
 )
 from retropole.simulation.scenes import METAL, TAPE, UP
-from retropole.surfaces.consistency import standing_in
+from retropole.surfaces.consistency import objects_in
 from retropole.surfaces.scans import find_poles
 from tests.tiers import first_of
 
@@ -223,7 +223,7 @@ def test_what_agrees_with_either_pose_in_a_map_changes_nothing() -> None:
             for y in (-6.0, 6.0)
         ]
         both = [
-            standing_in(PointCloud(np.concatenate([ground, *posts, *walls]), is_map=each), rng)
+            objects_in(PointCloud(np.concatenate([ground, *posts, *walls]), is_map=each), rng)
             for each in (True, False)
         ]
         margins.append(_margin_in_map((both[0], both[1]), np.eye(4))(shift))

@@ -157,7 +157,7 @@ def test_what_the_surroundings_alone_do_not_hold_is_not_checked(
     dependent = (Dependent(0, 2, steps.adjusted.end.T[2], frozenset({2})),)
     adjusted = replace(steps.adjusted, datum=replace(steps.datum, dependent=dependent))
     assert list(check_poles_of_dependent(steps.recorded, adjusted)) == []
-    monkeypatch.setattr(blunders, "is_held", lambda covariance: False)
+    monkeypatch.setattr(blunders, "is_constrained", lambda covariance: False)
     (reason,) = check_poles_of_dependent(steps.recorded, adjusted)
     assert reason.code == "not_checked"
     assert reason.values["lidar"] == steps.site.lidars[2].name
@@ -296,10 +296,10 @@ def test_without_the_pole_of_its_link_a_lidar_is_refused(steps: Steps) -> None:
 def test_a_pose_that_the_scene_holds_little_better_than_the_place_is_refused(steps: Steps) -> None:
     dependent = (Dependent(0, 1, np.eye(4), frozenset({1})),)
     T = np.stack([np.eye(4)] * 3)
-    for share, is_held in ((0.9 * HELD, True), (1.1 * HELD, False)):
+    for share, is_constrained in ((0.9 * HELD, True), (1.1 * HELD, False)):
         covariance = np.zeros((18, 18))
         covariance[6:12, 6:12] = np.diag((share * SURROUNDINGS_SIGMA) ** 2)
-        if is_held:
+        if is_constrained:
             check_dependent(steps.site, dependent, T, covariance)
             continue
         with pytest.raises(Refusal) as refusal:

@@ -35,7 +35,7 @@ from retropole.hypotheses.one_pole import (
 from retropole.hypotheses.prior import PosePrior
 from retropole.pipeline import Options, calibrate
 from retropole.simulation import SimulatedPair
-from retropole.surfaces.consistency import Standing
+from retropole.surfaces.consistency import SceneObjects
 from retropole.surfaces.registration import prepare, voxel_downsample
 from retropole.surfaces.scans import find_poles
 from retropole.surfaces.visibility import SCORING_VOXEL, range_image
@@ -80,7 +80,7 @@ def test_the_highest_peak_over_the_ground_is_where_the_points_are(turn_deg: floa
         image = range_image(PointCloud(own, origin=origin))
         number = np.zeros(len(own), dtype=np.int64)
         up = np.array([0.0, 0.0, 1.0])
-        seen.append(Standing(own, number, cKDTree(own), image, np.zeros(3), up))
+        seen.append(SceneObjects(own, number, cKDTree(own), image, np.zeros(3), up))
     best, second, *_ = about._ground_peaks(seen[0], seen[1], PosePrior())
     assert_near(best.T, T, degrees=0.01, metres=0.01)
     assert best.height > 2.0 * second.height

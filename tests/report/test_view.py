@@ -22,7 +22,7 @@ from retropole.report.view import (
 )
 from retropole.result import ResultDoc
 from retropole.simulation import simulate_pair
-from retropole.surfaces.consistency import contradicting_points, standing_in
+from retropole.surfaces.consistency import contradicting_points, objects_in
 from tests.report.made_up import AS_SHOWN, HOSTILE, T_TRUE, made_up
 from tests.report.pages import cloud_of
 from tests.report.site.made_up import document_of, made_up_site
@@ -89,7 +89,7 @@ def test_every_pose_brings_the_points_that_contradict_it() -> None:
     result = replace(made, T_target_source=right, hypotheses=hypotheses)
     clouds = of_result(result, placement).clouds
     rng = np.random.default_rng(0)
-    target, source = standing_in(pair.target, rng), standing_in(pair.source, rng)
+    target, source = objects_in(pair.target, rng), objects_in(pair.source, rng)
     for name, T in (("result", right), ("a", wrong)):
         for cloud, points in zip(clouds, contradicting_points(target, source, T), strict=True):
             assert set(cloud.contradicting) == {"result", "a"}

@@ -15,7 +15,7 @@ from retropole.surfaces.consistency import (
     EXPECTED,
     PEAKS,
     SHARP,
-    Standing,
+    SceneObjects,
     _with_neighbours,
     best_lifts,
     best_shifts,
@@ -23,15 +23,15 @@ from retropole.surfaces.consistency import (
     consistency,
     contradicting_points,
     movable_objects,
-    standing_in,
+    objects_in,
     verdicts,
 )
 from retropole.surfaces.visibility import OVERLAP_DISTANCE
 
 
-def standing(pair: SimulatedPair) -> tuple[Standing, Standing]:
+def standing(pair: SimulatedPair) -> tuple[SceneObjects, SceneObjects]:
     rng = np.random.default_rng(0)
-    return standing_in(pair.target, rng), standing_in(pair.source, rng)
+    return objects_in(pair.target, rng), objects_in(pair.source, rng)
 
 
 def elsewhere(T: np.ndarray, angle: float, distance: float) -> np.ndarray:
@@ -62,8 +62,8 @@ def test_bare_ground_confirms_nothing() -> None:
         for cloud in (pair.target, pair.source)
     ]
     target, source = (
-        standing_in(pair.target, rng, poles[0]),
-        standing_in(pair.source, rng, poles[1]),
+        objects_in(pair.target, rng, poles[0]),
+        objects_in(pair.source, rng, poles[1]),
     )
     assert consistency(target, source, pair.T_target_source).total < 5
     # With the poles, any pose that they give looks good.
@@ -102,7 +102,7 @@ def test_both_directions_count_alike() -> None:
 
 
 def test_nothing_denies_nothing() -> None:
-    empty = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
+    empty = objects_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
     found = consistency(empty, empty, np.eye(4))
     assert found == Confirmation(agreeing=0, contradicting=0)
     assert found.contradicted == 0
@@ -142,7 +142,7 @@ def test_hardly_a_point_contradicts_the_right_pose_and_none_where_nothing_stands
     target, source = standing(pair)
     right = contradicting_points(target, source, pair.T_target_source)
     assert sum(map(len, right)) < 0.02 * (len(target.points) + len(source.points))
-    nothing = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
+    nothing = objects_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
     for found in contradicting_points(nothing, source, np.eye(4)):
         assert found.shape == (0, 3)
 
@@ -231,7 +231,7 @@ def test_what_is_low_of_a_map_does_not_count_nor_what_a_lidar_looks_past() -> No
     ground, car, wall = place_with_a_car(rng)
     far = wall + np.array([SHARP, 0.0, 0.0])
     cloud = PointCloud(np.concatenate([ground, car, wall, far]), is_map=True)
-    points = standing_in(cloud, rng).points
+    points = objects_in(cloud, rng).points
     assert len(points) > 300
     np.testing.assert_allclose(points[:, 0], 12.5, atol=0.01)
 
@@ -239,7 +239,7 @@ def test_what_is_low_of_a_map_does_not_count_nor_what_a_lidar_looks_past() -> No
 def test_a_voxel_agrees_or_is_in_the_way_and_one_thing_is_few_blocks() -> None:
     rng = np.random.default_rng(3)
     ground, _, wall = place_with_a_car(rng)
-    one = standing_in(PointCloud(np.concatenate([ground, wall])), rng)
+    one = objects_in(PointCloud(np.concatenate([ground, wall])), rng)
     same = verdicts(one, one, np.eye(4))
     assert len(same) == 2 * one.voxels
     assert np.all(same == 1)

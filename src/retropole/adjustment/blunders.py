@@ -24,7 +24,7 @@ from ..base import se3
 from ..base.datatypes import Test
 from ..base.description import Site
 from ..base.errors import Reason, Refusal
-from ..hypotheses.by_place import LEAN_ANOTHER, is_held
+from ..hypotheses.by_place import LEAN_ANOTHER, is_constrained
 from ..surfaces.patch_pairs import pair_patches
 from .agreement import MAX_AXES_CHI2, MOST_LEFT_OUT, WARN_MAHALANOBIS_SQ
 from .datum import Datum, Dependent, without_poles, without_survey
@@ -173,7 +173,7 @@ def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator
 
 
 def _is_constrained(dependent: Dependent, found: Adjusted) -> bool:
-    return is_held(dependent.covariance(found.end.T, found.covariance))
+    return is_constrained(dependent.covariance(found.end.T, found.covariance))
 
 
 def _contradicted(

@@ -22,7 +22,7 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
 from ..base.se3 import joint_of, relative
-from ..hypotheses.by_place import LEAN_ANOTHER, check_held_by_scene
+from ..hypotheses.by_place import LEAN_ANOTHER, check_constrained_by_scene
 from ..hypotheses.joint_choice import linked_groups
 from ..hypotheses.pairs import Pair
 from .shared import SharedPole
@@ -189,7 +189,7 @@ def check_dependent(
         ``degenerate_poles``.
     """
     for each in dependent:
-        check_held_by_scene(each.covariance(T, covariance), each.names(site))
+        check_constrained_by_scene(each.covariance(T, covariance), each.names(site))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from ..hypotheses.scans import SiteScans
 from ..surfaces.sway import (
     COUNTED,
     SIZES,
-    Asked,
+    Likelihood,
     angle_of,
     ask,
     axes_along,
@@ -166,7 +166,7 @@ def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion
     summed = [
         [sum(parts) for parts in zip(*each, strict=True)] for each in zip(*common, strict=True)
     ]
-    both = [Asked(*each, *every) for each, every in zip(tried, summed, strict=True)]
+    both = [Likelihood(*each, *every) for each, every in zip(tried, summed, strict=True)]
     ways = ways_of(motions[0])
     found = infer(both, axes_along(both, ways), SIZES, ways)
     shared = [own @ A[k].T for k, own in enumerate(np.split(found.motion, cuts))]
@@ -176,7 +176,7 @@ def common_motion(scans: Sequence[Scan], poses: Sequence[Array]) -> CommonMotion
     )
 
 
-def _by_common(own: Asked, A: Array, noise: float) -> tuple[Array, Array]:
+def _by_common(own: Likelihood, A: Array, noise: float) -> tuple[Array, Array]:
     """Information of the returns of one LiDAR about the coefficients of the common motion."""
     of_own = np.kron(np.eye(own.features.shape[1]), A)
     return of_own.T @ own.left @ of_own / noise, of_own.T @ own.pull / noise

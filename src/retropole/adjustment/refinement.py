@@ -39,7 +39,7 @@ from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
-from ..hypotheses.placements import PairedPlacement, left_in, merge_clouds
+from ..hypotheses.placements import PairedPlacement, merge_clouds, remaining_sway_in
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import movable_objects
 from ..surfaces.patch_pairs import (
@@ -285,7 +285,7 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
         model=ErrorModel(
             (first, second),
             aligned.radius.given_sigma,
-            left_in([each.placement for each in paired]),
+            remaining_sway_in([each.placement for each in paired]),
         ),
     )
 
@@ -412,12 +412,12 @@ def refine_pair(
     if not ends:
         return None
     best = max(ends, key=support_of)
-    mahalanobis_sq = _denial(coarse, best, poles)
+    mahalanobis_sq = _disagreement(coarse, best, poles)
     if mahalanobis_sq > DOUBT:
         starts = approaches_of_parts(problem, first, ends, covariance)
         ends += _converged(problem, starts, covariance)
         best = max(ends, key=support_of)
-        mahalanobis_sq = _denial(problem, best, poles, within=True)
+        mahalanobis_sq = _disagreement(problem, best, poles, within=True)
     highest = best
     # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
     disagree = mahalanobis_sq > DISAGREE and distortion is None
@@ -487,7 +487,7 @@ def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Ar
     return [each for each in ends if each.scene]
 
 
-def _denial(
+def _disagreement(
     problem: RefinementProblem, best: End, poles: PoseEstimate, *, within: bool = False
 ) -> float:
     """Squared distance of the poses of poles and scene, in units of the σ that the poles state.

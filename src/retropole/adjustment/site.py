@@ -35,7 +35,7 @@ from ..base.description import Site
 from ..base.errors import Refusal
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, remaining_sway_of_each
 from ..extraction.sensor_pattern import error_sizes
-from ..hypotheses.placements import PairedPlacement, left_in
+from ..hypotheses.placements import PairedPlacement, remaining_sway_in
 from ..hypotheses.scans import SiteScans
 from ..surfaces.patches import Patches
 from .axes import maximise_from_lines
@@ -351,7 +351,7 @@ def adjusted_of_two(
     poles = _poles(paired, numbers, aligned, T)
     if refined is None:
         scans = paired[0].placement.scans
-        left = left_in([each.placement for each in paired])
+        left = remaining_sway_in([each.placement for each in paired])
         sizes = tuple(error_sizes(scan.cloud, scan.sensor) for scan in scans)
         factor = factor_of(joint.network, left=left)
         groups = factor.unknowns.groups()

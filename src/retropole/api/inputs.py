@@ -284,7 +284,7 @@ recording_hash = sha256_of
 
 
 def refuse_repeated(
-    inputs: Sequence[Input], documents: Sequence[InputDoc], told: Callable[[int, int], str]
+    inputs: Sequence[Input], documents: Sequence[InputDoc], message: Callable[[int, int], str]
 ) -> Refusal | None:
     """Refuse a recording that is given twice, under whatever name; None if none is.
 
@@ -294,14 +294,14 @@ def refuse_repeated(
     ----------
     inputs, documents
         What was read, and the entries in the result document.
-    told
+    message
         Says it of the numbers of both, from 0.
     """
     seen: dict[tuple[str, str | None], int] = {}
     for k, (given, document) in enumerate(zip(inputs, documents, strict=True)):
         first = seen.setdefault((document.sha256, given.topic), k)
         if first != k:
-            return Refusal("same_recording", told(first, k), {"sha256": document.sha256})
+            return Refusal("same_recording", message(first, k), {"sha256": document.sha256})
     return None
 
 

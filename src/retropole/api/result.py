@@ -38,7 +38,7 @@ from ..result import (
 )
 from ..result.decoding import decode_site
 from ..result.site import LIDARS, SiteDoc
-from ..surfaces.consistency import contradicting_points, standing_in
+from ..surfaces.consistency import contradicting_points, objects_in
 from .stored import AnyDoc, StoredScans, decode_pair, loaded, named_from, scans_of
 
 if TYPE_CHECKING:
@@ -331,7 +331,7 @@ class CalibrationResult(Result[ResultDoc]):
         target, source = (scan.poles for scan in first)
         pairs = chosen.pairs if chosen and target and source else []
         rng = np.random.default_rng(0)
-        objects = [standing_in(scan.cloud, rng) for scan in first]
+        objects = [objects_in(scan.cloud, rng) for scan in first]
         return result_figure(
             first[0].cloud,
             first[1].cloud,

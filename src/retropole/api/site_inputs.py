@@ -118,7 +118,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     """
     path = site_file_in(path)
     file = with_survey(read_site_file(path), path)
-    # What can be told now is told before recordings are read: that takes long.
+    # What can be reported now is reported before recordings are read: that takes long.
     if file.reference.epsg is not None:
         with naming(f"{path}: reference, epsg", is_said_there=True):
             projected(file.reference.epsg)

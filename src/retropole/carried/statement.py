@@ -24,7 +24,7 @@ from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty, floor, predicted_error, weakest_direction
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.evidence import check_confirmation, count, is_in_conflict, scenes_of
-from ..hypotheses.placements import left_in
+from ..hypotheses.placements import remaining_sway_in
 from ..surfaces.averaging import averaged
 from ..verdict import check_sensor, check_sway
 from .adjustment import Adjusted, in_recordings
@@ -116,7 +116,7 @@ def _refined(walk: PoseEstimate, placement: Placement) -> Refinement | None:
     """Refine a walk's pose by the surfaces of both; None if they are few, or it does not end."""
     target, source = placement.scans
     first, second = (error_sizes(scan.cloud, scan.sensor) for scan in placement.scans)
-    model = ErrorModel((first, second), 0.0, left_in([placement]))
+    model = ErrorModel((first, second), 0.0, remaining_sway_in([placement]))
     refined = refine(averaged(target.cloud), averaged(source.cloud), walk, model=model)
     return refined if refined is not None and refined.converged else None
 

@@ -28,7 +28,7 @@ from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
 from .moving import Returns, follow, joined
 
-STANDS = 0.4
+STATIC_SHARE = 0.4
 """What is found within `SAME_PLACE` in more than this part of the sweeps is static."""
 
 SAME_PLACE = 0.2
@@ -214,7 +214,7 @@ class Search:
         Refusal
             ``no_walk``.
         """
-        moving = _not_standing(self._found, self.sweeps)
+        moving = _moving(self._found, self.sweeps)
         if moving and self._bright:
             bright = joined(self._bright)
             moving, bright = _moving_alone(moving, bright, self.sweeps)
@@ -368,7 +368,7 @@ def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
     return np.asarray(~hides.any(axis=1))
 
 
-def _not_standing(found: list[Found], sweeps: int) -> list[Found]:
+def _moving(found: list[Found], sweeps: int) -> list[Found]:
     """Leave out the poles that are in one place in many of the sweeps."""
     if not found:
         return []
@@ -378,7 +378,7 @@ def _not_standing(found: list[Found], sweeps: int) -> list[Found]:
     return [
         each
         for each, there in zip(found, near, strict=True)
-        if len(np.unique(of[there])) <= STANDS * sweeps
+        if len(np.unique(of[there])) <= STATIC_SHARE * sweeps
     ]
 
 
@@ -392,7 +392,7 @@ def _moving_alone(found: list[Found], bright: Returns, sweeps: int) -> tuple[lis
     of = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
     count = len(bright.xyz)
     in_sweeps = np.unique(np.stack([of[:count], bright.sweep], axis=1), axis=0)[:, 0]
-    moves = np.bincount(in_sweeps, minlength=of.max() + 1)[of] <= STANDS * sweeps
+    moves = np.bincount(in_sweeps, minlength=of.max() + 1)[of] <= STATIC_SHARE * sweeps
     return list(compress(found, moves[count:])), bright.select(moves[:count])
 
 

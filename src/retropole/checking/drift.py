@@ -34,10 +34,10 @@ from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import check_sensor, error_sizes
 from ..hypotheses.choice import MIN_OVERLAP
 from ..hypotheses.evidence import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict, scenes_of
-from ..hypotheses.placements import left_in
+from ..hypotheses.placements import remaining_sway_in
 from ..hypotheses.prior import PosePrior
 from ..pipeline import NO_OPTIONS, Options, calibrate
-from ..surfaces.consistency import Standing
+from ..surfaces.consistency import SceneObjects
 from ..surfaces.registration import MIN_CLOUD_POINTS
 from ..surfaces.visibility import OVERLAP_DISTANCE, SCORING_VOXEL, View, compare_views, view_of
 from ..verdict.preference import preferences
@@ -223,7 +223,7 @@ def swapped_sensors(
 def swapped_clouds(
     T_stored: Array,
     T_found: Array | None,
-    scenes: Sequence[tuple[Standing, Standing]],
+    scenes: Sequence[tuple[SceneObjects, SceneObjects]],
     found: Confirmation,
 ) -> Reason | None:
     """Say that the stored pose reversed fits where the stored pose does not; None if it is not so.
@@ -384,7 +384,7 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
     (recorded,) = on_one_mast([recorded], T_stored)
-    left = left_in([recorded])
+    left = remaining_sway_in([recorded])
     clouds = Clouds(recorded.target.cloud, recorded.source.cloud, left)
     new = by_poles(question.stored, clouds, again, options)
     answer = _tested(question, clouds, new)

@@ -20,7 +20,7 @@ from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..io.beams import with_beam_origin, with_trusted_rings
-from ..surfaces.consistency import Line, consistency, standing_in
+from ..surfaces.consistency import Line, consistency, objects_in
 from ..surfaces.registration import CORES, prepare, voxel_downsample
 from ..surfaces.visibility import OVERLAP_DISTANCE, overlap
 
@@ -292,7 +292,7 @@ def _confirmation(
     """Compare a pose with the objects in the scene, as a calibration does."""
     rng = np.random.default_rng(0)
     objects = [
-        standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)
+        objects_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)
         for cloud, of_cloud in zip((target, source), poles, strict=True)
     ]
     return consistency(objects[0], objects[1], T)

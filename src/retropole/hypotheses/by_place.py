@@ -22,12 +22,12 @@ from ..alignment.adjustment import (
 from ..base.datatypes import Array, Match, Placement, PoseEstimate, Scan
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
-from ..surfaces.consistency import Standing
+from ..surfaces.consistency import SceneObjects
 from ..surfaces.scans import why_few_poles
 from ..surfaces.visibility import score_hypotheses
 from .choice import NOT_SYMMETRIC, ambiguous, is_not_ruled_out
 from .correspondence import same_pose
-from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, lifts, under
+from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, raises_grounds, under
 from .evidence import count as agreement
 from .icp_refinement import MOST_REFINED
 from .one_pole import matches_about, matches_from_above, registered_in_map
@@ -61,7 +61,7 @@ wheels of cars that had moved by more."""
 LEAVES = "one pole, or parallel ones, leave a part of the pose open"
 """What the poles do not tell."""
 
-STAND_TWO = "set up two poles that both LiDARs see, one of them leaning by 15° or more"
+SET_UP_TWO = "set up two poles that both LiDARs see, one of them leaning by 15° or more"
 """What to do where it does not without any pole."""
 
 LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
@@ -112,15 +112,15 @@ def choose_by_place(
         choices = find_recurring(scored)
     except Refusal:
         return None
-    told = [_told(grounds, choice.joint.match.T_target_source) for choice in choices]
-    order = np.argsort([each.conflicting - each.agreeing for each in told], kind="stable")
+    counts = [_counts_at(grounds, choice.joint.match.T_target_source) for choice in choices]
+    order = np.argsort([each.conflicting - each.agreeing for each in counts], kind="stable")
     choices = [choices[k] for k in order]
     hypotheses = rank_joint_hypotheses(choices, scored)
     beside = _rivals(
         grounds, hypotheses[0].match.T_target_source, [h.match for h in hypotheses[1:]]
     )
     rivals = [each for each in hypotheses if each.match in beside]
-    advice = STAND_TWO if count == 0 else NOT_SYMMETRIC
+    advice = SET_UP_TWO if count == 0 else NOT_SYMMETRIC
     refusal = ambiguous(hypotheses[0], rivals, advice) if rivals else None
     paired = () if rivals else choices[0].paired
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
@@ -175,7 +175,7 @@ def align_by_place_where_open(
 
 def _matches(
     placement: Placement,
-    grounds: tuple[Sequence[Standing], Sequence[Standing]],
+    grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]],
     radius: float,
     count: int | None,
     prior: PosePrior | None,
@@ -190,7 +190,7 @@ def _matches(
     return matches_from_above(placement, grounds, radius, prior)
 
 
-Grounds = Sequence[tuple[Sequence[Standing], Sequence[Standing]]]
+Grounds = Sequence[tuple[Sequence[SceneObjects], Sequence[SceneObjects]]]
 """What stands off each plane that may be the ground, in both clouds of every placement."""
 
 
@@ -200,7 +200,7 @@ def _grounds(placements: Sequence[Placement]) -> Grounds:
     return [grounds_of(each, rng) for each in placements]
 
 
-def _told(grounds: Grounds, T: Array) -> Confirmation:
+def _counts_at(grounds: Grounds, T: Array) -> Confirmation:
     """Count what agrees with a pose (4, 4), and what conflicts with it."""
     return agreement([under(each, T) for each in grounds], T)
 
@@ -210,20 +210,20 @@ def _rivals(grounds: Grounds, T: Array, others: Sequence[Match]) -> list[Match]:
 
     The rule is `choice.is_not_ruled_out`, of patches off the ground.
     """
-    own, lifted = _told(grounds, T), _lifts(grounds, T)
+    own, lifted = _counts_at(grounds, T), _raises(grounds, T)
     found = []
     for other in others:
-        told = _told(grounds, other.T_target_source)
+        counted = _counts_at(grounds, other.T_target_source)
         possible = is_not_ruled_out(
-            told.agreeing, told.contradicted, own.agreeing, own.contradicted
+            counted.agreeing, counted.contradicted, own.agreeing, own.contradicted
         )
-        if possible and (lifted or not _lifts(grounds, other.T_target_source)):
+        if possible and (lifted or not _raises(grounds, other.T_target_source)):
             found.append(other)
     return found
 
 
-def _lifts(grounds: Grounds, T: Array) -> bool:
-    return lifts([under(each, T) for each in grounds], T)
+def _raises(grounds: Grounds, T: Array) -> bool:
+    return raises_grounds([under(each, T) for each in grounds], T)
 
 
 def confirmed_by_place(chosen: Chosen) -> Chosen | None:
@@ -248,7 +248,7 @@ def confirmed_by_place(chosen: Chosen) -> Chosen | None:
         return None
     grounds = _grounds([each.placement for each in chosen.scored])
     first = [choice.joint.match.T_target_source for choice in chosen.choices[:MOST_REFINED]]
-    counts = [_told(grounds, T) for T in first]
+    counts = [_counts_at(grounds, T) for T in first]
     k = min(range(len(counts)), key=lambda k: counts[k].conflicting - counts[k].agreeing)
     best = chosen.choices[k]
     if counts[k].total < MIN_TOTAL or counts[k].contradicted > MAX_CONTRADICTED:
@@ -295,7 +295,7 @@ def _alone(scan: Scan, k: int) -> Scan:
     return replace(scan, detection=replace(scan.detection, poles=(scan.poles[k],)))
 
 
-def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
+def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
     """Refuse a pose of which the place gives a part and does not confirm it.
 
     Raises
@@ -332,13 +332,13 @@ def check_told(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
 def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     """Say what the poles leave to the place, and what to do where it does not tell."""
     if has_no_poles(paired):
-        return "without poles all of the pose is open", STAND_TWO
+        return "without poles all of the pose is open", SET_UP_TWO
     scans = [scan for each in paired for scan in (each.placement.target, each.placement.source)]
     few = (why_few_poles(scan) for scan in scans if len(scan.poles) < 2)
     return LEAVES, next(filter(None, few), LEAN_ANOTHER)
 
 
-def check_held(
+def check_constrained(
     paired: Sequence[PairedPlacement], refined: PoseEstimate | None, held: Array | None = None
 ) -> None:
     """Refuse a pose that the poles leave open, and the scene as well.
@@ -370,18 +370,18 @@ def check_held(
         )
     assert refined.covariance is not None
     held = refined.covariance if held is None else held
-    if is_held(held) and is_nearly_determined(refined.covariance):
+    if is_constrained(held) and is_nearly_determined(refined.covariance):
         return
-    check_held_by_scene(refined.covariance, left=left, advice=advice)
+    check_constrained_by_scene(refined.covariance, left=left, advice=advice)
 
 
-def is_held(covariance: Array) -> bool:
+def is_constrained(covariance: Array) -> bool:
     """Whether a pose (6, 6) is known far better than the place was taken to give it."""
     by_place = covariance / np.outer(SURROUNDINGS_SIGMA, SURROUNDINGS_SIGMA)
     return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
 
 
-def check_held_by_scene(
+def check_constrained_by_scene(
     covariance: Array,
     lidars: str = "both LiDARs",
     *,
@@ -404,7 +404,7 @@ def check_held_by_scene(
     Refusal
         ``degenerate_poles``.
     """
-    if is_held(covariance):
+    if is_constrained(covariance):
         return
     rotation, translation = widest(covariance)
     raise Refusal(

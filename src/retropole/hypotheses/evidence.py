@@ -21,7 +21,7 @@ from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty.confirmation import CLEAR_Z_MARGIN, DECEIVING, TOGETHER, Confirmation
 from ..surfaces.consistency import (
-    Standing,
+    SceneObjects,
     best_lifts,
     best_shifts,
     blocks,
@@ -29,7 +29,7 @@ from ..surfaces.consistency import (
     consistency,
     grounds_in,
     is_ground_on_ground,
-    standing_in,
+    objects_in,
     verdicts,
 )
 from ..surfaces.static import recorded_together
@@ -96,8 +96,8 @@ def confirm(
     exact = [other.match for other in others if other.match.exact]
     angles = [other.match for other in others if other.match.by_place]
     rivals = [match.T_target_source for match in angles or exact[:MAX_RIVALS]]
-    if not lifts(scenes, T):
-        rivals = [pose for pose in rivals if not lifts(scenes, pose)]
+    if not raises_grounds(scenes, T):
+        rivals = [pose for pose in rivals if not raises_grounds(scenes, pose)]
     shifted = [*_shifted(scenes, T)]
     poses = [*shifted, *_turned(scenes, T), *rivals]
     margins, better = [], []
@@ -134,12 +134,12 @@ def confirm(
 
 def scenes_of(
     placements: Sequence[Placement], rng: np.random.Generator
-) -> list[tuple[Standing, Standing]]:
+) -> list[tuple[SceneObjects, SceneObjects]]:
     """Prepare both clouds of every placement; the poles themselves are left out."""
     return [
         (
-            standing_in(placement.target.cloud, rng, placement.target.poles),
-            standing_in(placement.source.cloud, rng, placement.source.poles),
+            objects_in(placement.target.cloud, rng, placement.target.poles),
+            objects_in(placement.source.cloud, rng, placement.source.poles),
         )
         for placement in placements
     ]
@@ -147,21 +147,21 @@ def scenes_of(
 
 def grounds_of(
     placement: Placement, rng: np.random.Generator
-) -> tuple[tuple[Standing, ...], tuple[Standing, ...]]:
+) -> tuple[tuple[SceneObjects, ...], tuple[SceneObjects, ...]]:
     """Prepare both clouds of a placement for each plane that may be the ground."""
     target, source = (grounds_in(scan.cloud, rng, scan.poles) for scan in placement.scans)
     return target, source
 
 
 def under(
-    grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array
-) -> tuple[Standing, Standing]:
+    grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]], T: Array
+) -> tuple[SceneObjects, SceneObjects]:
     """Choose the planes that a pose (4, 4) lays on each other; the first of each, where it none."""
     every = list(product(*grounds))
     return next((pair for pair in every if is_ground_on_ground(*pair, T)), every[0])
 
 
-def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation:
+def count(scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array) -> Confirmation:
     """Count the voxels of all scenes that agree with a pose (4, 4), or conflict with it."""
     each = [consistency(*scene, T) for scene in scenes]
     return Confirmation(
@@ -171,7 +171,7 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
     )
 
 
-def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
+def _shifted(scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array) -> Iterator[Array]:
     """Poses near a pose: the best shifts along the ground and off it.
 
     Off the ground only if the pose lifts the grounds off each other, and more coincides there.
@@ -179,13 +179,13 @@ def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
         shifts = best_shifts(*clouds)
-        if lifts([(target, source)], T):
+        if raises_grounds([(target, source)], T):
             shifts += [shift for shift in best_lifts(*clouds) if shift.gain > 1]
         for shift in shifts:
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
 
 
-def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
+def raises_grounds(scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array) -> bool:
     """Whether a pose lifts the grounds of some scene off each other.
 
     Grounds that coincide conflict with all lifts, and are not among the points.
@@ -196,7 +196,7 @@ def lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
     )
 
 
-def _turned(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
+def _turned(scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array) -> Iterator[Array]:
     """Poses that are turned about the normal of the ground."""
     target, source = scenes[0]
     middle = se3.apply(T, np.median(source.points, axis=0)) if len(source.points) else T[:3, 3]
@@ -217,7 +217,7 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
     return float(net / np.sqrt(here.total + there.total + 1))
 
 
-def _margin_in_map(scene: tuple[Standing, Standing], T: Array) -> Callable[[Array], float]:
+def _margin_in_map(scene: tuple[SceneObjects, SceneObjects], T: Array) -> Callable[[Array], float]:
     """Give by how many σ a pose (4, 4) in a map is better than another.
 
     Most of a street agrees with either. So only what differs counts, and by blocks, since what one
@@ -257,7 +257,7 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
 
 
 def _poles_against(
-    paired: Sequence[PairedPlacement], scenes: Sequence[tuple[Standing, Standing]], T: Array
+    paired: Sequence[PairedPlacement], scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array
 ) -> int:
     """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
 

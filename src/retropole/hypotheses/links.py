@@ -21,7 +21,7 @@ import numpy as np
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Refusal
 from ..extraction.candidates import with_candidates
-from .by_place import check_told
+from .by_place import check_confirmed_by_surroundings
 from .evidence import check_confirmation, confirm
 from .joint_choice import linked_groups
 from .pairs import Pair
@@ -224,7 +224,7 @@ def _is_confirmed(chosen: Chosen) -> bool:
     found = confirm(chosen.paired, T, others, np.random.default_rng(0))
     try:
         check_confirmation(found)
-        check_told(chosen.paired, found)
+        check_confirmed_by_surroundings(chosen.paired, found)
     except Refusal:
         return False
     return True

@@ -29,7 +29,7 @@ from ..extraction.acceptance_shape import MAX_LENGTH
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import (
     HALF_SIDE,
-    Standing,
+    SceneObjects,
     is_ground_on_ground,
     movable_objects,
 )
@@ -93,7 +93,7 @@ class Peak:
 
 
 def matches_about(
-    placement: Placement, standing: tuple[Standing, Standing], radius: float
+    placement: Placement, standing: tuple[SceneObjects, SceneObjects], radius: float
 ) -> list[Match]:
     """Find the poses that lay one pole on one pole and the surroundings on each other.
 
@@ -204,7 +204,9 @@ def _off_line(target: Pole, source: Pole, T: Array) -> Array:
     return se3.lengths(np.cross(away, target.direction))
 
 
-def _peaks(target: Scan, source: Scan, standing: tuple[Standing, Standing]) -> Iterator[Peak]:
+def _peaks(
+    target: Scan, source: Scan, standing: tuple[SceneObjects, SceneObjects]
+) -> Iterator[Peak]:
     frames, spectra = [], []
     for scan, seen in zip((target, source), standing, strict=True):
         frames.append([frame_about(p.point, p.direction) for p in scan.poles[:MOST_POLES]])
@@ -303,7 +305,7 @@ class GroundPeak:
 
 def matches_from_above(
     placement: Placement,
-    grounds: tuple[Sequence[Standing], Sequence[Standing]],
+    grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]],
     radius: float | None = None,
     prior: PosePrior | None = None,
 ) -> list[Match]:
@@ -351,7 +353,7 @@ def _laid(T: Array) -> Match:
     return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
 
 
-def _ground_peaks(target: Standing, source: Standing, prior: PosePrior) -> list[GroundPeak]:
+def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) -> list[GroundPeak]:
     """Find the rotations and shifts at which most cells coincide, the best first."""
     levels = _level(target), _level(source)
     above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
@@ -401,7 +403,7 @@ def _apart(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
             return
 
 
-def _level(standing: Standing) -> Array:
+def _level(standing: SceneObjects) -> Array:
     """(4, 4) to a frame on the ground below the LiDAR, z up, from the LiDAR's."""
     origin = standing.image.origin
     height = float((origin - standing.ground) @ standing.up)

@@ -172,7 +172,7 @@ def _scored(
     first = max(rough, key=lambda each: each.score)
     first = _by_scene(first.match, first.poles, target, source)
     scored = [
-        _by_scene(each.match, each.poles, target, source) if _may_stand(each, first) else each
+        _by_scene(each.match, each.poles, target, source) if _may_remain(each, first) else each
         for each in rough
     ]
     scored.sort(key=lambda each: -each.score)
@@ -180,7 +180,7 @@ def _scored(
     hypotheses = tuple(
         replace(
             each,
-            stands=each is best or _stands(each, best),
+            stands=each is best or _is_not_ruled_out(each, best),
             possible=each is best or _is_possible(each, best),
         )
         for each in scored
@@ -210,7 +210,7 @@ def _overlaps(best: Hypothesis) -> bool:
     return True
 
 
-def _stands(each: Hypothesis, best: Hypothesis) -> bool:
+def _is_not_ruled_out(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
 
     Scenes that do not overlap distinguish no poses.
@@ -218,7 +218,7 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     return (_is_possible if best.overlap < LEAST_OVERLAP else is_as_possible)(each, best)
 
 
-def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
+def _may_remain(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the whole scene may leave standing, or possible, what a part of it speaks of."""
     at_best = replace(
         each,
@@ -226,7 +226,7 @@ def _may_stand(each: Hypothesis, best: Hypothesis) -> bool:
         free_space_violation=each.free_space_violation - SPARSE_ERROR,
         score=each.score + 2 * SPARSE_ERROR,
     )
-    return _stands(at_best, best) or _is_possible(at_best, best)
+    return _is_not_ruled_out(at_best, best) or _is_possible(at_best, best)
 
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:

@@ -258,11 +258,11 @@ def align(
         sizes=(error_sizes(first.cloud, first.sensor), error_sizes(second.cloud, second.sensor)),
         placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
         by_place=is_by_place(paired),
-        left=left_in([each.placement for each in paired]),
+        left=remaining_sway_in([each.placement for each in paired]),
     )
 
 
-def left_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
+def remaining_sway_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
     """What is left of the sway of target and source, (6, 6) each; empty if neither swayed."""
     both = zip(*(each.scans for each in placements), strict=True)
     return remaining_sway_of_each([[scan.sway for scan in own] for own in both])

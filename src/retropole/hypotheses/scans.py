@@ -88,7 +88,7 @@ class SiteScans:
 def find_scans(site: Site) -> SiteScans:
     """Search every recording of a site for poles; where one was carried, leave out what moved.
 
-    A recording that cannot be used is left out and told in `SiteScans.faults`: others may do.
+    A recording that cannot be used is left out and reported in `SiteScans.faults`: others may do.
     """
     rows, faults, recorded = [], [], []
     origins = np.zeros((len(site.lidars), 3))

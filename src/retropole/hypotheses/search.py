@@ -18,7 +18,7 @@ from ..surfaces import visibility
 from ..surfaces.scans import why_few_poles
 from . import correspondence, icp_refinement
 from .absence import without_absent
-from .by_place import STAND_TWO, choose_by_place, confirmed_by_place, has_rival
+from .by_place import SET_UP_TWO, choose_by_place, confirmed_by_place, has_rival
 from .candidate_confirmation import is_confirmed, poles_agree
 from .choice import choose_best
 from .evidence import REDUNDANT_POLES
@@ -41,7 +41,7 @@ RESCUED = {
 }
 """Refusals after which candidate poles are tried: other poles may give what these did not."""
 
-BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
+FROM_SURROUNDINGS = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
 """Refusals after which poles that do not determine the whole pose are matched, and the
 surroundings give the rest."""
 
@@ -108,7 +108,7 @@ def choose_with_candidates(
                 and not has_rival(confirmed.paired, radius)
             ):
                 return confirmed
-    if by_place and first.refusal.code in BY_PLACE:
+    if by_place and first.refusal.code in FROM_SURROUNDINGS:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
         # What it lacks is no advice to those whose two poles are well set up.
@@ -143,7 +143,7 @@ def _choose_without_poles(
     refusal = Refusal(
         "no_overlap",
         "without poles the place must give the pose, and there is none that lays ground on ground "
-        f"and what stands off it on each other; {STAND_TWO}",
+        f"and what stands off it on each other; {SET_UP_TWO}",
         {"poles": 0},
     )
     return Chosen((), (), refusal)

@@ -25,7 +25,7 @@ from ..base.datatypes import Array, Placement, PointCloud, Pole
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..surfaces.averaging import averaged
-from ..surfaces.consistency import Standing, consistency, standing_in
+from ..surfaces.consistency import SceneObjects, consistency, objects_in
 from ..surfaces.registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
 from ..surfaces.visibility import (
     OVERLAP_DISTANCE,
@@ -118,7 +118,7 @@ class _Scene:
     """A placement, prepared: what the target sees, and the source as it is."""
 
     view: View
-    standing: Standing
+    standing: SceneObjects
     surfaces: Surfaces
     source: PointCloud
 
@@ -234,9 +234,9 @@ def _scene_of(placement: Placement) -> _Scene | None:
     return _Scene(view, standing, surfaces, averaged(placement.source.cloud))
 
 
-def _standing(cloud: PointCloud) -> Standing:
+def _standing(cloud: PointCloud) -> SceneObjects:
     # The same recordings give the same answer.
-    return standing_in(cloud, np.random.default_rng(0))
+    return objects_in(cloud, np.random.default_rng(0))
 
 
 def _matches(placement: Placement, change: float) -> list[Array]:

@@ -20,7 +20,7 @@ from ..simulation.raycast import Box, Surface
 from ..simulation.recorded import recorded_beams
 from ..simulation.scanning import scan
 from ..simulation.scenes import ASPHALT, ground
-from ..surfaces.consistency import OTHER_GROUND, Standing, standing_in
+from ..surfaces.consistency import OTHER_GROUND, SceneObjects, objects_in
 from ..surfaces.registration import prepare, voxel_downsample
 from ..surfaces.scans import find_poles
 from ..surfaces.visibility import SCORING_VOXEL, tree_of
@@ -158,7 +158,7 @@ def _apart(a: Array, b: Array) -> float:
 
 def place_frame(cloud: PointCloud) -> Array:
     """(4, 4) to the frame on the ground below a LiDAR: z up, x where the LiDAR's x axis points."""
-    up, height = _upwards(standing_in(cloud, np.random.default_rng(0)))
+    up, height = _upwards(objects_in(cloud, np.random.default_rng(0)))
     ahead = np.eye(3)[0] - up[0] * up
     if np.linalg.norm(ahead) < UPWARD:
         ahead = np.eye(3)[2] - up[2] * up
@@ -239,18 +239,18 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
     return Refined(T)
 
 
-def _counted(grounds: tuple[Sequence[Standing], Sequence[Standing]], T: Array) -> Refined:
+def _counted(grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]], T: Array) -> Refined:
     counts = count([under(grounds, T)], T)
     return Refined(T, counts.agreeing, counts.contradicting)
 
 
-def _upwards(one: Standing) -> tuple[Array, float]:
+def _upwards(one: SceneObjects) -> tuple[Array, float]:
     """Normal (3,) of the ground towards the LiDAR, and the LiDAR's height above it, metres."""
     height = float((one.image.origin - one.ground) @ one.up)
     return (one.up, height) if height > 0 else (-one.up, -height)
 
 
-def _ground_on_ground(target: Standing, source: Standing, rough: Array) -> Array:
+def _ground_on_ground(target: SceneObjects, source: SceneObjects, rough: Array) -> Array:
     """Turn and lift a rough pose (4, 4) until the source's ground lies on the target's."""
     up, _ = _upwards(target)
     own = rough[:3, :3] @ _upwards(source)[0]
@@ -269,7 +269,7 @@ def _is_near(T: Array, rough: Array) -> bool:
 
 
 def check_grounds(
-    first: str, second: str, target: Standing, source: Standing, rough: Array
+    first: str, second: str, target: SceneObjects, source: SceneObjects, rough: Array
 ) -> None:
     """Refuse a rough pose under which one LiDAR's ground is no ground for the other.
 

@@ -15,7 +15,7 @@ from ..base.quantities import counted
 from ..base.sensors import auto_threshold
 from ..hypotheses.choice import hypothesis_name
 from ..result import PoleDoc, ResultDoc, plain, pole_documents
-from ..surfaces.consistency import contradicting_points, standing_in
+from ..surfaces.consistency import contradicting_points, objects_in
 from .page import Html
 from .plan import Plan
 from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
@@ -263,7 +263,7 @@ def _contradicting(
     rng, packed = np.random.default_rng(0), {}
     limit = MAX_CONTRADICTING // len(subject.scans[0])
     for j, both in enumerate(zip(*subject.scans, strict=True)):
-        target, source = (standing_in(scan.cloud, rng) for scan in both if scan is not None)
+        target, source = (objects_in(scan.cloud, rng) for scan in both if scan is not None)
         found = {pose.id: contradicting_points(target, source, pose.T) for pose in poses}
         for k in range(2):
             packed[k, j] = {

@@ -101,7 +101,7 @@ class Line(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class SceneObjects:
     """Objects in the scene of one LiDAR, and what the LiDAR saw.
 
     Attributes
@@ -130,7 +130,7 @@ class Standing:
         """How many cubes hold anything."""
         return len(np.unique(self.voxel))
 
-    def downsampled(self) -> Standing:
+    def downsampled(self) -> SceneObjects:
         """Keep `PER_PLACE` points of each cube, or one more, spread over it."""
         order = np.argsort(self.voxel, kind="stable")
         _, first, size = np.unique(self.voxel[order], return_index=True, return_counts=True)
@@ -140,13 +140,13 @@ class Standing:
         return replace(self, points=self.points[kept], voxel=self.voxel[kept])
 
 
-def standing_in(
+def objects_in(
     cloud: PointCloud,
     rng: np.random.Generator,
     poles: Sequence[Line] = (),
     *,
     max_tilt: float = MAX_TILT,
-) -> Standing:
+) -> SceneObjects:
     """Prepare a cloud, without what is its poles', and a map without what may have driven off.
 
     The random numbers choose the planes that are tried for the ground. Those tilted by less than
@@ -165,7 +165,7 @@ def standing_in(
         standing = standing[~_is_near(standing, pole)]
     voxel = labels_of(np.floor(standing / VOXEL_SIDE)) if len(standing) else np.zeros(0, np.int64)
     image = range_image(cloud)
-    return Standing(standing, voxel, tree_of(points), image, ground, up)
+    return SceneObjects(standing, voxel, tree_of(points), image, ground, up)
 
 
 def _is_movable(points: Array, ground: Array, up: Array) -> BoolArray:
@@ -194,7 +194,7 @@ def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
         From 1 on; 0 for the ground, and where something high stands in the map or in the points.
     """
     # The same map gives the same.
-    standing = standing_in(cloud, np.random.default_rng(0))
+    standing = objects_in(cloud, np.random.default_rng(0))
     both = np.concatenate([cloud.xyz, points])
     movable = _is_movable(both, standing.ground, standing.up)[len(cloud) :]
     height = np.abs((points - standing.ground) @ standing.up)
@@ -213,14 +213,14 @@ def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
 
 def grounds_in(
     cloud: PointCloud, rng: np.random.Generator, poles: Sequence[Line] = ()
-) -> tuple[Standing, ...]:
+) -> tuple[SceneObjects, ...]:
     """Prepare a cloud for each plane that may be the ground: as usual, and off the largest."""
-    usual = standing_in(cloud, rng, poles)
-    largest = standing_in(cloud, rng, poles, max_tilt=np.pi)
+    usual = objects_in(cloud, rng, poles)
+    largest = objects_in(cloud, rng, poles, max_tilt=np.pi)
     return (usual,) if _is_one_plane(usual.up, largest.up) else (usual, largest)
 
 
-def is_ground_on_ground(target: Standing, source: Standing, T: Array) -> bool:
+def is_ground_on_ground(target: SceneObjects, source: SceneObjects, T: Array) -> bool:
     """Whether a pose (4, 4) lays the ground of one LiDAR along that of the other."""
     return _is_one_plane(target.up, T[:3, :3] @ source.up)
 
@@ -289,7 +289,7 @@ def _ground(
     return np.asarray(height < CLEARANCE + RELATIVE_TOLERANCE * ranges), middle, up
 
 
-def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
+def consistency(target: SceneObjects, source: SceneObjects, T: Array) -> Confirmation:
     """Count the voxels of both clouds that agree with a pose (4, 4), target from source."""
     found = verdicts(target, source, T)
     agreeing = int(np.count_nonzero(found > 0))
@@ -300,7 +300,7 @@ def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
     )
 
 
-def verdicts(target: Standing, source: Standing, T: Array) -> IntArray:
+def verdicts(target: SceneObjects, source: SceneObjects, T: Array) -> IntArray:
     """Say of each voxel, of the source and then of the target, what the other LiDAR saw of it.
 
     1 where it agrees with a pose (4, 4), -1 where it is in the way, and 0 where nothing is known.
@@ -308,7 +308,7 @@ def verdicts(target: Standing, source: Standing, T: Array) -> IntArray:
     return np.concatenate([_votes(target, source, T), _votes(source, target, se3.inverse(T))])
 
 
-def blocks(target: Standing, source: Standing, T: Array) -> IntArray:
+def blocks(target: SceneObjects, source: SceneObjects, T: Array) -> IntArray:
     """Number the cubes of `BLOCK` that each voxel lies in, in the order of `verdicts`."""
     at = []
     for each, pose in ((source, T), (target, np.eye(4))):
@@ -319,7 +319,9 @@ def blocks(target: Standing, source: Standing, T: Array) -> IntArray:
     return labels_of(cells) if len(cells) else np.zeros(0, np.int64)
 
 
-def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:
+def contradicting_points(
+    target: SceneObjects, source: SceneObjects, T: Array
+) -> tuple[Array, Array]:
     """Find the points that stand where the other LiDAR looked through, in conflicting voxels.
 
     Parameters
@@ -341,13 +343,13 @@ def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[
     return found[0], found[1]
 
 
-def coincides(points: Array, seer: Standing, T: Array) -> bool:
+def coincides(points: Array, seer: SceneObjects, T: Array) -> bool:
     """Whether most points (N, 3) of the other cloud, moved by ``T`` (4, 4), lie on its points."""
     moved = se3.apply(T, points)
     return bool(np.median(_agrees(seer, moved, se3.lengths(moved - seer.image.origin))))
 
 
-def _agrees(seer: Standing, moved: Array, ranges: Array) -> BoolArray:
+def _agrees(seer: SceneObjects, moved: Array, ranges: Array) -> BoolArray:
     """Which points (N, 3), so far from the seer, have one of its points as near as may be."""
     near = seer.tree.query(moved, distance_upper_bound=VOXEL_SIDE)[0]
     return np.asarray(near < _tolerance(ranges))
@@ -366,7 +368,7 @@ class _Judged(NamedTuple):
     no: IntArray
 
 
-def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
+def _judged(seer: SceneObjects, other: SceneObjects, T: Array) -> _Judged:
     """Hold the points of the other cloud against what the seer saw."""
     moved = se3.apply(T, other.points)
     rays = moved - seer.image.origin
@@ -382,7 +384,7 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     return _Judged(in_the_way, yes, no)
 
 
-def _votes(seer: Standing, other: Standing, T: Array) -> IntArray:
+def _votes(seer: SceneObjects, other: SceneObjects, T: Array) -> IntArray:
     """Say of each voxel of the other cloud whether what the seer saw agrees, or sees through it."""
     _, yes, no = _judged(seer, other, T)
     return np.where(no > yes, -1, np.where(yes > 0, 1, 0))

@@ -39,7 +39,7 @@ MAX_LEVERAGE = 0.35
 
 MAX_FLATNESS = 0.1
 """Most variance across a patch, as a part of that along its lesser extent. Without it, one of 120
-pairs (benchmarks/same_answers.py) moves by half a σ, and in one no place is told that decides."""
+pairs (benchmarks/same_answers.py) moves by half a σ, and in one no place is reported."""
 
 MIN_THICKNESS = 0.001
 """Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer. Patches whose

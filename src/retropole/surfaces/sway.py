@@ -123,7 +123,7 @@ def angle_of(motion: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(motion[:, :3] ** 2, axis=1))))
 
 
-class Asked(NamedTuple):
+class Likelihood(NamedTuple):
     """A frequency, Hz, how probable it is, its features (B, F), and what the returns show of their
     coefficients: information (6 F, 6 F) and gradient (6 F,)."""
 
@@ -143,7 +143,7 @@ class Axes(NamedTuple):
     along: Array
 
 
-def axes_of(asked: Asked, root: Array) -> Axes:
+def axes_of(asked: Likelihood, root: Array) -> Axes:
     """Find the axes in which both the information of the returns and a prior are diagonal.
 
     `root` (6, R) is of the covariance of each six coefficients, over turn and shift, rad and m,
@@ -163,14 +163,16 @@ def evidence_of(axes: Axes, variance: Array, noise: float) -> Array:
     return np.asarray(0.5 * np.sum(gained - np.log(narrowed), axis=1))
 
 
-def axes_along(asked: Sequence[Asked], ways: Sequence[tuple[float, Array]]) -> list[list[Axes]]:
+def axes_along(
+    asked: Sequence[Likelihood], ways: Sequence[tuple[float, Array]]
+) -> list[list[Axes]]:
     """Find the axes of every hypothesis, for each of the ways and for a shift alone."""
     roots = [*(root for _, root in ways), SHIFT_ALONE]
     return [[axes_of(each, root) for root in roots] for each in asked]
 
 
 def infer(
-    asked: Sequence[Asked],
+    asked: Sequence[Likelihood],
     axes: Sequence[Sequence[Axes]],
     sizes: Array,
     ways: Sequence[tuple[float, Array]],
@@ -345,14 +347,14 @@ def motion_of(cloud: PointCloud, when: Timed, sizes: Array) -> Motion | None:
     return found
 
 
-def ask(observed: Observed, tried: Iterable[tuple[float, float, Array]]) -> Iterator[Asked]:
+def ask(observed: Observed, tried: Iterable[tuple[float, float, Array]]) -> Iterator[Likelihood]:
     """Ask the returns about the features of some `hypotheses`."""
     for frequency, share, features in tried:
-        yield Asked(frequency, share, features, *observed.about(features))
+        yield Likelihood(frequency, share, features, *observed.about(features))
 
 
 def judged(
-    observed: Observed, asked: Sequence[Asked], sizes: Array, motion: Array, noise: float = 1.0
+    observed: Observed, asked: Sequence[Likelihood], sizes: Array, motion: Array, noise: float = 1.0
 ) -> tuple[Motion, float]:
     """Weigh all hypotheses by what the returns were asked, and by their noise as it comes out.
 
@@ -385,8 +387,8 @@ def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
     size = 6 * own.shape[1]
     rest = pull[:size] - left[:size, size:] @ coefficients.reshape(-1)
     value, way = np.linalg.eigh(left[:size, :size])
-    told = value > 1e-6 * value[-1]
-    square = (way.T @ rest)[told] ** 2 / value[told]
+    is_known = value > 1e-6 * value[-1]
+    square = (way.T @ rest)[is_known] ** 2 / value[is_known]
     return max(1.0, MAD_TO_SIGMA**2 * float(np.median(square)))
 
 

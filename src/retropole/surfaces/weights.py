@@ -33,8 +33,8 @@ class Weighed:
     pairs, weights
         Those that correspond, and (P,) the weights of the residuals, 1/m².
     ways, left
-        (P, 6) and (6,), as `held_directions` gives them: what the surfaces do not hold is left to
-        the poles, ``(1 − W diag(left) Wᵀ)`` times the rows.
+        (P, 6) and (6,), as `constrained_directions` gives them: what the surfaces do not constrain
+        is left to the poles, ``(1 − W diag(left) Wᵀ)`` times the rows.
     """
 
     pairs: PatchPairs
@@ -91,10 +91,10 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    return Weighed(pairs, weights, *held_directions(pairs, weights))
+    return Weighed(pairs, weights, *constrained_directions(pairs, weights))
 
 
-def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
+def constrained_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
     """Find which directions the surfaces hold, and which the noise of their normals imitates.
 
     The normal of flat ground errs by a degree here and there, and thousands of such errors seem to

@@ -23,7 +23,7 @@ from ..base.uncertainty import WeakDirection
 from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.acceptance_shape import MAX_CONFIRMED_RMS, MIN_POLE_RINGS
 from ..extraction.sensor_pattern import sensor_doubt
-from ..hypotheses.by_place import LEAN_ANOTHER, STAND_TWO
+from ..hypotheses.by_place import LEAN_ANOTHER, SET_UP_TWO
 from ..hypotheses.candidate_confirmation import candidate_reasons
 from ..hypotheses.choice import WARN_MARGIN, margin_of
 from ..hypotheses.correspondence import left_out, widest_angle
@@ -112,7 +112,7 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
         yield Reason(
             "without_poles",
             "without poles the place gives all of the pose, and nothing checks it; it leads other "
-            f"angles and shifts by {lead:.1f} σ. Look at the clouds, or {STAND_TWO}",
+            f"angles and shifts by {lead:.1f} σ. Look at the clouds, or {SET_UP_TWO}",
             {"lead": lead},
         )
         return

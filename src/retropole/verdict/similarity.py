@@ -287,7 +287,7 @@ def _in_common_unit(
         if target is None or source is None:
             continue
         fit = find_fit(replace(placement, target=target.scan, source=source.scan))
-        # Clouds that are in two units are told by what brings one to the other.
+        # Clouds that are in two units are recognised by what brings one to the other.
         if fit is not None and abs(np.log(fit.factor)) <= LEAST_CHANGE:
             fitting.append((unit, target, source, fit.agreed))
     if len(fitting) != 1:

@@ -196,14 +196,14 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
         if seen:
             yield from check_returns(lidar.name, seen)
             yield from check_noise(lidar.name, lidar.sensor, float(noise[i]))
-    told = list(_by_place(site, adjusted))
-    by_place = {link for link, _ in told}
+    reported = list(_by_place(site, adjusted))
+    by_place = {link for link, _ in reported}
     for link in find_links(adjusted):
         names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
         # Of poles that leave some of a pose to the place the note below says so.
         if len(link.poles) > 1 and link.lidars not in by_place:
             yield from check_angles([poles[k].direction for k in link.poles], names)
-    yield from (reason for _, reason in told)
+    yield from (reason for _, reason in reported)
     yield from _doubtful(site, scans, adjusted)
 
 
@@ -240,10 +240,10 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
         if count:
             counts[lidar.name] = count
     if counts:
-        told = ", ".join(f"{count} of {name}'s" for name, count in counts.items())
+        those = ", ".join(f"{count} of {name}'s" for name, count in counts.items())
         yield Reason(
             "doubtful_poles",
-            f"{told} poles are doubtful by themselves, near a wall, beside something bright, with "
+            f"{those} poles are doubtful by themselves, near a wall, beside something bright, with "
             "few returns or dim tape; other LiDARs see the same, and the scenes coincide",
             {"poles": sum(counts.values()), "lidars": ", ".join(counts)},
         )
@@ -254,7 +254,7 @@ def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterato
 
     Of two LiDARs alone (`of_two`) how scene and poles agree says more than the test of either.
     """
-    # A LiDAR's test takes those of all its poles along: it is told where none of them says more.
+    # A LiDAR's test contains those of all its poles: reported where none of them says more.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
     worst = worst_test(single, POOR) or worst_test(() if of_two else adjusted.tests, POOR)
     if worst is None:

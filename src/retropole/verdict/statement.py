@@ -319,10 +319,10 @@ def state_site_refusal(
     )
 
 
-def list_unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> Iterator[Reason]:
-    """Say which recordings could not be used, but for the one whose fault is `told`."""
+def list_unusable(site: Site, scans: SiteScans, known: Refusal | None = None) -> Iterator[Reason]:
+    """Say which recordings could not be used, but for the one whose fault is `known`."""
     for (lidar, placement), refusal in scans.faults:
-        if told is not None and refusal.message == told.message:
+        if known is not None and refusal.message == known.message:
             continue
         name, where = site.lidars[lidar].name, site.placements[placement]
         yield Reason(

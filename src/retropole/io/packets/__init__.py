@@ -58,7 +58,7 @@ class Sender:
         Bytes of its packets; those of another size it has not sent.
     rows, times
         Its packets, by their numbers in the recording; when each came, by the recorder's clock, s.
-    angles, told
+    angles, identified
         Its own, where a packet reported them, and how many packets report on it.
     """
 
@@ -69,7 +69,7 @@ class Sender:
     rows: array[int] = field(default_factory=lambda: array("q"))
     times: array[float] = field(default_factory=lambda: array("d"))
     angles: Angles | None = None
-    told: int = 0
+    identified: int = 0
 
 
 Reading = Callable[[IntArray], Iterator[NDArray[np.uint8]]]
@@ -109,7 +109,7 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
         return _of_ouster(path, capture, wanted)
     name = _chosen(path, senders, topic)
     # Of a damaged packet nothing shows who sent it, but that it is as long as others.
-    known = sum(len(each.rows) + each.told for each in senders.values())
+    known = sum(len(each.rows) + each.identified for each in senders.values())
     length = capture.records[senders[name].rows[0], 1]
     similar_packets = int(np.count_nonzero(capture.records[:, 1] == length))
     unreadable = max(similar_packets - known, 0) if len(senders) == 1 else 0
@@ -212,7 +212,7 @@ def survey(coming: Iterator[SimilarPackets]) -> tuple[dict[str, Sender], Counter
             for key, payload in reported.items()
             if own.model is not None and key.partition(" ")[0] == name.partition(":")[0]
         )
-        own.told = identifying[name.partition(":")[0]]
+        own.identified = identifying[name.partition(":")[0]]
         own.angles = next((each for each in found if each is not None), None)
     # A damaged address or port looks like another LiDAR, which sends next to nothing.
     most = max((len(own.rows) for own in senders.values()), default=0)
