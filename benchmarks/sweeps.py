@@ -88,7 +88,6 @@ def errors_of(device: Device, sensor: Sensor, bands: Array) -> Array:
         *device.wobble,
         *device.bend,
         device.elevation,
-        device.elevation_scale,
     ]
     whole[TAPE] = device.tape_offset
     own = np.floor(np.asarray(sensor.elevations) / BAND + 1e-6).astype(int)

@@ -25,12 +25,11 @@ from tests.numeric import numeric_jacobian
 from tests.tiers import first_of
 
 
-def bent(azimuth: Array, elevation: Array, b: Array) -> Array:
-    """How far scan lines are bent up, of periods 180° and 120° as a whole, and by a scale."""
-    c2, s2, c3, s3, of_all, part = b
+def bent(azimuth: Array, b: Array) -> Array:
+    """How far scan lines are bent up, of periods 180° and 120° and as a whole."""
+    c2, s2, c3, s3, of_all = b
     return np.asarray(
         of_all
-        + part * elevation
         + c2 * np.cos(2 * azimuth)
         + s2 * np.sin(2 * azimuth)
         + c3 * np.cos(3 * azimuth)
@@ -53,7 +52,7 @@ def corrected(
     ranges = ranges - zero - scale * ranges - tape - by_band[0]
     turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth) + by_band[2]
     raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth) + by_band[1]
-    raised += bent(azimuth, elevation, own[7:-2])
+    raised += bent(azimuth, own[7:-2])
     level = np.cos(raised)
     new = np.stack([level * np.cos(turned), level * np.sin(turned), np.sin(raised)], axis=1)
     return new, ranges

@@ -89,7 +89,7 @@ def test_derivative_by_the_errors(tape: bool) -> None:
     def true_return(b: Array) -> Array:
         # The width of the beam moves no return.
         zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s = b[:7]
-        c2, s2, c3, s3, of_all, part, on_tape, _ = b[7:DEVICE]
+        c2, s2, c3, s3, of_all, on_tape, _ = b[7:DEVICE]
         ring_range, ring_elevation, ring_azimuth = b[DEVICE:]
         rho = ranges - zero - scale * ranges - slant * ranges * np.minimum(tangent, MAX_TANGENT)
         rho = rho - (on_tape if tape else 0.0) - ring_range
@@ -98,7 +98,7 @@ def test_derivative_by_the_errors(tape: bool) -> None:
         raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth)
         raised += c2 * np.cos(2 * azimuth) + s2 * np.sin(2 * azimuth)
         raised += c3 * np.cos(3 * azimuth) + s3 * np.sin(3 * azimuth)
-        raised += of_all + part * elevation
+        raised += of_all
         return np.asarray(rho[:, None] * ray(turned, raised + ring_elevation))
 
     def along(direction: Array) -> Array:

@@ -32,9 +32,10 @@ def test_the_frame_may_be_that_of_either(pair_site: SimulatedSite, of_two: SiteC
     step = se3.local(of_two.lidars[1].T_site_lidar, se3.inverse(other.lidars[0].T_site_lidar))
     sigma = np.sqrt(np.diag(of_two.lidars[1].covariance))
     assert np.abs(step / sigma).max() < 0.5
-    assert between(other, 0, 1).covariance == pytest.approx(
-        between(of_two, 0, 1).covariance, rel=0.2, abs=1e-7
-    )
+    one_way, back = (between(site, 0, 1).covariance for site in (of_two, other))
+    # In parts of the variances: the products of small correlations have no scale of their own.
+    sizes = np.sqrt(np.outer(np.diag(one_way), np.diag(one_way)))
+    np.testing.assert_allclose(back / sizes, one_way / sizes, atol=0.2)
     for one in other.tests:
         assert one.lidar is None or pair_site.as_site().lidars[one.lidar].name in one.name
 

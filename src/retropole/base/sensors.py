@@ -177,7 +177,6 @@ class ListedErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
     wobble_deg: Size | None = None
     bend_deg: Size | None = None
     elevation_deg: Size | None = None
-    elevation_scale: Size | None = None
     tape_m: Size | None = None
     ring_range_m: Size | None = None
     ring_elevation_deg: Size | None = None

@@ -9,7 +9,7 @@ true return lies at::
     range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
     azimuth    α + encoder_c cos α + encoder_s sin α + ring_azimuth(ring)
     elevation  ε + wobble_c cos α + wobble_s sin α + Σ_k (bend_kc cos kα + bend_ks sin kα)
-               + elevation + elevation_scale·ε + ring_elevation(ring),    k = 2, 3,
+               + elevation + ring_elevation(ring),    k = 2, 3,
 
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
 A constant error of the azimuth is a rotation of the LiDAR's frame, which no scan can show. What
@@ -64,11 +64,6 @@ With 0.003, 0.01 and 0.02° the region holds 75, 96 and 100 % of truths where th
 and 100 % in all other tuning families, whose errors are the same (benchmarks/coverage.py, 24 runs
 each)."""
 
-SPINNING_SCALE = 0.001
-"""1 σ of the scale of the elevation of a LiDAR with a laser for each ring. With 0, 0.001 and 0.002
-the region holds 50, 83 and 92 % of truths where it is off by 0.3 %, and errors where it is not are
-2.5, 3.1 and 3.7 mm (benchmarks/coverage.py, 24 runs each)."""
-
 HARMONICS = (2, 3)
 """Periods over a turn of what bends scan lines: a parabola and a cubic over the field of view of a
 LiDAR that looks one way."""
@@ -107,8 +102,6 @@ class Sizes:
         not known is the middle of that, on a logarithmic scale.
     elevation
         Error of the elevation that all beams share, rad.
-    elevation_scale
-        Error of the elevation as a part of it: of a table of nominal angles, or of a mirror.
     tape
         Range offset of retro-reflective returns relative to all others, metres.
     ring_range, ring_elevation, ring_azimuth
@@ -125,7 +118,6 @@ class Sizes:
     wobble: float = float(np.radians(0.006))
     bend: float = float(np.radians(0.03))
     elevation: float = float(np.radians(0.02))
-    elevation_scale: float = 0.002
     tape: float = 0.010
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))
@@ -141,8 +133,7 @@ without it 3 were outside of the 95 % region."""
 
 def spinning(sizes: Sizes) -> Sizes:
     """Give the same sizes with those of the elevation of a LiDAR that turns about one axis."""
-    of_lines = {"bend": SPINNING_BEND, "elevation": SPINNING_ELEVATION}
-    return replace(sizes, **of_lines, elevation_scale=SPINNING_SCALE)
+    return replace(sizes, bend=SPINNING_BEND, elevation=SPINNING_ELEVATION)
 
 
 def sizes_of(sensor: Sensor | None) -> Sizes:
@@ -181,7 +172,6 @@ DEVICE_KINDS = (
     Kind("wobble of the axis", "wobble", "rad"),
     *(2 * len(HARMONICS) * (Kind("bent scan lines", "bend", "rad"),)),
     Kind("elevation of all beams", "elevation", "rad"),
-    Kind("scale of the elevation", "elevation_scale", "1"),
     Kind("range offset on tape", "tape", "m"),
     Kind("width of the beam", "width", "1"),
 )
@@ -287,14 +277,14 @@ def by_error(
     Returns
     -------
     device, ring
-        (N, …, 15) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
+        (N, …, 14) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
     """
     # From where azimuths count makes no difference: their cosine and sine have one size.
     start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
     level = np.stack([rays @ start, rays @ np.cross(axis, start)], axis=1)
     cosine, sine = (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]).T
     turned = [(cosine + 1j * sine) ** k for k in HARMONICS]
-    one, above = np.ones_like(ranges), np.arcsin(np.clip(rays @ axis, -1.0, 1.0))
+    one = np.ones_like(ranges)
     stretch = ranges * np.minimum(tangent, MAX_TANGENT)
 
     def times(derivative: Array, *factors: Array) -> list[Array]:
@@ -304,8 +294,7 @@ def by_error(
     device = [
         *times(by_range, -one, -ranges, -stretch),
         *times(by_azimuth, cosine, sine),
-        *times(by_elevation, cosine, sine, *(x for z in turned for x in (z.real, z.imag))),
-        *times(by_elevation, one, above),
+        *times(by_elevation, cosine, sine, *(x for z in turned for x in (z.real, z.imag)), one),
         *times(by_range, -one if tape else 0.0 * one, 0.0 * one),
     ]
     return np.stack(device, axis=-1), np.stack([-by_range, by_elevation, by_azimuth], axis=-1)

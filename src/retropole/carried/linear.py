@@ -48,7 +48,6 @@ DEVICE_NAMES = (
     ("wobble of the axis", "rad", 2),
     ("bent scan lines", "rad", 4),
     ("elevation of all beams", "rad", 1),
-    ("scale of the elevation", "1", 1),
     ("width of the beam", "1", 1),
     ("depth at the edges of the pole", "1", 1),
 )
@@ -137,7 +136,7 @@ def frame_of(start: Poses, tracks: Sequence[Track], seen: Sequence[Seen], radius
                     s.wobble,
                 ]
                 + 4 * [s.bend]
-                + [s.elevation, s.elevation_scale, s.width, BEYOND_EDGE]
+                + [s.elevation, s.width, BEYOND_EDGE]
             )
         )
         prior.append(np.repeat([s.ring_range, s.ring_elevation, s.ring_azimuth], len(band)))
@@ -294,12 +293,11 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     level = np.linalg.norm(d[:, :2], axis=1)
     cosine, sine = d[:, 0] / level, d[:, 1] / level
     twice, thrice = (cosine + 1j * sine) ** 2, (cosine + 1j * sine) ** 3
-    above = np.arctan2(d[:, 2], level)
-    bends = [twice.real, twice.imag, thrice.real, thrice.imag, np.ones_like(above), above]
+    bends = [twice.real, twice.imag, thrice.real, thrice.imag, np.ones_like(level)]
     east = np.stack([-sine, cosine, 0 * sine], axis=1)
     north = np.cross(d, east)
     turn = errors[2] * cosine + errors[3] * sine + own[2]
-    lift = errors[4] * cosine + errors[5] * sine + errors[6:12] @ bends + own[1]
+    lift = errors[4] * cosine + errors[5] * sine + errors[6:11] @ bends + own[1]
     true = d + (turn * level)[:, None] * east + lift[:, None] * north
     true /= np.linalg.norm(true, axis=1, keepdims=True)
     ranges = rows.ranges - errors[0] - errors[1] * rows.ranges - own[0]
@@ -320,9 +318,9 @@ def _of_lidar(frame: Frame, state: State, lidar: int, spread: Array) -> _Linear:
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     b1, b2, sideways = _across(ray, n)
     lever = np.abs(np.einsum("ni,ni->n", e_east, b2)) * ranges * level
-    left = left_open(rows, lever, frame.radius, errors[12])
-    wider = left_open(rows, lever, frame.radius, errors[12] + 0.1)
-    depth = left.depth + errors[13] * frame.radius * left.beyond
+    left = left_open(rows, lever, frame.radius, errors[11])
+    wider = left_open(rows, lever, frame.radius, errors[11] + 0.1)
+    depth = left.depth + errors[12] * frame.radius * left.beyond
     P = ranges[:, None] * ray + T_walk[:3, 3]
     Z = P[:, 2] + depth / sideways * ray[:, 2]
     e = P[:, :2] + (depth / sideways)[:, None] * ray[:, :2] - axis[:, :2] - axis[:, 2:] * Z[:, None]
