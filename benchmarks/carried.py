@@ -289,11 +289,8 @@ class Missed(NamedTuple):
 
 def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
     """Draw the walk of a seed."""
-    scene = (
-        (seed + seed // (len(SENSORS) * len(SECONDS))) % len(SCENES)
-        if args.mixed
-        else seed % len(SCENES)
-    )
+    mixtures = len(SENSORS) * len(SECONDS)
+    scene = (seed + args.mixed * (seed // mixtures)) % len(SCENES)
     return simulate_walk(
         args.scene or SCENES[scene],
         np.random.default_rng(seed),
@@ -341,7 +338,7 @@ def main() -> None:
     for seed in range(args.first, args.first + args.seeds):
         deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
         if args.mixed:
-            args.sensors, args.seconds = SENSORS[seed % len(SENSORS)], SECONDS[seed % 3]
+            args.sensors, args.seconds = SENSORS[seed % len(SENSORS)], SECONDS[seed % len(SECONDS)]
         walk = draw(args, seed, deception)
         kind = f"{deception} {' '.join(args.sensors)} {args.seconds:g} s".strip()
         spent: list[float] = []

@@ -205,7 +205,7 @@ def check_minima(refined: Refinement | None) -> Iterator[Reason]:
         )
 
 
-RECORD_MORE = "add a placement of the poles, or record where more stands around"
+RECORD_MORE = "add a placement of the poles, or record where more objects are around"
 """What to do where one place decides."""
 
 

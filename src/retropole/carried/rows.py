@@ -26,7 +26,7 @@ import numpy as np
 
 from ..base.datatypes import Array, IntArray
 from ..base.sensors import Sensor
-from .track import Track
+from .track import Track, takes_its_time
 
 DIVERGENCE, RANGE_NOISE, STEP = 0.003, 0.015, float(np.radians(0.2))
 """Of a sensor that is not known: full angle of the beam, rad, 1 σ of the range, metres, and step
@@ -112,7 +112,7 @@ def rows_of(track: Track, sensor: Sensor | None, radius: float) -> Rows:
     wide = DIVERGENCE if sensor is None else sensor.divergence
     ranges = np.linalg.norm(track.xyz, axis=1)
     rays = track.xyz / ranges[:, None]
-    if track.rings[0] < 0 or (sensor is not None and sensor.pattern == "rosette"):
+    if track.rings[0] < 0 or takes_its_time(sensor):
         return _single(track, rays, ranges, radius, wide, noise)
     middle = np.arctan2(track.points[:, 1], track.points[:, 0])[track.sweep]
     azimuth = _wrapped(np.arctan2(rays[:, 1], rays[:, 0]) - middle)

@@ -200,7 +200,7 @@ class Search:
         if self._chosen is None:
             self._chosen = threshold_for(cloud.intensity, ranges, self._sensor, self._threshold)
         found = _poles_in(cloud, ranges, self._chosen, self._sensor, self._radius, self.sweeps)
-        if _takes_its_time(self._sensor):
+        if takes_its_time(self._sensor):
             self._bright.append(_bright_in(cloud, ranges, self._chosen, self.sweeps))
         self.sweeps += 1
         self._found += found
@@ -325,7 +325,7 @@ def _poles_in(
     return found
 
 
-def _takes_its_time(sensor: Sensor | None) -> bool:
+def takes_its_time(sensor: Sensor | None) -> bool:
     """Whether the beams meet a pole again and again within a sweep."""
     return sensor is not None and sensor.pattern == "rosette"
 
