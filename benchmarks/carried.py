@@ -7,6 +7,7 @@ Usage:
     python benchmarks/carried.py --seeds 4 --deceive
     python benchmarks/carried.py --seeds 12 --watch 0.03
     python benchmarks/carried.py --seeds 12 --lidars 3
+    python benchmarks/carried.py --seeds 12 --standing
 
 A walk with all errors of a noise model in a street, a harbor or on bare ground, seed by seed: by
 the pole alone, and with the surfaces around that every tenth sweep shows. With --deceive each is
@@ -14,8 +15,10 @@ spoilt in one way: two poles are carried, the pole never leans, the source's clo
 steps by 20 ms. With --mixed sensors and length change from seed to seed, two OS1-128 without ring
 numbers among them. An answer is wrong where it is off by more than 5 σ, and by 5 cm or more at
 30 m or by 5 ms. With --watch each is watched with that need at 30 m, in metres, until it stops by
-itself. With --lidars three or more record a walk, as those of a site, the others with the second
-sensor. Seeds below 1000 tune; seeds from 5000 state.
+itself. With --lidars three or more
+record a walk, as those of a site, the others with the second sensor. With --standing two poles
+are set up in the same place besides, and recorded by the same LiDARs for ten sweeps each. Seeds
+below 1000 tune; seeds from 5000 state.
 """
 
 from __future__ import annotations
@@ -23,15 +26,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, wait
-from dataclasses import replace
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from retropole.adjustment.answer import SiteCalibration
 from retropole.alignment.certainty import chi2_limit
 from retropole.api.watching import Wish
 from retropole.api.watching_walk import WalkWatch
@@ -55,9 +59,19 @@ from retropole.carried.track import find_track
 from retropole.carried.walk import calibrate_walk, solve_tracks
 from retropole.hypotheses.scans import SiteScans
 from retropole.io import Frame
+from retropole.pipeline import Options, calibrate
 from retropole.result import RunConfig
 from retropole.result.watching import WatchDoc
 from retropole.simulation import NOISE_MODELS
+from retropole.simulation.pairs import (
+    MAX_POLE_ANGLE,
+    MIN_POLE_ANGLE,
+    Arrangement,
+    Recorders,
+    are_in_view,
+    record,
+)
+from retropole.simulation.scenes import draw_poles
 from retropole.simulation.walks import SimulatedWalk, simulate_walk
 from retropole.surfaces.scans import find_poles
 
@@ -80,6 +94,10 @@ EVERY = 10
 
 CHI2 = 12.592
 """95 % of χ² with six degrees of freedom."""
+
+WALKED, STANDING_SWEEPS, MAX_SETUPS = (3.0, 3.0), 10, 100
+"""Half extents of the ground on which poles are set up, m, sweeps that record them, and setups that
+are drawn until both LiDARs see both."""
 
 JUMPS = {"jump": 0.4, "step": 0.02}
 """The clock of a source that deceives jumps by so much in the middle, s."""
@@ -134,136 +152,6 @@ class Walking:
         """Nothing is held."""
 
 
-def watched(
-    sources: Sequence[Walking], wish: Wish, out: Path
-) -> Iterator[tuple[WalkWatch, WatchDoc]]:
-    """Watch a walk to its end, as if each solution took no time."""
-    now = [0.0]
-    watch = WalkWatch(sources, wish, out, lambda: now[0])
-    while not watch.is_over:
-        said = watch.step()
-        now[0] += 0.1
-        at_work: list[Future[Any] | None] = [watch._solving, watch._work]
-        wait([work for work in at_work if work is not None])
-        yield watch, said
-    watch.finish()
-
-
-def watch_walks(args: argparse.Namespace) -> None:
-    """Print of each walk when the watch stopped, and whether the need was met then."""
-    need, met, stopped = args.watch, 0, list[float]()
-    for seed in range(args.first, args.first + args.seeds):
-        walk = draw(args, seed, "")
-        recorders = walk.recorders
-        sources = [
-            Walking(f"lidar{k}", walk.record(k, np.random.default_rng([seed, k]))) for k in (0, 1)
-        ]
-        target, source = (each.sensor.name for each in recorders)
-        config = RunConfig(
-            carried=True, sensor_target=target, sensor_source=source, need_m=need, at_m=AT
-        )
-        with TemporaryDirectory() as out:
-            *_, (watch, said) = watched(sources, Wish(config), Path(out))
-        result = watch.result
-        if result is None or result.T_target_source is None or not said.is_good:
-            print(f"{seed} not good enough in {args.seconds:g} s: {said.next}", flush=True)
-            continue
-        off = float(displacement(se3.local(result.T_target_source, walk.T_target_source), AT))
-        met += off <= need
-        stopped.append(said.seconds)
-        print(f"{seed} stopped after {said.seconds:.0f} s: off by {1e3 * off:.1f} mm", flush=True)
-    print(
-        f"stopped {len(stopped)} of {args.seeds}, after {np.median(stopped or [np.nan]):.0f} s "
-        f"in the median; within {1e3 * need:g} mm: {met}"
-    )
-
-
-def walk_of_site(
-    args: argparse.Namespace, seed: int
-) -> tuple[SimulatedWalk, SiteCalibration, SiteCalibration]:
-    """Calibrate all LiDARs before which the walk of a seed goes on, by the pole and with the scene.
-
-    Raises
-    ------
-    Refusal
-        If the walk gives no answer.
-    """
-    walk = draw(args, seed, "")
-    kept: list[list[PointCloud]] = [[] for _ in walk.recorders]
-    sensors = [each.sensor for each in walk.recorders]
-    tracks = [
-        find_track(metered(recorded(args, walk, seed, k), [], kept[k]), sensor)
-        for k, sensor in enumerate(sensors)
-    ]
-    names = [f"lidar{k}" for k in range(len(sensors))]
-    rows = [(scene_of(own, sensor),) for own, sensor in zip(kept, sensors, strict=True)]
-    lidars = [
-        SiteLidar(name, (row[0].cloud,), sensor)
-        for name, row, sensor in zip(names, rows, sensors, strict=True)
-    ]
-    site = Site("walk", tuple(lidars), ("walk",), carried=True)
-    scans = SiteScans(tuple(rows), np.zeros((len(rows), 3)))
-    solved = solve_tracks(tracks, sensors, DEFAULT_RADIUS, None, names)
-    alone, whole = (
-        state_walk_of_site(site, scans, solved, {}, scene=scene) for scene in (False, True)
-    )
-    return walk, alone, whole
-
-
-def walk_sites(args: argparse.Namespace) -> None:
-    """Print of each walk before several LiDARs how far each pose and clock is off."""
-    args.sensors += (args.lidars - 2) * args.sensors[1:]
-    limit = chi2_limit(6 * (args.lidars - 1), 0.95)
-    errors: tuple[list[float], list[float]] = ([], [])
-    inside: tuple[list[bool], list[bool]] = ([], [])
-    clocks: list[float] = []
-    wrong = 0
-    for seed in range(args.first, args.first + args.seeds):
-        begun = time.process_time()
-        try:
-            walk, *answers = walk_of_site(args, seed)
-        except Refusal as refusal:
-            print(f"{seed} refused, {refusal.reason.code}: {refusal}", flush=True)
-            continue
-        truth, words = walk.T_target_lidar[1:], []
-        for k, answer in enumerate(answers):
-            assert answer.covariance is not None
-            both = list(zip(answer.lidars[1:], truth, strict=True))
-            found = [Missed.by(own.T_site_lidar, own.covariance, T) for own, T in both]
-            step = np.concatenate([se3.local(own.T_site_lidar, T) for own, T in both])
-            chi2 = float(step @ np.linalg.solve(answer.covariance[6:, 6:], step))
-            errors[k].extend(each.error for each in found)
-            inside[k].append(chi2 <= limit)
-            words.append(f"{'; '.join(each.words for each in found)}; together χ² {chi2:.1f}")
-        last = answers[-1]
-        assert last.walk is not None
-        recorders = zip(walk.recorders, last.walk.lidars, strict=True)
-        late = [
-            own.clock + own.drift * seen.middle_s + seen.clock_offset_s for own, seen in recorders
-        ]
-        clocks += np.abs(late[1:]).tolist()
-        sigmas = [seen.clock_sigma_s for seen in last.walk.lidars]
-        is_wrong = any(each.error > max(SIGMAS * each.stated, WRONG) for each in found)
-        is_wrong |= bool(np.any(np.abs(late) > np.maximum(SIGMAS * np.array(sigmas), WRONG_CLOCK)))
-        wrong += is_wrong
-        both_clocks = zip(late[1:], sigmas[1:], strict=True)
-        print(
-            f"{seed} at {AT:g} m {'. With the scene '.join(words)}, {last.status}; clocks "
-            f"{', '.join(f'{1e3 * off:+.2f} ({1e3 * s:.2f})' for off, s in both_clocks)} ms; "
-            f"{time.process_time() - begun:.0f} s with simulation{' WRONG' * is_wrong}",
-            flush=True,
-        )
-    print(f"answered {len(inside[0])} of {args.seeds}, wrong {wrong}")
-    if not clocks:
-        return
-    for name, own, within in zip(("pole alone", "with the scene"), errors, inside, strict=True):
-        print(
-            f"{name}: median {1e3 * np.median(own):.1f} mm at {AT:g} m, largest "
-            f"{1e3 * max(own):.1f}; all poses within 95 % together: {sum(within)}"
-        )
-    print(f"clocks, median {1e3 * np.median(clocks):.2f} ms")
-
-
 class Missed(NamedTuple):
     """An error at 30 m and what is stated, m, and the error squared in σ."""
 
@@ -282,9 +170,215 @@ class Missed(NamedTuple):
         )
 
     @property
+    def is_wrong(self) -> bool:
+        """Whether it is off by more than is stated and matters."""
+        return self.error > max(SIGMAS * self.stated, WRONG)
+
+    @property
     def words(self) -> str:
         """All three."""
         return f"{1e3 * self.error:.1f} mm ({1e3 * self.stated:.1f}), χ² {self.squares:.1f}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a walk: a line, and of its answers by the pole alone and with the scene.
+
+    Attributes
+    ----------
+    words
+        The line.
+    found
+        Errors of each pose, by each of the answers; none where it is refused.
+    inside
+        Whether the joint 95 % region of each answer has the truth.
+    clocks
+        How far each clock is off, s.
+    is_wrong
+        Whether an answer is wrong.
+    seconds
+        CPU time, s; of a watched walk when it stopped.
+    standing
+        Two poles in the same place: errors by these alone and with the scene, where answered.
+    """
+
+    words: str
+    found: tuple[tuple[Missed, ...], ...] = ()
+    inside: tuple[bool, ...] = ()
+    clocks: tuple[float, ...] = ()
+    is_wrong: bool = False
+    seconds: float = 0.0
+    standing: tuple[Missed | None, Missed | None] = (None, None)
+
+
+def watched(
+    sources: Sequence[Walking], wish: Wish, out: Path
+) -> Iterator[tuple[WalkWatch, WatchDoc]]:
+    """Watch a walk to its end, as if each solution took no time."""
+    now = [0.0]
+    watch = WalkWatch(sources, wish, out, lambda: now[0])
+    while not watch.is_over:
+        said = watch.step()
+        now[0] += 0.1
+        at_work: list[Future[Any] | None] = [watch._solving, watch._work]
+        wait([work for work in at_work if work is not None])
+        yield watch, said
+    watch.finish()
+
+
+def watched_walk(args: argparse.Namespace, seed: int) -> Outcome:
+    """When the watch of a walk stopped, and how far off its answer then was."""
+    walk = draw(args, seed, "")
+    sources = [
+        Walking(f"lidar{k}", walk.record(k, np.random.default_rng([seed, k]))) for k in (0, 1)
+    ]
+    target, source = (each.sensor.name for each in walk.recorders)
+    config = RunConfig(
+        carried=True, sensor_target=target, sensor_source=source, need_m=args.watch, at_m=AT
+    )
+    with TemporaryDirectory() as out:
+        *_, (watch, said) = watched(sources, Wish(config), Path(out))
+    result = watch.result
+    if result is None or result.T_target_source is None or not said.is_good:
+        return Outcome(f"{seed} not good enough in {args.seconds:g} s: {said.next}")
+    step = se3.local(result.T_target_source, walk.T_target_source)
+    off = float(displacement(step, AT))
+    words = f"{seed} stopped after {said.seconds:.0f} s: off by {1e3 * off:.1f} mm"
+    missed = Missed(off, args.watch, float(off > args.watch))
+    return Outcome(words, ((missed,),), seconds=said.seconds)
+
+
+def walk_of_site(args: argparse.Namespace, seed: int) -> Outcome:
+    """Calibrate all LiDARs that record the walk of a seed, by the pole and with the scene."""
+    begun = time.process_time()
+    sensors = args.sensors + (args.lidars - 2) * args.sensors[1:]
+    walk = draw(argparse.Namespace(**vars(args) | {"sensors": sensors}), seed, "")
+    kept: list[list[PointCloud]] = [[] for _ in walk.recorders]
+    models = [each.sensor for each in walk.recorders]
+    names = [f"lidar{k}" for k in range(len(models))]
+    try:
+        tracks = [
+            find_track(metered(recorded(args, walk, seed, k), [], kept[k]), sensor)
+            for k, sensor in enumerate(models)
+        ]
+        rows = [(scene_of(own, sensor),) for own, sensor in zip(kept, models, strict=True)]
+        lidars = [
+            SiteLidar(name, (row[0].cloud,), sensor)
+            for name, row, sensor in zip(names, rows, models, strict=True)
+        ]
+        site = Site("walk", tuple(lidars), ("walk",), carried=True)
+        scans = SiteScans(tuple(rows), np.zeros((len(rows), 3)))
+        solved = solve_tracks(tracks, models, DEFAULT_RADIUS, None, names)
+        answers = [
+            state_walk_of_site(site, scans, solved, {}, scene=scene) for scene in (False, True)
+        ]
+    except Refusal as refusal:
+        return Outcome(f"{seed} refused, {refusal.reason.code}: {refusal}")
+    truth, found, squares = walk.T_target_lidar[1:], [], []
+    for answer in answers:
+        assert answer.covariance is not None
+        both = list(zip(answer.lidars[1:], truth, strict=True))
+        found.append(tuple(Missed.by(own.T_site_lidar, own.covariance, T) for own, T in both))
+        step = np.concatenate([se3.local(own.T_site_lidar, T) for own, T in both])
+        squares.append(float(step @ np.linalg.solve(answer.covariance[6:, 6:], step)))
+    seen = answers[-1].walk
+    assert seen is not None
+    late = [
+        (own.clock + own.drift * each.middle_s + each.clock_offset_s, each.clock_sigma_s)
+        for own, each in zip(walk.recorders[1:], seen.lidars[1:], strict=True)
+    ]
+    words = [
+        f"{'; '.join(each.words for each in own)}; together χ² {chi2:.1f}"
+        for own, chi2 in zip(found, squares, strict=True)
+    ]
+    is_wrong = any(each.is_wrong for each in found[-1])
+    is_wrong |= any(abs(off) > max(SIGMAS * sigma, WRONG_CLOCK) for off, sigma in late)
+    seconds = time.process_time() - begun
+    line = (
+        f"{seed} at {AT:g} m {'. With the scene '.join(words)}, {answers[-1].status}; clocks "
+        f"{', '.join(f'{1e3 * off:+.2f} ({1e3 * s:.2f})' for off, s in late)} ms; "
+        f"{seconds:.0f} s with simulation{' WRONG' * is_wrong}"
+    )
+    limit = chi2_limit(6 * len(truth), 0.95)
+    within = tuple(each <= limit for each in squares)
+    clocks = tuple(abs(off) for off, _ in late)
+    return Outcome(line, tuple(found), within, clocks, is_wrong, seconds)
+
+
+def walk_of_pair(args: argparse.Namespace, seed: int) -> Outcome:
+    """Calibrate the two LiDARs that record the walk of a seed, by the pole and with the scene."""
+    deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
+    if args.mixed:
+        mixture = {"sensors": SENSORS[seed % len(SENSORS)], "seconds": SECONDS[seed % len(SECONDS)]}
+        args = argparse.Namespace(**vars(args) | mixture)
+    walk = draw(args, seed, deception)
+    kind = f"{deception} {' '.join(args.sensors)} {args.seconds:g} s".strip()
+    spent: list[float] = []
+    kept: tuple[list[PointCloud], list[PointCloud]] = ([], [])
+    sweeps = [metered(recorded(args, walk, seed, lidar), spent, kept[lidar]) for lidar in (0, 1)]
+    if deception in JUMPS:
+        sweeps[1] = jumping(sweeps[1], 5 * args.seconds, JUMPS[deception])
+    standing: tuple[Missed | None, Missed | None] = (None, None)
+    beside = ""
+    if args.standing:
+        standing = two_standing(walk, np.random.default_rng([seed, 2]))
+        words = ["refused" if each is None else each.words for each in standing]
+        beside = f"; two standing poles {words[0]}, with the scene {words[1]}"
+    begun = time.process_time()
+    target, source = walk.recorders
+    try:
+        sensors = target.sensor, source.sensor
+        found = calibrate_walk(*sweeps, sensors=sensors)
+        scans = [scene_of(*each) for each in zip(kept, sensors, strict=True)]
+        answer = state_walk(found, Placement(scans[0], scans[1]), {}, scene=True)
+    except Refusal as refusal:
+        line = f"{seed} {kind} refused, {refusal.reason.code}: {refusal}{beside}"
+        return Outcome(line, standing=standing)
+    seconds = time.process_time() - begun - sum(spent)
+    assert answer.T_target_source is not None
+    assert answer.covariance is not None
+    truth = walk.T_target_source
+    alone = Missed.by(found.T_target_source, found.covariance, truth)
+    whole = Missed.by(answer.T_target_source, answer.covariance, truth)
+    clock = source.clock + source.drift * found.middle - found.offset
+    is_wrong = whole.is_wrong or abs(clock) > max(SIGMAS * found.offset_sigma, WRONG_CLOCK)
+    line = (
+        f"{seed} {kind} at {AT:g} m {alone.words}; with the scene {whole.words}, "
+        f"{answer.status}; clock {1e3 * clock:+.2f} ms ({1e3 * found.offset_sigma:.2f}); "
+        f"{seconds:.1f} s{beside}{' WRONG' * is_wrong}"
+    )
+    inside = alone.squares <= CHI2, whole.squares <= CHI2
+    return Outcome(line, ((alone,), (whole,)), inside, (abs(clock),), is_wrong, seconds, standing)
+
+
+def two_standing(
+    walk: SimulatedWalk, rng: np.random.Generator
+) -> tuple[Missed | None, Missed | None]:
+    """Two poles where the walk goes on: errors by these alone and with the scene.
+
+    None where the LiDARs do not both see two poles in any of `MAX_SETUPS` setups, or are refused.
+    """
+    sensors, devices, poses = zip(
+        *((each.sensor, each.device, each.T_world_sensor) for each in walk.recorders), strict=True
+    )
+    recorders = Recorders(sensors, devices, walk.recorders[0].noise, STANDING_SWEEPS)
+    for _ in range(MAX_SETUPS):
+        poles = draw_poles(rng, 2, WALKED, (MIN_POLE_ANGLE, MAX_POLE_ANGLE), DEFAULT_RADIUS)
+        at = Arrangement(walk.surfaces, poles or (), poses, WALKED)
+        if poles and are_in_view(at, recorders, rng):
+            break
+    else:
+        return None, None
+    pair = record(at, recorders, rng)
+    found: list[Missed | None] = []
+    for scene in (False, True):
+        answer = calibrate(pair.target, pair.source, options=Options(sensors=sensors, scene=scene))
+        if answer.T_target_source is None or answer.covariance is None:
+            found.append(None)
+        else:
+            truth = walk.T_target_source
+            found.append(Missed.by(answer.T_target_source, answer.covariance, truth))
+    return found[0], found[1]
 
 
 def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
@@ -312,6 +406,55 @@ def recorded(
         yield cloud if numbered else replace(cloud, ring=None)
 
 
+def summed_up(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Say what came of all walks."""
+    answered = [each for each in outcomes if each.found]
+    if args.watch is not None:
+        stopped = [each.seconds for each in answered]
+        met = sum(each.found[0][0].squares == 0 for each in answered)
+        yield (
+            f"stopped {len(stopped)} of {args.seeds}, after {np.median(stopped or [np.nan]):.0f} s "
+            f"in the median; within {1e3 * args.watch:g} mm: {met}"
+        )
+        return
+    wrong = sum(each.is_wrong for each in outcomes)
+    yield f"answered {len(answered)} of {args.seeds}, wrong {wrong}"
+    if not answered:
+        return
+    for k, name in enumerate(("pole alone", "with the scene")):
+        errors = np.array([each.error for one in answered for each in one.found[k]])
+        inside = sum(each.inside[k] for each in answered)
+        yield (
+            f"{name}: median {1e3 * np.median(errors):.1f} mm at {AT:g} m, largest "
+            f"{1e3 * errors.max():.1f}; within 95 %: {inside} of {len(answered)}"
+        )
+    clocks = np.array([own for each in answered for own in each.clocks])
+    yield (
+        f"clock, median {1e3 * np.median(clocks):.2f} ms, largest {1e3 * clocks.max():.2f}; "
+        f"{np.mean([each.seconds for each in answered]):.1f} s of CPU"
+    )
+    if not args.standing:
+        return
+    for k, name in enumerate(("by the poles alone", "with the scene")):
+        both = [
+            (each.found[k][0].error, own.error)
+            for each in answered
+            if (own := each.standing[k]) is not None
+        ]
+        lacking = [each for each in outcomes if each.standing[k] is None]
+        gained = sum(bool(each.found) for each in lacking)
+        yield (
+            f"two standing poles, {name}: of {len(lacking)} places where they are refused, the "
+            f"walk is answered in {gained}"
+        )
+        if both:
+            walks, poles = np.median(both, axis=0)
+            yield (
+                f"in the {len(both)} answered by both, medians of {1e3 * walks:.1f} mm by the walk "
+                f"and {1e3 * poles:.1f} mm by the poles: {walks / poles:.2f} times"
+            )
+
+
 def main() -> None:
     """Print a line for each walk, and the sum of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -324,69 +467,19 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=0)
     parser.add_argument("--mixed", action="store_true")
     parser.add_argument("--deceive", action="store_true")
+    parser.add_argument("--standing", action="store_true")
     parser.add_argument("--lidars", type=int, default=2)
     parser.add_argument("--watch", type=float, metavar="NEED")
+    parser.add_argument("--processes", type=int, default=1)
     args = parser.parse_args()
-    if args.watch is not None:
-        watch_walks(args)
-        return
-    if args.lidars > 2:
-        walk_sites(args)
-        return
-    rows: list[tuple[tuple[Missed, Missed], float, float]] = []
-    wrong = 0
-    for seed in range(args.first, args.first + args.seeds):
-        deception = DECEPTIONS[seed % len(DECEPTIONS)] if args.deceive else ""
-        if args.mixed:
-            args.sensors, args.seconds = SENSORS[seed % len(SENSORS)], SECONDS[seed % len(SECONDS)]
-        walk = draw(args, seed, deception)
-        kind = f"{deception} {' '.join(args.sensors)} {args.seconds:g} s".strip()
-        spent: list[float] = []
-        kept: tuple[list[PointCloud], list[PointCloud]] = ([], [])
-        sweeps = [
-            metered(recorded(args, walk, seed, lidar), spent, kept[lidar]) for lidar in (0, 1)
-        ]
-        if deception in JUMPS:
-            sweeps[1] = jumping(sweeps[1], 5 * args.seconds, JUMPS[deception])
-        begun = time.process_time()
-        target, source = walk.recorders
-        try:
-            sensors = target.sensor, source.sensor
-            found = calibrate_walk(*sweeps, sensors=sensors)
-            scans = [scene_of(*each) for each in zip(kept, sensors, strict=True)]
-            answer = state_walk(found, Placement(scans[0], scans[1]), {}, scene=True)
-        except Refusal as refusal:
-            print(f"{seed} {kind} refused, {refusal.reason.code}: {refusal}", flush=True)
-            continue
-        seconds = time.process_time() - begun - sum(spent)
-        assert answer.T_target_source is not None
-        assert answer.covariance is not None
-        truth = walk.T_target_source
-        alone = Missed.by(found.T_target_source, found.covariance, truth)
-        whole = Missed.by(answer.T_target_source, answer.covariance, truth)
-        clock = source.clock + source.drift * found.middle - found.offset
-        is_wrong = whole.error > max(SIGMAS * whole.stated, WRONG)
-        is_wrong |= abs(clock) > max(SIGMAS * found.offset_sigma, WRONG_CLOCK)
-        wrong += is_wrong
-        rows.append(((alone, whole), abs(clock), seconds))
-        print(
-            f"{seed} {kind} at {AT:g} m {alone.words}; with the scene {whole.words}, "
-            f"{answer.status}; clock {1e3 * clock:+.2f} ms ({1e3 * found.offset_sigma:.2f}); "
-            f"{seconds:.1f} s{' WRONG' * is_wrong}",
-            flush=True,
-        )
-    print(f"answered {len(rows)} of {args.seeds}, wrong {wrong}")
-    if not rows:
-        return
-    for k, name in enumerate(("pole alone", "with the scene")):
-        errors = np.array([row[0][k].error for row in rows])
-        inside = np.mean([row[0][k].squares <= CHI2 for row in rows])
-        print(
-            f"{name}: median {1e3 * np.median(errors):.1f} mm at {AT:g} m, largest "
-            f"{1e3 * errors.max():.1f}; within 95 %: {inside:.0%}"
-        )
-    clocks, spent_on = [row[1] for row in rows], [row[2] for row in rows]
-    print(f"clock, median {1e3 * np.median(clocks):.2f} ms; {np.mean(spent_on):.1f} s of CPU")
+    one = walk_of_site if args.lidars > 2 else walk_of_pair
+    outcome_of = partial(one if args.watch is None else watched_walk, args)
+    outcomes = []
+    with ProcessPoolExecutor(args.processes, get_context("spawn")) as pool:
+        for outcome in pool.map(outcome_of, range(args.first, args.first + args.seeds)):
+            print(outcome.words, flush=True)
+            outcomes.append(outcome)
+    print("\n".join(summed_up(args, outcomes)))
 
 
 if __name__ == "__main__":

@@ -57,6 +57,15 @@ def test_the_width_of_beams_is_seen_in_the_width_of_the_pole() -> None:
     assert rows_of(seen_walk().tracks[0], None, RADIUS).divergence < 5e-4
 
 
+def test_which_rows_lack_hits_does_not_depend_on_the_width_found() -> None:
+    """A width that is found from rows that it chooses itself goes to and fro."""
+    rows = replace(rows_of(seen_walk().tracks[0], None, RADIUS), divergence=0.003)
+    lever = rows.ranges
+    lacking = [~np.isfinite(left_open(rows, lever, RADIUS, wider).sigma) for wider in (0.0, 0.5)]
+    assert 0 < lacking[0].sum() < len(lever)
+    assert np.array_equal(lacking[0], lacking[1])
+
+
 def test_rings_with_one_azimuth_share_what_they_leave_open() -> None:
     leaning = rows_of(seen_walk(6.0).tracks[0], None, RADIUS).sharing
     upright = rows_of(seen_walk(6.0, lean=0.0).tracks[0], None, RADIUS).sharing

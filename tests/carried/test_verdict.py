@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.base.systematic import Sizes
 from retropole.carried.adjustment import Adjusted, adjust
 from retropole.carried.linear import Seen
 from retropole.carried.rows import rows_of
 from retropole.carried.start import Start
-from retropole.carried.verdict import check_tracks, chosen
-from tests.carried.walks import RADIUS, SeenWalk, seen_walk
+from retropole.carried.verdict import STEP_SIGMAS, check_tracks, chosen
+from tests.carried.walks import RADIUS, SeenWalk, axis_at, seen_walk
 
 
 def adjusted(walk: SeenWalk) -> Adjusted:
@@ -71,6 +72,24 @@ def test_a_step_of_the_clock_is_found_when_it_was() -> None:
     assert abs(step - 0.015) < 3 * sigma
     assert step > 5 * sigma
     assert abs(adjusted(walk).clock_steps[1, 1]) < 4 * sigma
+
+
+@pytest.mark.full
+def test_a_stumble_that_one_lidar_alone_sees_is_no_step_of_the_clock() -> None:
+    def jerked(times: Array) -> tuple[Array, Array]:
+        middle, along = axis_at(times)
+        return middle + 0.3 * np.clip((times - 7.0) / 0.1, 0.0, 1.0)[:, None] * [1, 1, 0], along
+
+    walk = seen_walk(axis=jerked)
+    target, source = walk.tracks
+    seen = (target.times < 4.0) | (target.times > 9.5)
+    kept = seen[target.sweep]
+    own = {name: getattr(target, name)[seen] for name in ("times", "points", "directions")}
+    of_points = {n: getattr(target, n)[kept] for n in ("xyz", "stamps", "rings", "is_whole")}
+    sweep = np.unique(target.sweep[kept], return_inverse=True)[1]
+    hidden = replace(target, **own, **of_points, sweep=sweep)
+    _, step, sigma = adjusted(walk._replace(tracks=(hidden, source))).clock_steps[1]
+    assert abs(step) < STEP_SIGMAS * sigma
 
 
 def test_what_the_walk_lacked_is_named(sound: Adjusted) -> None:

@@ -486,27 +486,31 @@ def _clock(
 
     with the variance 1 / hᵀ P h. The likeliest t is taken.
     """
-    known = lidar, frame, state, system, weights, motion, draws
-    place = ((system.times - frame.first) / WINDOW).astype(np.int64)
-    counted = (weights > 0).all(axis=1)
     is_own = system.lidar == lidar
-    counts = [
-        np.bincount(place[counted & whose], minlength=place.max() + 1)
-        for whose in (is_own, ~is_own)
-    ]
-    number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
-    if len(number) < 2:
-        return np.zeros((0, 3)), np.zeros(3)
-    own = np.full(place.max() + 1, -1)
-    own[number] = np.arange(len(number))
-    offset, covariance = _offsets(*known, own[place])
-    middle = frame.first + WINDOW * (number + 0.5)
-    windows = np.stack([middle, offset, np.sqrt(np.diag(covariance))], axis=1)
+    counted = (weights > 0).all(axis=1)
 
-    first = float(system.times[is_own].min())
-    offset, covariance = _offsets(
-        *known, np.maximum((system.times - first) / SHORT, 0.0).astype(np.int64)
-    )
+    def windows_of(length: float) -> tuple[Array, Array, Array]:
+        """When windows that both see begin, each offset, and their covariance."""
+        place = ((system.times - frame.first) / length).astype(np.int64)
+        counts = [
+            np.bincount(place[counted & whose], minlength=place.max() + 1)
+            for whose in (is_own, ~is_own)
+        ]
+        number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
+        if len(number) < 2:
+            return np.zeros(0), np.zeros(0), np.zeros((0, 0))
+        common = np.isin(place, number)
+        own = np.where(common, np.searchsorted(number, place), -1)
+        # What one LiDAR alone sees would show a step only by a jerk of the pole, which people make.
+        both = weights * common[:, None]
+        offset, covariance = _offsets(lidar, frame, state, system, both, motion, draws, own)
+        return np.asarray(frame.first + length * number), offset, covariance
+
+    begin, offset, covariance = windows_of(WINDOW)
+    windows = np.stack([begin + WINDOW / 2, offset, np.sqrt(np.diag(covariance))], axis=1)
+    begin, offset, covariance = windows_of(SHORT)
+    if not len(begin):
+        return windows, np.zeros(3)
     P = np.linalg.inv(covariance)
     P -= np.outer(P.sum(axis=1), P.sum(axis=0)) / P.sum()
     after = np.triu(np.ones(P.shape))[1:]
@@ -514,4 +518,4 @@ def _clock(
     score = after @ P @ offset
     k = int(np.argmax(score**2 / precision))
     step = score[k] / precision[k], precision[k] ** -0.5
-    return windows, np.array([first + SHORT * (k + 1), *step])
+    return windows, np.array([begin[k + 1], *step])

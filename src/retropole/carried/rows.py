@@ -230,19 +230,21 @@ def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> O
     wider
         Logarithm of how much wider than taken beams are.
     """
-    reach = radius + 0.5 * rows.divergence * np.exp(wider) * rows.ranges
+    nominal = radius + 0.5 * rows.divergence * rows.ranges
+    reach = radius + (nominal - radius) * np.exp(wider)
+    # Whether hits are missing does not depend on the width found: it would on them, to and fro.
     if np.isfinite(rows.step):
         step, middle = rows.step * across, 0.0 * reach
         span = (rows.hits - 1) * step
         whole = np.minimum(reach - span / 2, span / 2 + step - reach)
         half = np.clip(whole, NARROWEST * step, reach)
-        missing = span / 2 + step - reach < -TOO_FEW * step
+        missing = span / 2 + step - nominal < -TOO_FEW * step
     else:
         step, middle = 0.0 * reach, rows.aside * rows.ranges
         span = 0.0 * reach
         whole = reach - rows.span * rows.ranges / 2
         half = np.clip(whole, NARROWEST * reach, reach)
-        missing = whole < -TOO_FEW * reach
+        missing = nominal - rows.span * rows.ranges / 2 < -TOO_FEW * nominal
     depth, beyond = np.zeros_like(reach), np.zeros_like(reach)
     at_nodes = np.zeros((len(NODES), len(reach)))
     number = np.arange(int(rows.hits.max(initial=1)))
