@@ -12,13 +12,14 @@ Usage:
 A walk with all errors of a noise model in a street, a harbor or on bare ground, seed by seed: by
 the pole alone, and with the surfaces around that every tenth sweep shows. With --deceive each is
 spoilt in one way: two poles are carried, the pole never leans, the source's clock jumps, or it
-steps by 20 ms. With --mixed sensors and length change from seed to seed, two OS1-128 without ring
-numbers among them. An answer is wrong where it is off by more than 5 σ, and by 5 cm or more at
-30 m or by 5 ms. With --watch each is watched with that need at 30 m, in metres, until it stops by
-itself. With --lidars three or more
-record a walk, as those of a site, the others with the second sensor. With --standing two poles
-are set up in the same place besides, and recorded by the same LiDARs for ten sweeps each. Seeds
-below 1000 tune; seeds from 5000 state.
+steps by 20 ms, the person turns on the spot, or walks along a line and leans the pole along it
+alone, wears a vest and carries no pole, or is out of the source's view but for 3 s. With --mixed
+sensors and length change from seed to seed, two OS1-128 without ring numbers among them. An answer
+is wrong where it is off by more than 5 σ, and by 5 cm or more at 30 m or by 5 ms. With --watch each
+is watched with that need at 30 m, in metres, until it stops by itself. With --lidars three or more
+record a walk, as those of a site, the others with the second sensor. With --standing two poles are
+set up in the same place besides, and recorded by the same LiDARs for ten sweeps each. Seeds below
+1000 tune; seeds from 5000 state.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from retropole.alignment.certainty import chi2_limit
 from retropole.api.watching import Wish
@@ -72,11 +74,11 @@ from retropole.simulation.pairs import (
     record,
 )
 from retropole.simulation.scenes import draw_poles
-from retropole.simulation.walks import SimulatedWalk, simulate_walk
+from retropole.simulation.walks import GAIT_KNOT, SimulatedWalk, Walk, simulate_walk
 from retropole.surfaces.scans import find_poles
 
 SCENES = "street", "harbor", "bare"
-DECEPTIONS = "two", "upright", "jump", "step"
+DECEPTIONS = "two", "upright", "jump", "step", "still", "line", "vest", "away"
 SENSORS = (
     ("VLP-16", "VLP-16"),
     ("XT32", "VLP-16"),
@@ -98,6 +100,12 @@ CHI2 = 12.592
 WALKED, STANDING_SWEEPS, MAX_SETUPS = (3.0, 3.0), 10, 100
 """Half extents of the ground on which poles are set up, m, sweeps that record them, and setups that
 are drawn until both LiDARs see both."""
+
+STILL = 0.02
+"""Part of a walk's extent within which a person turns on the spot."""
+
+AWAY = 30
+"""Sweeps of the source in which a person who is then away is in view."""
 
 JUMPS = {"jump": 0.4, "step": 0.02}
 """The clock of a source that deceives jumps by so much in the middle, s."""
@@ -316,6 +324,8 @@ def walk_of_pair(args: argparse.Namespace, seed: int) -> Outcome:
     spent: list[float] = []
     kept: tuple[list[PointCloud], list[PointCloud]] = ([], [])
     sweeps = [metered(recorded(args, walk, seed, lidar), spent, kept[lidar]) for lidar in (0, 1)]
+    if deception == "away":
+        sweeps[1] = (cloud for k, cloud in enumerate(sweeps[1]) if k < AWAY)
     if deception in JUMPS:
         sweeps[1] = jumping(sweeps[1], 5 * args.seconds, JUMPS[deception])
     standing: tuple[Missed | None, Missed | None] = (None, None)
@@ -385,7 +395,7 @@ def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
     """Draw the walk of a seed."""
     mixtures = len(SENSORS) * len(SECONDS)
     scene = (seed + args.mixed * (seed // mixtures)) % len(SCENES)
-    return simulate_walk(
+    drawn = simulate_walk(
         args.scene or SCENES[scene],
         np.random.default_rng(seed),
         seconds=args.seconds,
@@ -395,6 +405,23 @@ def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
         people=2 if deception == "two" else 1,
         lean=1e-3 if deception == "upright" else float(np.radians(14.0)),
     )
+    return replace(drawn, walks=tuple(spoilt(each, deception) for each in drawn.walks))
+
+
+def spoilt(walk: Walk, deception: str) -> Walk:
+    """Let a person walk otherwise."""
+    if deception == "vest":
+        return replace(walk, size=(1e-3, 1e-2), wears_vest=True)
+    if deception not in ("still", "line"):
+        return walk
+    times = np.arange(0.0, walk.seconds + 1.0, GAIT_KNOT / 3)
+    hand, lean = walk.hand(times), walk.lean(times)
+    if deception == "still":
+        hand = hand.mean(axis=0) + STILL * (hand - hand.mean(axis=0))
+    else:
+        # Along x, as far as it was in x.
+        hand[:, 1], lean[:, 1] = hand[:, 1].mean(), 0.0
+    return replace(walk, hand=CubicSpline(times, hand), lean=CubicSpline(times, lean))
 
 
 def recorded(

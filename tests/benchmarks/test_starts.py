@@ -29,7 +29,7 @@ SMALLEST = {
     "benchmarks/blunder.py": ["posts pole --lidars 2 --placements 1"],
     "benchmarks/bound.py": ["--setups 1 --trials 1"],
     "benchmarks/carried.py": [
-        "--seeds 1 --seconds 8 --scene bare",
+        "--seeds 1 --seconds 8 --scene bare --standing",
         "--seeds 1 --seconds 8 --scene bare --lidars 3",
     ],
     "benchmarks/carried_recorded.py": ["data --draws 1 --seconds 2"],
