@@ -65,6 +65,7 @@ from retropole.pipeline import Options, calibrate
 from retropole.result import RunConfig
 from retropole.result.watching import WatchDoc
 from retropole.simulation import NOISE_MODELS
+from retropole.simulation.devices import TYPICAL
 from retropole.simulation.pairs import (
     MAX_POLE_ANGLE,
     MIN_POLE_ANGLE,
@@ -90,6 +91,9 @@ SENSORS = (
 )
 SECONDS = 20.0, 40.0, 60.0
 WITHOUT_RINGS = "OS1-128", "OS1-128"
+NOISES = NOISE_MODELS | {"random": replace(TYPICAL, ring_bias=0.0, retro_bias=0.0)}
+"""Noise models by name; the last has no systematic errors."""
+
 AT, WRONG, WRONG_CLOCK, SIGMAS = 30.0, 0.05, 0.005, 5.0
 EVERY = 10
 """So many sweeps apart are those that show the surfaces around."""
@@ -400,7 +404,7 @@ def draw(args: argparse.Namespace, seed: int, deception: str) -> SimulatedWalk:
         np.random.default_rng(seed),
         seconds=args.seconds,
         sensors=tuple(args.sensors),
-        noise=NOISE_MODELS[args.noise],
+        noise=NOISES[args.noise],
         stops=args.stops,
         people=2 if deception == "two" else 1,
         lean=1e-3 if deception == "upright" else float(np.radians(14.0)),
@@ -490,7 +494,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--scene", choices=SCENES)
     parser.add_argument("--sensors", nargs=2, default=["VLP-16", "VLP-16"])
-    parser.add_argument("--noise", choices=sorted(NOISE_MODELS), default="field")
+    parser.add_argument("--noise", choices=sorted(NOISES), default="field")
     parser.add_argument("--stops", type=int, default=0)
     parser.add_argument("--mixed", action="store_true")
     parser.add_argument("--deceive", action="store_true")

@@ -72,7 +72,7 @@ FASTER = 1.6
 """Power to which a change of the noise is raised: it comes to rest in half of the steps (EM comes
 there slowly where the data leave much of the motion open)."""
 
-SHORT = 1.0
+SHORT = 0.5
 """A step of the clock is tested at times this far from each other, s."""
 
 HELD = 1e-6
@@ -489,14 +489,14 @@ def _clock(
     is_own = system.lidar == lidar
     counted = (weights > 0).all(axis=1)
 
-    def windows_of(length: float) -> tuple[Array, Array, Array]:
+    def windows_of(length: float, fewest: int) -> tuple[Array, Array, Array]:
         """When windows that both see begin, each offset, and their covariance."""
         place = ((system.times - frame.first) / length).astype(np.int64)
         counts = [
             np.bincount(place[counted & whose], minlength=place.max() + 1)
             for whose in (is_own, ~is_own)
         ]
-        number = np.flatnonzero(np.minimum(*counts) >= FEWEST_IN_WINDOW)
+        number = np.flatnonzero(np.minimum(*counts) >= fewest)
         if len(number) < 2:
             return np.zeros(0), np.zeros(0), np.zeros((0, 0))
         common = np.isin(place, number)
@@ -506,9 +506,9 @@ def _clock(
         offset, covariance = _offsets(lidar, frame, state, system, both, motion, draws, own)
         return np.asarray(frame.first + length * number), offset, covariance
 
-    begin, offset, covariance = windows_of(WINDOW)
+    begin, offset, covariance = windows_of(WINDOW, FEWEST_IN_WINDOW)
     windows = np.stack([begin + WINDOW / 2, offset, np.sqrt(np.diag(covariance))], axis=1)
-    begin, offset, covariance = windows_of(SHORT)
+    begin, offset, covariance = windows_of(SHORT, 1)
     if not len(begin):
         return windows, np.zeros(3)
     P = np.linalg.inv(covariance)
