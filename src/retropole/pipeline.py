@@ -199,7 +199,7 @@ def calibrate_placements(
     poles, scene, prior, by_hand = options.poles, options.scene, options.prior, options.by_hand
     radius, thresholds, trusted = options.radius, options.thresholds, options.trust_poles
     if poles == 0 and not scene:
-        raise UsageError("without poles the scene must give the pose: leave out --no-refine")
+        raise UsageError("without poles the scene must determine the pose: leave out --no-refine")
     known = {"radius": radius, "radius_sigma": options.radius_sigma}
     step = partial(timed, seconds, progress)
     origins = beam_origins(found)

@@ -185,7 +185,7 @@ def test_of_a_file_without_intensity_no_array_is_requested(tmp_path: Path) -> No
         ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 to 0.25 m"),
         ({"need": 0.0}, "need is 0.0, expected a number above 0, 10 m at most"),
         ({"need": 0.02, "at": float("inf")}, "at is inf"),
-        ({"at": 30.0}, "at is the distance for need"),
+        ({"at": 30.0}, "at is the distance up to which"),
         ({"poles": -1}, "poles is -1, expected a number from 0 to 9007199254740992"),
         ({"prior_sigma_deg": 0.0}, "prior_sigma_deg is 0.0"),
         ({"prior_sigma_deg": float("inf")}, "prior_sigma_deg is inf"),

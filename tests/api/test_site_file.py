@@ -116,7 +116,7 @@ def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
         (HEAD + LIDARS + "up = [0, 1]", r"lidar 2 \(mast-b\), up: expected a list of length >= 3"),
         (HEAD + LIDARS + 'unit = "inch"', r"lidar 2 \(mast-b\), unit: invalid enum value 'inch'"),
         (HEAD + LIDARS + "up = [0, 0, 1]", "lidar mast-b: up and up_sigma_deg need each other"),
-        (HEAD + LIDARS + "up = [0, 0, 0]\nup_sigma_deg = 1", "this has no length"),
+        (HEAD + LIDARS + "up = [0, 0, 0]\nup_sigma_deg = 1", "this vector has zero length"),
         (HEAD + LIDARS + 'sensor = "VLP-17"', "lidar mast-b, sensor: .*VLP-17"),
         (HEAD + LIDARS + 'frames = "a:b"', "lidar mast-b, frames: 'a:b', expected A:B"),
         (HEAD.replace(', "2"', "") + LIDARS, "lidar mast-a, recordings: expected 1, one for each"),
@@ -131,7 +131,7 @@ def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
         (HEAD + "[reference]\nlatitude_deg = 3" + LIDARS + SURVEY, "need frame"),
         (
             HEAD + '[reference]\nframe = "enu"\nlatitude_deg = 3' + LIDARS + SURVEY,
-            "need each other",
+            "must be given together",
         ),
         (HEAD + LIDARS + SURVEY.replace('"1"', '"3"'), "surveyed_pole A, placement: '3' is none"),
         (HEAD + LIDARS + SURVEY.replace("foot_m", "#"), "expected foot_m, top_m or both"),
@@ -145,7 +145,7 @@ def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
         (HEAD + LIDARS + POINT.replace("[5,", "[5000,"), r"control_point 1 \(P\), seen 1, at_m 1"),
         (HEAD + "[need]\nwithin_cm = 0" + LIDARS, "need, within_cm: expected a number > 0"),
         (HEAD + LIDARS + "a" + ".a" * 400 + " = 1", "more than 300 dots"),
-        ("#" * LARGEST_SITE_FILE + "#", "no site file is so long"),
+        ("#" * LARGEST_SITE_FILE + "#", "too long for a site file"),
     ],
 )
 def test_an_error_names_the_key_and_what_was_expected(text: str, said: str) -> None:

@@ -273,13 +273,13 @@ def test_where_there_is_no_room_sweeps_stay_and_are_written_when_there_is(
     said = go_on(watch, clock, lambda doc: doc.code == "not_written")
     assert not said[-1].is_good
     assert f"{out}" in said[-1].next
-    assert "Make room: 15 sweeps are kept in memory" in said[-1].next
+    assert "Free disk space: 15 sweeps are kept in memory" in said[-1].next
     # Whatever is seen meanwhile.
     for source in sources:
         source.pause = lambda count: True
     said = go_on(watch, clock, lambda doc: doc.seconds > said[-1].seconds + 4)
     assert {doc.code for doc in said} == {"not_written"}
-    assert len([words for words in said[-1].words if "Make room" in words]) == 1
+    assert len([words for words in said[-1].words if "Free disk space" in words]) == 1
     out.unlink()
     go_on(watch, clock, lambda doc: doc.phase == "done", 120)
     assert [path.name for path in out.glob("*.mcap")] == ["placement1.mcap"]
@@ -362,7 +362,7 @@ def test_sweeps_of_another_origin_join_no_placement_that_is_kept(
 
 
 def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no source"):
+    with pytest.raises(UsageError, match="not a source"):
         open_sources(["front.pcd", "folder:x"])
     with pytest.raises(UsageError, match="two sources"):
         open_sources([f"folder:{tmp_path}"] * 2)

@@ -312,7 +312,7 @@ def test_without_poles_the_place_gives_the_pose(scene: Path, tmp_path: Path) -> 
     assert "Without poles, the ground of one" in (tmp_path / "report.html").read_text()
     done = retropole_here("calibrate", *files, "--poles", 0, "--no-refine")
     assert done.returncode == 2
-    assert "the scene must give the pose" in done.stderr
+    assert "the scene must determine the pose" in done.stderr
 
 
 def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
@@ -324,10 +324,10 @@ def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is of standing poles"),
+        (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is for fixed poles"),
         (("calibrate", "a", "b", "--carried", "--up"), "there is no use for up"),
         (("simulate", "street", "--carried", "--poles", "3"), "without --poles"),
-        (("simulate", "street", "--lidars", "3"), "--lidars is with --carried"),
+        (("simulate", "street", "--lidars", "3"), "--lidars needs --carried"),
         (("simulate", "street", "--sweeps", "300"), "200 at most without --carried"),
         (("simulate", "paper", "--carried"), "no walk in 'paper'"),
     ],

@@ -72,7 +72,7 @@ def test_a_site_that_changed_ends_with_its_own_code(
     done = retropole_here(*words)
     assert done.returncode == 4
     assert "good: step since 2020-08-" in done.stdout
-    assert "not confirmed: another check will decide" in done.stdout
+    assert "not confirmed yet: another check decides" in done.stdout
     told = json.loads(retropole_here(*words, "--json").stdout)
     (event,) = told["changed"]
     assert (event["id"], event["kind"], event["new"]) == ("good", "step", False)

@@ -54,7 +54,7 @@ def test_every_number_of_every_command_has_bounds_that_an_error_names() -> None:
         (("watch", "folder:.", f"velodyne:{'9' * 5000}"), "a number from 1 to 65535"),
         (("watch", "folder:.", f"velodyne:{'9' * 10}"), "expected 1 to 65535"),
         (("watch", "folder:.", "velodyne:1", "--from", "x"), "expected an IP address"),
-        (("watch", "folder:.", "folder:..", "--from", "1.2.3.4"), "who sends packets"),
+        (("watch", "folder:.", "folder:..", "--from", "1.2.3.4"), "the sender of packets"),
     ],
 )
 def test_a_number_in_a_word_has_bounds_too(words: tuple[str, ...], said: str) -> None:

@@ -166,7 +166,7 @@ class TestUnits:
     def test_a_unit_that_is_not_theirs(self, scene: Path, tmp_path: Path) -> None:
         done = calibrate(tmp_path, scene / "lidar0.pcd", scene / "lidar1.pcd", "--unit", "mm")
         message = check_refused(done, tmp_path, "wrong_unit")
-        assert "the unit that was given is not theirs" in message
+        assert "the given unit is wrong" in message
 
     def test_las_in_map_coordinates(self, clouds: Clouds, tmp_path: Path) -> None:
         laspy = pytest.importorskip("laspy")
@@ -181,7 +181,7 @@ class TestUnits:
         message = check_refused(done, tmp_path, "far_from_lidar")
         for words in (info, message):
             assert "a LAS file does not say where the LiDAR was, so beams have no origin" in words
-            assert "subtract the LiDAR's place from all points" in words
+            assert "subtract the LiDAR's position from all points" in words
 
 
 class TestSensors:
@@ -200,7 +200,7 @@ def test_target_and_source_swapped_in_check(
     done = retropole_here("check", in_millimetres, millimetres / "1.pcd", millimetres / "0.pcd")
     assert done.returncode == 3
     assert "TARGET and SOURCE are swapped: RESULT was made of these very files" in done.stdout
-    assert "give them the other way round" in done.stdout
+    assert "exchange them" in done.stdout
     assert "moved" not in done.stdout
     # It is told before the clouds are read: of these, nothing is said of their unit or size.
     assert done.stderr == ""

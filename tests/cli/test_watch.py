@@ -122,7 +122,7 @@ def test_the_page_shows_the_state_and_an_interrupt_ends_it(tmp_path: Path) -> No
 def test_slips_are_usage_errors(tmp_path: Path) -> None:
     folder = f"folder:{tmp_path}"
     for words, said in (
-        (("a.pcd", "b.pcd"), "no source"),
+        (("a.pcd", "b.pcd"), "not a source"),
         ((folder, folder), "two sources"),
         ((folder, "folder:nowhere"), "nowhere"),
         ((folder, "replay:nowhere.bag"), "nowhere.bag"),

@@ -441,7 +441,7 @@ def test_rounding_is_taken_and_made_rigid(tmp_path: Path) -> None:
         ("a.txt", "one " * 16, "'one' is no number"),
         ("a.txt", "x: 1\ny: 1\nz: 1\nqw: 1\n", "expected x y z and qx"),
         ("a.txt", "x: 1\nx: 2\nyaw: 0\n", "one line"),
-        ("a.json", "[1]", "no object"),
+        ("a.json", "[1]", "not an object"),
         ("a.json", "{", "no JSON"),
         ("a.json", "{}", "found 0"),
         ("a.json", '{"T_target_source": "x"}', "no transform"),

@@ -148,7 +148,7 @@ def test_a_lidar_is_not_named_as_a_robot_s_base(name: str, tmp_path: Path) -> No
     path.write_bytes(with_frames("", ""))
     for given in (name, f"car/{name}"):
         for names in ({"parent": given}, {"child": given}):
-            with pytest.raises(UsageError, match=r"is by its name no LiDAR.*--mounting"):
+            with pytest.raises(UsageError, match=r"is not the name of a LiDAR frame.*--mounting"):
                 read_transform(path, **names)
     assert read_transform(path, parent=f"{name}_lidar", child="rear").parent == f"{name}_lidar"
     # What a file of another program is of is for that program to say.

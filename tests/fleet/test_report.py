@@ -305,7 +305,7 @@ def test_what_others_wrote_stays_text() -> None:
 
 def test_without_answers_or_places_it_reports_it() -> None:
     page = Page(render_fleet(of_sites(seen("a", status="refused", sigma_30m_m=None))))
-    assert "No site says where it is" in page.text
+    assert "No site has a position" in page.text
     assert "No site has an answer" in page.text
     assert "all are ok" not in page.text.replace("No site has a reason: all are ok.", "")
     assert not [tag for tag, _ in page.tags if tag == "svg"]
@@ -334,7 +334,7 @@ def test_ten_thousand_sites_stay_small() -> None:
 
 
 def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
-    with pytest.raises(ReadError, match="is no dataset of a fleet"):
+    with pytest.raises(ReadError, match="is not a dataset of a fleet"):
         overview_of(str(tmp_path))
     row = made_up_row(names_in_first(1)[0], np.random.default_rng(0))
     for changes in (

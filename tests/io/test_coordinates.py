@@ -97,7 +97,7 @@ def test_no_place_is_smaller_than_a_hand() -> None:
     odd = oddity_of(scaled(scene(13.0), 0.001))
     assert odd is not None
     assert odd.is_tiny
-    assert "the unit that was given" in odd.words
+    assert "the given unit" in odd.words
 
 
 def test_a_long_range_with_much_near_is_metres() -> None:

@@ -127,7 +127,7 @@ def test_what_a_pair_says_alone() -> None:
         "linked through others",
         "decides by itself",
         "leaves 2 ways, others decide",
-        "no answer of its own",
+        "no separate answer",
         "decides by itself",
         "leaves 2 ways",
     ]

@@ -211,8 +211,8 @@ def test_a_refused_site_names_its_groups_and_no_figures() -> None:
 def test_a_site_without_tests_says_that_nothing_checks_it() -> None:
     bare = replace(site(), tests=[], loops=[])
     said = list(statements(Subject(bare)))
-    assert "no consistency checks: nothing verifies these poses" in said
-    assert "no closed loop: no third LiDAR checks a pair" in said
+    assert "no consistency checks: there is no verification of these poses" in said
+    assert "no closed loop: there is no third LiDAR to check a pair" in said
     refused = " ".join(statements(Subject(site("refused"))))
     assert not re.search("checks|loop|pairs", refused)
 

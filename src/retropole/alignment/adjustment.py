@@ -414,7 +414,7 @@ def _check_counts(target: Beams, source: Beams, needed: int) -> None:
             "too_few_points",
             f"{counted(poles, 'pole')} with {counted(int(counts.min()), 'return')} on the "
             f"poorest: {counted(needed, 'pole')} with "
-            f"{MIN_LINE_POINTS} each are the least; bring the poles nearer or add frames",
+            f"{MIN_LINE_POINTS} each are needed; bring the poles nearer or add frames",
             {"poles": poles, "returns": int(counts.min())},
         )
 
@@ -470,8 +470,8 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         rotation, translation = widest(covariance)
         raise Refusal(
             "degenerate_poles",
-            f"the poles leave the pose free by {np.degrees(rotation):.1f}° and {translation:.2f} m "
-            "(1 σ); lean one pole by 15° or more against the other",
+            f"the poles determine the pose only to {np.degrees(rotation):.1f}° and "
+            f"{translation:.2f} m (1 σ); lean one pole by 15° or more against the other",
             {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
         )
     return BeamAlignment(

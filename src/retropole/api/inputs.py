@@ -183,7 +183,8 @@ def read_input(
         )
     elif (how.topic, how.frames, how.wanted._replace(place=None)) != (None, None, USUAL):
         raise UsageError(
-            f"{role}: a topic or frames, intensity and angles are chosen in files, not in arrays"
+            f"{role}: a topic, frames, intensity and angles can be chosen in files only, not in "
+            "arrays"
         )
     else:
         if isinstance(given, PointCloud):
@@ -330,8 +331,8 @@ def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
         what = f"topic {other.topic} of {other.name}" if other.topic else other.name
         return f"{names[0]} and {names[1]} are both {what}; {advice}"
     return (
-        f"{names[0]} and {names[1]}, {one.name} and {other.name}, are the same byte for byte: one "
-        f"is a copy of the other; {advice}"
+        f"{names[0]} and {names[1]}, {one.name} and {other.name}, are identical: one is a "
+        f"copy of the other; {advice}"
     )
 
 

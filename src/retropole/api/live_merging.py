@@ -208,12 +208,13 @@ class _Reader(Thread):
         """Say why nothing comes, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
-            return f"left out, since no sweep comes{': ' + why if why else ''}"
+            return f"left out, since no sweep arrives{': ' + why if why else ''}"
         if self.lidar.clock is None and self.clock:
             way = "ahead of" if self.clock > 0 else "behind"
             return (
-                f"its clock is {abs(self.clock):.1f} s {way} that of this computer, judged by when "
-                "its sweeps come; sweeps are joined without that, the times of points are as sent"
+                f"its clock is {abs(self.clock):.1f} s {way} that of this computer, judged by "
+                "the arrival of its sweeps; sweeps are joined without this offset, the times of "
+                "points are as sent"
             )
         return ""
 
@@ -328,7 +329,7 @@ class LiveMerge:
             try:
                 self.moved, words = self._work.get(0.0)
             except (RetropoleError, OSError, TimeoutError) as error:
-                words = f"the check failed: {quoting(str(error)) or 'it did not end'}"
+                words = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
             self._work, self._due = None, now + self._every
             if words != self._about.get("", ""):
                 self._words.append(words)
@@ -392,10 +393,12 @@ def merging_live(
         if name not in names:
             raise UsageError(f"no LiDAR is called {name!r}; there are {', '.join(names)}")
     if wish.out is not None and wish.out.suffix.lower() != ".mcap":
-        raise UsageError(f"{wish.out}: clouds of LiDARs that record now are written as .mcap")
+        raise UsageError(f"{wish.out}: clouds of live LiDARs are written as .mcap")
     at = placed(document, file, wish.frame)
     if at.finish is not None:
-        raise UsageError("coordinates of a map do not fit the float32 of a topic: take site")
+        raise UsageError(
+            "map coordinates are too large for the float32 values of a topic: use site"
+        )
     poses = dict(zip(names, at.poses, strict=True))
     used = [name for name in names if name in sources]
     origins = np.array([poses[name][:3, 3] for name in used])
@@ -514,6 +517,6 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     stated = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
-        "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
+        "cannot_tell": f"checked: it cannot be determined whether a LiDAR has moved{why}",
     }
     return Checked(moved, stated[status])

@@ -246,7 +246,10 @@ def plan_site(
     known = {} if rough is None else _poses_in(rough)
     unknown = [name for name in names if known and name not in known]
     if unknown:
-        raise UsageError(f"no pose of {', '.join(unknown)} is given; there are {', '.join(known)}")
+        raise UsageError(
+            f"no pose of {', '.join(unknown)} is given; the poses given are those of "
+            f"{', '.join(known)}"
+        )
     first_pose = se3.inverse(known[names[0]]) if known else None
     poses = [None if first_pose is None else first_pose @ known[name] for name in names]
     return _planned(names, inputs, poses, wish, listener)
@@ -300,7 +303,7 @@ def _planned(
 ) -> PolePlan:
     listener.progress("read")
     scans = [bare_scan(each.cloud, each.sensor) for each in inputs]
-    listener.progress("stand the LiDARs")
+    listener.progress("place the LiDARs")
     poses = _poses(names, scans, rough)
     stations = place_lidars(names, scans, poses)
     planned = _ask(stations, wish, listener)
@@ -357,7 +360,7 @@ def _poses(
             T = next(_by_place(scans, found, i), None)
         if T is None:
             raise UsageError(
-                f"the recordings do not show where {names[i]} is: give its rough pose, good to "
+                f"the recordings do not show where {names[i]} is: give its rough pose, accurate to "
                 "10° and 1 m (--xyz and --rpy-deg, or --pose FILE)"
             )
         found.append(T)

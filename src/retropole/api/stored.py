@@ -54,7 +54,7 @@ MOST_NOTES = 3
 """At most this many recordings that a page does not show are named with the reason; others are
 counted."""
 
-MAY_DIFFER = "the picture may not be that of the figures"
+MAY_DIFFER = "the picture may not belong to these figures"
 """What a recording that is not the one of the run means for a page."""
 
 
@@ -164,13 +164,13 @@ def find_recordings(
         )
     if not is_site and given and len(given) != count:
         raise UsageError(
-            f"{len(given)} clouds are given, the result has {count}: TARGET and SOURCE of each "
-            "placement, or none to look for them"
+            f"{len(given)} clouds are given, the result has {count}: give TARGET and SOURCE of "
+            "each placement, or none to have them looked up"
         )
     known = {hash_of(path): path for path in given} if is_site else {}
     for sha256 in known.keys() - {item.sha256 for item in document.inputs}:
         raise UsageError(
-            f"{known[sha256]}: is no recording of this result: none has its SHA-256, {sha256[:12]}…"
+            f"{known[sha256]}: is no recording of this result: none has the SHA-256 {sha256[:12]}…"
         )
     site = with_sensors_from(as_site(document), beside)
     for k, item in enumerate(site.inputs):
@@ -192,7 +192,7 @@ def find_recordings(
 def find_recording(item: InputDoc, beside: Path) -> Path:
     """Look for one recording of a result; see `find_recordings`."""
     if item.path in ("", ARRAY_SOURCE):
-        raise ReadError("a cloud of the run was an array, which is in no file")
+        raise ReadError("a cloud of the run was an array, not a file")
     path = Path(item.path)
     names = dict.fromkeys([beside / path, path, beside / path.name])
     places = [path_of_text(str(name)) for name in names]
@@ -255,7 +255,7 @@ def difference(item: InputDoc, path: Path, sha256: str) -> str:
         return ""
     return (
         f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
-        f"begins {sha256[:12]}, that of the run {item.sha256[:12]}"
+        f"begins with {sha256[:12]}, that of the run with {item.sha256[:12]}"
     )
 
 
@@ -303,7 +303,7 @@ def decode_pair(file: Path, data: bytes) -> ResultDoc:
         if not is_result(data, SITE_SCHEMA):
             raise
         raise ReadError(
-            f"the result of a site, not of two LiDARs; its report is "
+            f"is the result of a site, not of two LiDARs; its report is "
             f"{file.with_name(SITE_REPORT_FILE)}, and rp.load_site_result loads it"
         ) from None
 

@@ -66,7 +66,7 @@ from .result import CalibrationResult
 RECORDING = "placement{}.mcap"
 """What the recording of a placement is called, from 1."""
 
-WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
+WORKING_OUT = Advice("calibrating", "Good: the answer is being computed.", True)
 
 T = TypeVar("T")
 
@@ -106,8 +106,8 @@ class Wish:
         planned = None if self.plan is None else {each.name for each in self.plan.lidars}
         if planned is not None and not planned >= set(self.names):
             raise UsageError(
-                f"the plan is for {', '.join(sorted(planned))}: name both LiDARs so, not "
-                f"{' and '.join(self.names)}"
+                f"the plan is for {', '.join(sorted(planned))}: use these names for both LiDARs, "
+                f"not {' and '.join(self.names)}"
             )
 
 
@@ -217,16 +217,16 @@ class Watch:
         for own, name in zip(self._lidars, self._wish.names, strict=True):
             if own.frame_id == "":
                 raise UsageError(
-                    f"the sweeps of {name} name no frame, so nothing on /tf_static could fit them: "
-                    "watch without --publish, then retropole export"
+                    f"the sweeps of {name} have no frame_id, so no transform on /tf_static could "
+                    "refer to them: watch without --publish, then use retropole export"
                 )
         target, source = (each.frame_id for each in self._lidars)
         if target is None or source is None:
             return None
         if target == source:
             raise UsageError(
-                f"the sweeps of both LiDARs name the frame {target!r}, so nothing on /tf_static "
-                "could place one to the other: give each driver a frame_id of its own"
+                f"the sweeps of both LiDARs name the frame {target!r}, so no transform "
+                "on /tf_static could relate them: give each driver a different frame_id"
             )
         # As what is published, so that a name that no frame can have is found now.
         Transform(np.eye(4), target, source)
@@ -254,7 +254,9 @@ class Watch:
             self._note(f"not published: {error}")
             return
         if now is None or now != (found.parent, found.child):
-            self._note("not published: the sweeps have other frames now than were calibrated")
+            self._note(
+                "not published: the sweeps have other frames now than during the calibration"
+            )
             return
         self.published = publish([choose([found], *now)], domain=domain, interface=interface)
         self._note(f"published on /tf_static: {now[0]} to {now[1]}")
@@ -265,8 +267,8 @@ class Watch:
             self.published.withdraw()
             self.published = None
             self._note(
-                "withdrawn from /tf_static: the answer before no longer holds; what heard it keeps "
-                "it until it is restarted"
+                "withdrawn from /tf_static: the previous answer is no longer valid; programs "
+                "that received it keep it until they are restarted"
             )
 
     def _take(self, k: int) -> None:
@@ -379,7 +381,7 @@ class Watch:
     def _wait_for_room(self, error: OSError, what: str, now: float) -> Advice:
         """Say what cannot be written, and what to do; it is tried again later."""
         why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-        words = f"{why}. Make room: {what} kept in memory, and written as soon as that can be."
+        words = f"{why}. Free disk space: {what} kept in memory, and written as soon as possible."
         if self._no_room is None:
             self._note(words)
         # It is tried again 5 s later.
@@ -449,7 +451,7 @@ class Watch:
         """Leave the newest placement out; where recordings are others than captured, these."""
         others = [path for path, own in self._used.items() if not _is_still(path, own)]
         for path in others:
-            self._note(f"{path.name} is left out: it is no longer what was recorded")
+            self._note(f"{path.name} is left out: it has changed since it was recorded")
             del self._used[path]
         if not others:
             self._note(f"placement {self._recorded} is left out: {error}")
@@ -509,7 +511,7 @@ def _of_captured(captured: Mapping[Path, str], work: Callable[[], T]) -> T:
     def check() -> None:
         for path, own in captured.items():
             if not _is_still(path, own):
-                raise ReadError(f"{path}: is no longer what was recorded")
+                raise ReadError(f"{path}: has changed since it was recorded")
 
     check()
     found = work()
@@ -527,9 +529,9 @@ def _is_still(path: Path, own: str) -> bool:
 
 def checked_words(checked: CheckResult) -> str:
     """Say what a check found."""
-    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
+    words = {"same": "Same: neither LiDAR has moved.", "moved": "Moved: calibrate again."}
     message = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Cannot tell: {message}")
+    return words.get(checked.status, f"Undecided: {message}")
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:

@@ -61,7 +61,7 @@ UNSEEN = 2.0
 MOST_POINTS = 150
 """Of a path that is shown."""
 
-AGAIN = "Walk again, and for longer."
+AGAIN = "Walk again, for longer."
 
 NO_WAY = Advice(
     "walking", "Walk to and fro and across, and lean the pole to all sides.", is_good=True
@@ -271,7 +271,7 @@ class WalkWatch(Watch):
             self._note(f"{self._wish.names[k]}: {words}")
         now = self._clock()
         if is_other:
-            self._stop("its sweeps come from elsewhere")
+            self._stop("its sweeps come from another sender")
         if frame is None:
             return
         fault = ""
@@ -285,7 +285,9 @@ class WalkWatch(Watch):
                 fault = str(refusal)
             except OSError as error:
                 why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-                words = f"{why}. Make room: the walk so far is lost, and begins again then."
+                words = (
+                    f"{why}. Free disk space: the walk so far is lost, and starts again afterwards."
+                )
                 self._stop(words)
                 self._no_room = Advice("not_written", words), now + 5.0
         looked = Looked(now, frame.cloud)

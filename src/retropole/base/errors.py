@@ -93,7 +93,7 @@ class NewerError(ReadError):
     """
 
     def __init__(self, words: str) -> None:
-        super().__init__(f"{words} is of a newer version of retropole; update this one")
+        super().__init__(f"{words} is from a newer version of retropole; update this one")
 
 
 def is_newer(schema: str, known: str) -> bool:

@@ -79,7 +79,7 @@ def read_document(path: Path) -> bytes:
     with path.open("rb") as file:
         data = file.read(LARGEST_DOCUMENT + 1)
     if len(data) > LARGEST_DOCUMENT:
-        raise ReadError(f"{path}: more than {LARGEST_DOCUMENT} bytes, no transform is so long")
+        raise ReadError(f"{path}: more than {LARGEST_DOCUMENT} bytes, too long for a transform")
     return data
 
 
@@ -152,7 +152,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
     """
     place = Path(os.path.realpath(path))
     if not _is_file(place):
-        raise UsageError(f"{path}: is no file, and cannot be written in parts")
+        raise UsageError(f"{path}: is not a regular file, and cannot be written in parts")
     place.parent.mkdir(parents=True, exist_ok=True)
     with _alone_in(place.parent):
         _sweep(place)

@@ -249,7 +249,10 @@ def remedy(source: str, unknown_lidar: str | None = None) -> str:
         ``target`` or ``source``, where it is an error of a LiDAR whose sensor is not known.
     """
     if unknown_lidar is not None and source not in tables().remedies:
-        return f"name the sensor of the {unknown_lidar} (--sensor), so that its own figures count"
+        return (
+            f"name the sensor of the {unknown_lidar} (--sensor), so that the figures of that "
+            "model are used"
+        )
     return tables().remedies.get(source, tables().of_a_lidar)
 
 

@@ -233,7 +233,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "expected elevations_deg and azimuth_step_deg, or rosette_deg and points"
             )
         if not (np.abs([*self._rings(), *(self.rosette_deg or ())]) <= 90.0).all():
-            raise ValueError("elevations_deg and rosette_deg lie within 90° of the horizon")
+            raise ValueError("elevations_deg and rosette_deg must be within 90° of the horizon")
         first, last = self.azimuth_deg
         if not (-360.0 <= first < last <= 360.0 and last - first <= 360.0):
             raise ValueError("azimuth_deg is the first and the last azimuth, at most a turn apart")
@@ -317,8 +317,8 @@ def find_sensor(name: str) -> Sensor:
         if _plain(name) in {_plain(known) for known in (sensor.name, *sensor.aliases)}:
             return sensor
     raise UsageError(
-        f"no sensor is called {name!r}; there are {', '.join(SENSORS)}, auto for any other, "
-        f"and {SENSOR_FILE} files of your own"
+        f"no sensor is named {name!r}; there are {', '.join(SENSORS)}, auto for any other, or "
+        f"a {SENSOR_FILE} file with your own description"
     )
 
 
@@ -355,7 +355,7 @@ def read_sensor(path: Path) -> Sensor:
         model = "" if like is None else find_sensor(str(like).removesuffix(SENSOR_FILE)).name
         listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: no description of a sensor: {said(error)}") from error
+        raise UsageError(f"{path}: not a description of a sensor: {said(error)}") from error
     return listed.sensor(str(path))
 
 
@@ -388,7 +388,7 @@ TAPE_RANGE = 5.0
 """The table's thresholds are for tape at about this range, metres."""
 
 
-LITTLE = "little is conspicuous"
+LITTLE = "few returns are conspicuous"
 """So ends how a threshold was found that lies among the diffuse returns: none is much brighter."""
 
 GIVEN = "given"

@@ -386,8 +386,8 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         angle = f"± {math.degrees(self.angle_rad):.2g}°"
         if self.frequency is None:
             return (
-                f"{angle} as stated; the recording does not show where it rests, so the stated "
-                "error has all of it: record 10 s or more"
+                f"{angle} as stated; the recording does not show its position at rest, so the "
+                "stated error includes the whole sway: record 10 s or more"
             )
         if self.is_shared:
             return (
@@ -396,8 +396,8 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
             )
         more = f": record {math.ceil(self.seconds_more)} s more" if self.seconds_more else ""
         return (
-            f"{angle} at {self.frequency:.2g} Hz, {self.periods:.1f} periods; where it rests is "
-            f"known to ± {math.degrees(self.left_rad):.1g}°{more}"
+            f"{angle} at {self.frequency:.2g} Hz, {self.periods:.1f} periods; its position at "
+            f"rest is known to ± {math.degrees(self.left_rad):.1g}°{more}"
         )
 
     @property

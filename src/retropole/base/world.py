@@ -177,8 +177,8 @@ def geodetic(frame: Frame, xyz: Array) -> Array:
     """
     if frame.epsg is None and frame.geodetic is None:
         raise UsageError(
-            f"nothing ties the frame of the site ({frame.name}) to the earth: give its EPSG code, "
-            "or latitude, longitude and height of its origin"
+            f"the frame of the site ({frame.name}) has no known position on the earth: give its "
+            "EPSG code, or latitude, longitude and height of its origin"
         )
     full = np.asarray(xyz, dtype=float) + frame.offset
     if frame.epsg is None:
@@ -210,7 +210,7 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     step = Transformer.from_crs(system.crs, "EPSG:4326", always_xy=True)
     longitude, latitude = step.transform(full[:, 0], full[:, 1])
     if not np.isfinite([longitude, latitude]).all():
-        raise UsageError(f"PROJ has no way from {system.name} to WGS 84 there")
+        raise UsageError(f"PROJ has no transformation from {system.name} to WGS 84 there")
     moved = np.column_stack([np.radians(latitude), np.radians(longitude), full[:, 2]])
     with suppress(ProjError):
         # Of several operations, the one for this place.
@@ -239,7 +239,7 @@ def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
 
     moved = Transformer.from_crs(crs, to.crs, always_xy=True).transform(east, north)
     if not np.isfinite(moved).all():
-        raise UsageError(f"PROJ has no way from {frame.name} to {to.name} there")
+        raise UsageError(f"PROJ has no transformation from {frame.name} to {to.name} there")
     return np.column_stack([*moved, height])
 
 
@@ -286,7 +286,9 @@ def _origin(frame: Frame) -> Array:
     assert frame.geodetic is not None
     at = frame.geodetic.array
     if not (np.isfinite(at).all() and abs(at[0]) <= np.pi / 2 and abs(at[1]) <= 2 * np.pi):
-        raise UsageError(f"latitude and longitude {np.degrees(at[:2])} deg are no place on earth")
+        raise UsageError(
+            f"latitude and longitude {np.degrees(at[:2])} deg are outside the valid range"
+        )
     return at
 
 

@@ -84,7 +84,7 @@ class CarrierMotion:
             "carrier_moved",
             f"the carrier of the LiDARs moved while they recorded, by {rate} each second as their "
             f"sweeps show, and the recordings are {1e3 * abs(self.apart):.0f} ms apart: the "
-            f"{error(self._moved)} and {turned} that this makes of the pose are removed",
+            f"{error(self._moved)} and {turned} that this adds to the pose are removed",
             self._values,
         )
 
@@ -94,9 +94,9 @@ class CarrierMotion:
         return Reason(
             "carrier_moved",
             f"the recordings are {1e3 * abs(self.apart):.0f} ms apart by their timestamps: a "
-            f"carrier that creeps at {moved / abs(self.apart):.2f} m/s makes such a pose of LiDARs "
-            "that did not move on it, and single sweeps do not show whether it did; record some "
-            "seconds, or while it is at rest",
+            f"carrier that creeps at {moved / abs(self.apart):.2f} m/s gives such a pose "
+            "although the LiDARs did not move on it, and single sweeps do not show whether the "
+            "carrier moved; record some seconds, or while it is at rest",
             {"apart_s": self.apart, "speed_m_s": moved / abs(self.apart)},
         )
 

@@ -331,7 +331,8 @@ def _too_few(total: int) -> Reason:
     return Reason(
         "too_few_distances",
         f"{counted(total, 'distance')} between poles that both LiDARs see, {MIN_DISTANCES} are "
-        "needed: four poles give 6, three give 3, two give 1, and placements add up",
+        "needed: four poles give 6, three give 3, two give 1, and the distances of placements are "
+        "added",
         {"distances": total, "needed": MIN_DISTANCES},
     )
 

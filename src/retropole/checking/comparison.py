@@ -96,7 +96,7 @@ def compare(
     """
     unknown = [name for name in methods if name not in ALL_METHODS]
     if unknown:
-        raise UsageError(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
+        raise UsageError(f"no method is named {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
 
     ours: Calibration | None = None
     found: list[Compared] = []

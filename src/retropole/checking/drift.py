@@ -136,8 +136,8 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         reason = Reason(
             "no_common_surfaces",
             "near the stored pose the clouds have no surfaces in common: a LiDAR was moved by more "
-            "than a few degrees or decimetres, these are other LiDARs (or the other way round), or "
-            "the place has none; calibrate again",
+            "than a few degrees or decimetres, these are other LiDARs or swapped, or the place "
+            "has no such surfaces; calibrate again",
             {},
         )
         return NewPose(None, reasons=(reason,))
@@ -180,11 +180,11 @@ def _misfit(clouds: Clouds, T: Array) -> Reason | None:
         return None
     return Reason(
         "clouds_do_not_fit",
-        "the clouds do not fit together at or near the stored pose: "
-        f"{found.overlap:.0%} of the points have a neighbour in the other cloud "
-        f"({MIN_OVERLAP:.0%} are needed), {found.free_space_violation:.1%} stand where the other "
-        f"LiDAR looked through ({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was moved "
-        "far, these are other LiDARs, or they recorded at different times; calibrate again",
+        f"the clouds do not fit together at or near the stored pose: {found.overlap:.0%} of the "
+        f"points have a neighbour in the other cloud ({MIN_OVERLAP:.0%} are needed), "
+        f"{found.free_space_violation:.1%} are in space that the other LiDAR saw to be empty "
+        f"({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was moved far, these are other "
+        "LiDARs, or they recorded at different times; calibrate again",
         {"overlap": found.overlap, "contradiction": found.free_space_violation},
     )
 
@@ -214,8 +214,8 @@ def swapped_sensors(
     except Refusal:
         return None
     return swap(
-        f"TARGET's rings are not those of the {sensors[0].name} that the result's target is, or "
-        f"SOURCE's not those of the {sensors[1].name}, and the other way round they fit",
+        f"TARGET's rings are not those of the {sensors[0].name} that is the target of the "
+        f"result, or SOURCE's not those of the {sensors[1].name}, and swapped they fit",
         {"told_by": "sensors"},
     )
 
@@ -269,9 +269,7 @@ def swapped_clouds(
 
 def swap(why: str, values: dict[str, float | int | str]) -> Reason:
     """Say that target and source are swapped, and what to do."""
-    return Reason(
-        "swapped", f"TARGET and SOURCE are swapped: {why}; give them the other way round", values
-    )
+    return Reason("swapped", f"TARGET and SOURCE are swapped: {why}; exchange them", values)
 
 
 def _apart(T: Array, other: Array) -> tuple[float, float]:
@@ -441,8 +439,8 @@ def _checked_against_scene(answer: CheckResult, found: Confirmation) -> CheckRes
         return answer
     contradicted = Reason(
         "scene_denies_stored",
-        f"under the stored pose, of the patches off the ground {found.counts} "
-        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed). Were both "
+        f"under the stored pose, of the patches above the ground {found.counts} "
+        f"({found.contradicted:.0%} contradict it; {MAX_CONFLICTING:.0%} are allowed). Were both "
         "clouds recorded at the same time, by the LiDARs of the stored result?",
         {
             "agreeing": found.agreeing,

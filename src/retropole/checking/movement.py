@@ -188,8 +188,8 @@ class Weakness:
         missing = " and ".join(words for is_missing, words in parts if is_missing)
         return self._reason(
             "too_weak",
-            f"no movement was found, but these data show only, {CONFIDENTLY}, that it moved by no "
-            f"more than {self.reported.in_words} ({missing} must be detectable): ",
+            f"no movement was found, but these data show only, {CONFIDENTLY}, that any movement "
+            f"is no more than {self.reported.in_words} ({missing} must be detectable): ",
         )
 
     def wider_tolerance(self) -> Reason:
@@ -204,11 +204,11 @@ class Weakness:
         """Say also where the step is least certain, which pose limits it, and what helps."""
         covariance, share = step_covariance(self.stored, self.new), self._stored_share()
         remedy = (
-            "the stored calibration is the weaker part: calibrate again, with the scene or with "
-            "more placements of the poles"
+            "the stored calibration is the less accurate part: calibrate again, with the scene "
+            "or with more placements of the poles"
             if share > 0.5
-            else "the new recordings are the weaker part: record more frames, set up the poles, or "
-            "put up something flat across that direction"
+            else "the new recordings are the less accurate part: record more frames, set up the "
+            "poles, or put up something flat across that direction"
         )
         return Reason(
             code,
@@ -391,7 +391,7 @@ def compare_poses(
         listed.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
         words = directions_in_words(covariance)
-        message = f"that it moved is certain, but not by how much: {words}"
+        message = f"it is certain that it moved, but not by how much: {words}"
         listed.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(

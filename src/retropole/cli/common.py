@@ -180,7 +180,7 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
     if read is not None and read.left_out:
         yield (
             f"read {len(read.numbers)} of {len(read.requested)} frames, one in "
-            f"{read.numbers.step // read.requested.step}, since all have too many points; "
+            f"{read.numbers.step // read.requested.step}, since all together have too many points; "
             f"{advice.to_keep} reads more"
         )
     elif read is not None and not asked and not read.is_whole:

@@ -29,7 +29,7 @@ TO_LOOK_AT = {
         "docs/check.md",
     ),
     "retropole fleet calibrate": (
-        "check SITES and the dataset; what is wrong with one recording is in its row",
+        "check SITES and the dataset; errors of a single recording are in its row",
         "docs/fleet.md",
     ),
     "retropole fleet report": (
@@ -108,9 +108,9 @@ def failure_of(error: Exception, command: str) -> Failure:
             unnamed = error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO)
             place = error.filename or ("standard output" if unnamed else "")
             words = quoting(f"{place}: {error.strerror}" if place else str(error))
-            check = "check that it exists and may be read or written, and that there is room"
+            check = "check that it exists and may be read or written, and that the disk is not full"
             if isinstance(error, BlockingIOError) and error.filename:
-                check = "wait until that run is over, or name another folder with --out"
+                check = "wait until that run has ended, or name another folder with --out"
             return Failure("system", words, (check,))
     raise error
 

@@ -178,7 +178,10 @@ def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     out_of = compress(range(len(found.used)), ~found.used)
     lines += [f"left out: {reason_of(network, found, k)}" for k in out_of]
     if doubtful := int(found.doubtful.sum()):
-        lines.append(f"{counted(doubtful, 'pose')} doubtful: tied by what may be wrong instead")
+        lines.append(
+            f"{counted(doubtful, 'pose')} doubtful: determined by other observations that may be "
+            "the wrong ones"
+        )
     kinds = Counter((one.kind, one.reason) for one in network.not_used)
     lines += [
         f"not used: {counted(count, kind)} ({reason})"

@@ -230,8 +230,8 @@ def read_mounting(path: Path, target: str | None) -> Transform:
         found = _found_in(file, data)
         if any(each.parent is None or each.child is None for each in found):
             raise UsageError(
-                "does not name the frames of the mounting; write it with both: retropole export "
-                "FILE --to yaml --parent base_link --child front"
+                "does not give the names of the frames of the mounting; write both with: "
+                "retropole export FILE --to yaml --parent base_link --child front"
             )
         return choose(found, None, target)
 

@@ -289,8 +289,8 @@ def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Point
         away = np.abs(points["xyz"] - header.offsets).max()
         if away >= reach:
             raise UsageError(
-                f"a point lies {away / 1000:,.0f} km from the first ones, a LAS file holds up to "
-                f"{reach / 1000:,.0f} km: --crop leaves it out"
+                f"a point is {away / 1000:,.0f} km from the first ones, a LAS file holds up to "
+                f"{reach / 1000:,.0f} km: remove it with --crop"
             )
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
         record.x, record.y, record.z = points["xyz"].T

@@ -92,7 +92,7 @@ class Transform:
                     f"{LONGEST_NAME} at most"
                 )
             if not is_name(name):
-                raise UsageError(f"{name[:60]!r} is no name for the {role} frame")
+                raise UsageError(f"{name[:60]!r} is not a valid name for the {role} frame")
         if self.parent == self.child:
             raise UsageError(f"parent and child are both named {self.parent!r}; they must differ")
 
@@ -350,8 +350,8 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
     for role, there, given in zip(one.roles, (one.parent, one.child), (parent, child), strict=True):
         if one.is_of_lidars and there is None and (given or "").rpartition("/")[2] in NO_LIDARS:
             raise UsageError(
-                f"{given!r} is by its name no LiDAR: name the frame of the {role} itself; its pose "
-                "on a robot takes --mounting FILE or --into ROBOT.urdf"
+                f"{given!r} is not the name of a LiDAR frame: give the frame of the {role} "
+                "itself; for its pose on a robot use --mounting FILE or --into ROBOT.urdf"
             )
     return Transform(
         se3.rigid(one.pose()),

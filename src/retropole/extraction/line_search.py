@@ -274,7 +274,10 @@ def why_left(free: BoolArray, parts: list[IntArray]) -> Failure:
     """Say why points are left where no line was tried and found wanting."""
     most = max((int(np.count_nonzero(free[part])) for part in parts), default=0)
     if most >= MIN_POLE_POINTS:
-        reason = f"{most} points left after {MAX_POLES} poles, more are not looked for"
+        reason = f"{most} points left after {MAX_POLES} poles, no more are searched for"
     else:
-        reason = f"no {MIN_POLE_POINTS} points together off poles and surfaces, as a pole needs"
+        reason = (
+            f"no {MIN_POLE_POINTS} points close together away from poles and surfaces, the "
+            "minimum for a pole"
+        )
     return Failure("too_few_points", reason)

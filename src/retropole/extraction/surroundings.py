@@ -329,8 +329,8 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
     return Failure(
         "on_a_body",
-        f"{counted(count, 'return')} up to {BODY_REACH:g} m beside it "
-        f"{'goes' if count == 1 else 'go'} on beyond both its ends, with air about "
+        f"{counted(count, 'return')} up to {BODY_REACH:g} m next to it "
+        f"{'goes' if count == 1 else 'go'} beyond both its ends, with free space around "
         "them: a band that a person wears or holds",
     )
 
@@ -437,7 +437,7 @@ def along_the_sweeps(around: Surroundings) -> Failure | None:
     cloud, line = around.cloud, around.line
     if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
         return None
-    reason = f"{len(line.index)} points in the direction in which the beams sweep"
+    reason = f"{len(line.index)} points along the sweep of the beams"
     return Failure("along_a_beam", reason)
 
 
@@ -451,7 +451,7 @@ def _goes_on_without_tape(around: Surroundings) -> Failure | None:
     needed = MOST * min(PIECES, SHORT_LENGTH / line.step)
     if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
         return None
-    reason = f"{line.length:.2f} m long, and goes on without tape: a sign on its post"
+    reason = f"{line.length:.2f} m long, and continues without tape: a sign on its post"
     return Failure("goes_on_without_tape", reason)
 
 
@@ -461,4 +461,4 @@ def _pieces_hit(places: Array) -> int:
 
 
 def _where(around: Surroundings) -> str:
-    return f"{around.line.tube:.2f} to {around.neighbour_limit:.2f} m beside it"
+    return f"{around.line.tube:.2f} to {around.neighbour_limit:.2f} m next to it"

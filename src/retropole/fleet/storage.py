@@ -90,8 +90,8 @@ def _check_protocol(url: str) -> None:
     """Refuse a URL that is not to be followed; of a chain (zip::ftp://…) any part connects."""
     if "::" in url or url.partition("://")[0] not in (*PROTOCOLS, *other_protocols()):
         raise UsageError(
-            f"{url}: expected a path, or a URL of {', '.join(PROTOCOLS)}; --protocol adds one of "
-            "fsspec's others, chains (::) are never followed"
+            f"{url}: expected a path, or a URL of {', '.join(PROTOCOLS)}; --protocol adds "
+            "another one of fsspec, chains (::) are never followed"
         )
 
 

@@ -236,8 +236,8 @@ def level(
     if tilt > MAX_TILT_SIGMA or height > MAX_HEIGHT_SIGMA:
         raise Refusal(
             "too_little_ground",
-            f"the {ground.area:.0f} m² of ground that are seen leave its tilt open by "
-            f"± {np.degrees(tilt):.2g}° and its height by ± {height:.2g} m within "
+            f"the {ground.area:.0f} m² of visible ground determine its tilt only to "
+            f"± {np.degrees(tilt):.2g}° and its height to ± {height:.2g} m within "
             f"{ground.radius:.0f} m (1 σ)",
             {"area_m2": ground.area, "tilt_rad": float(tilt), "height_m": float(height)},
         )

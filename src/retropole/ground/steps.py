@@ -263,7 +263,7 @@ def _along_kerb(
             raise Refusal(
                 "two_grounds",
                 f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
-                f"{other.area:.0f} m²: which of them is below the LiDARs is not seen",
+                f"{other.area:.0f} m²: which of them is below the LiDARs cannot be seen",
                 {"height_m": other.height, "area_m2": other.area},
             )
         if not is_step:

@@ -199,7 +199,7 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
     if not below and not above:
         raise Refusal(
             "too_little_ground",
-            f"no plane is within {np.degrees(MAX_TILT):.0f}° of level to the LiDAR {first.name}",
+            f"no plane is within {np.degrees(MAX_TILT):.0f}° of level for the LiDAR {first.name}",
             {"area_m2": 0.0},
         )
     if above > OTHER_SIDE * below:

@@ -58,13 +58,13 @@ MAP_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
 86 in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two with the
 wheels of cars that had moved by more."""
 
-LEAVES = "one pole, or parallel ones, leave a part of the pose open"
+LEAVES = "one pole, or parallel ones, do not determine the whole pose"
 """What the poles do not tell."""
 
 SET_UP_TWO = "set up two poles that both LiDARs see, one of them leaning by 15° or more"
 """What to do where it does not without any pole."""
 
-LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
+LEAN_ANOTHER = "lean a second pole, in view of both LiDARs, by 15° or more against the first"
 """What to do where the place does not tell."""
 
 
@@ -312,11 +312,11 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     left, advice = _left_open(paired)
     needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % needed"
     if has_no_poles(paired):
-        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % against it"
+        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % contradicting it"
     raise Refusal(
         "too_few_poles",
-        f"{left}, and the surroundings do not fix it: {found.counts}; chance of a wrong pose "
-        f"{found.chance} ({needed}); {advice}",
+        f"{left}, and the surroundings do not determine the rest: {found.counts}; chance of a "
+        f"wrong pose {found.chance} ({needed}); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,
@@ -332,7 +332,7 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
 def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     """Say what the poles leave to the place, and what to do where it does not tell."""
     if has_no_poles(paired):
-        return "without poles all of the pose is open", SET_UP_TWO
+        return "without poles the whole pose is undetermined", SET_UP_TWO
     scans = [scan for each in paired for scan in (each.placement.target, each.placement.source)]
     few = (why_few_poles(scan) for scan in scans if len(scan.poles) < 2)
     return LEAVES, next(filter(None, few), LEAN_ANOTHER)
@@ -365,7 +365,7 @@ def check_constrained(
     if refined is None:
         raise Refusal(
             "degenerate_poles",
-            f"{left}, and too few surfaces that both LiDARs see tell it; {advice}",
+            f"{left}, and too few surfaces are seen by both LiDARs to determine the rest; {advice}",
             {"poles": max(len(each.target_poles) for each in paired)},
         )
     assert refined.covariance is not None
@@ -409,7 +409,7 @@ def check_constrained_by_scene(
     rotation, translation = widest(covariance)
     raise Refusal(
         "degenerate_poles",
-        f"{left}, and the surfaces that {lidars} see hold the pose to "
-        f"{np.degrees(rotation):.2f}° and {translation:.2f} m only (1 σ); {advice}",
+        f"{left}, and the surfaces that {lidars} see determine the pose only to "
+        f"{np.degrees(rotation):.2f}° and {translation:.2f} m (1 σ); {advice}",
         {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
     )

@@ -218,10 +218,10 @@ def candidate_reasons(
     return [
         Reason(
             "doubtful_poles",
-            f"{target} of the target's poles and {source} of the source's are doubtful by "
-            f"themselves, near a wall, beside something bright, with few returns or dim tape; both "
+            f"{target} of the target's poles and {source} of the source's are doubtful, near "
+            f"a wall, next to a bright object, with few returns or dim tape; both "
             f"LiDARs agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} "
-            "of the points have a neighbour under this pose only",
+            "of the points have a neighbour under this pose and no other",
             {
                 "target": target,
                 "source": source,

@@ -130,7 +130,7 @@ def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRI
     rival = max(rivals, key=lambda h: h.score)
     return Refusal(
         "ambiguous",
-        f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
+        f"the scene does not distinguish {1 + len(rivals)} hypotheses (overlap "
         f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
         f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): {advice}",
         {
@@ -266,13 +266,15 @@ def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     if name not in names:
         raise UsageError(
             f"no hypothesis {name!r} (--hypothesis) fits the poles of these recordings; those that "
-            f"do are {', '.join(names)}"
+            f"fit are {', '.join(names)}"
         )
     k = names.index(name)
     choice = chosen.choices[k]
     try:
         check_overlap(
-            choice.joint, f"hypothesis {name}", "the scene conflicts with what --hypothesis says"
+            choice.joint,
+            f"hypothesis {name}",
+            "the scene conflicts with the hypothesis given by --hypothesis",
         )
         check_paired(choice.paired)
     except Refusal as refusal:

@@ -484,8 +484,8 @@ def every_match(
             "no_match",
             f"none of the {counted(len(target), 'pole')} of the target and {len(source)} of the "
             f"source agree "
-            "in angle and distance: the LiDARs do not see the same two poles, or one moved; see "
-            "which poles were taken with 'retropole detect'",
+            "in angle and distance: the LiDARs do not see the same two poles, or one moved; check "
+            "with 'retropole detect' which poles were found",
             {"poles_target": len(target), "poles_source": len(source)},
         )
     agreeing = len(matches[0].pairs)
@@ -493,9 +493,9 @@ def every_match(
     if not matches:
         raise Refusal(
             "pole_count",
-            f"{counted(agreeing, 'pole agrees', 'poles agree')} between the LiDARs where "
-            f"{count} were asked for; see which "
-            "with 'retropole detect', and cover or remove what is no pole",
+            f"{counted(agreeing, 'pole agrees', 'poles agree')} between the LiDARs but "
+            f"{count} were requested; check with 'retropole "
+            "detect' which, and cover or remove other objects",
             {"agreeing": agreeing, "asked": int(count or 0)},
         )
     return EveryMatch(matches, laid)

@@ -290,9 +290,10 @@ def check_confirmation(found: Confirmation) -> None:
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
-        f"under the pose that the poles give, of the patches off the ground {found.counts} "
-        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed){elsewhere}: did "
-        "a pole move between the recordings, or are they of two placements?",
+        f"under the pose that the poles give, of the patches above the ground {found.counts} "
+        f"({found.contradicted:.0%} contradict it; {MAX_CONFLICTING:.0%} are "
+        f"allowed){elsewhere}: did a pole move between the recordings, or are these two "
+        "different placements?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
@@ -313,8 +314,8 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
         "not_confirmed",
         f"chance of a wrong pose: {found.chance_words}; {100 * MAX_WRONG:.0f} % is allowed. Scene "
         f"check: {found.counts}, {_lead_words(found.z_margin or 0.0)}. "
-        f"{_held_by_poles(found)}. If nobody touched them from one recording to the "
-        "other, --trust-poles says so; otherwise add another pole or another placement",
+        f"{_held_by_poles(found)}. If nobody touched the poles between the recordings, "
+        "give --trust-poles; otherwise add another pole or another placement",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,

@@ -327,7 +327,7 @@ def check_linked(
     other = f", or correct the files: {unmatched} see poles that do not match" if unmatched else ""
     raise Refusal(
         "disconnected",
-        f"the LiDARs fall into {len(groups)} groups that share no two poles: {named}; add a "
+        f"the LiDARs fall into {len(groups)} groups without two poles in common: {named}; add a "
         "placement with two poles that LiDARs of both groups see" + other,
         {"groups": len(groups), "names": named, "unmatched": unmatched},
     )

@@ -138,7 +138,7 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
 
 def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
     """Say that two LiDARs have no two poles in common, and why, if a recording shows it."""
-    words = "no placement shows both LiDARs two poles in common"
+    words = "in no placement do both LiDARs see the same two poles"
     for which, i in zip(("first", "second"), lidars, strict=True):
         whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
         if any(whys):

@@ -191,7 +191,7 @@ def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     if not choices:
         raise Refusal(
             "placements_disagree",
-            f"no pose fits all {len(scored)} placements; the nearest two are {nearest:.2f} m "
+            f"no pose fits all {len(scored)} placements; the nearest two poses are {nearest:.2f} m "
             "apart: did a LiDAR move between them, or are the files of a placement swapped?",
             {"placements": len(scored), "nearest_m": nearest},
         )

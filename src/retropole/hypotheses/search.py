@@ -142,8 +142,8 @@ def _choose_without_poles(
         return chosen
     refusal = Refusal(
         "no_overlap",
-        "without poles the place must give the pose, and there is none that lays ground on ground "
-        f"and what stands off it on each other; {SET_UP_TWO}",
+        "without poles the surroundings must determine the pose, and under no pose do both the "
+        f"ground and the objects above it coincide; {SET_UP_TWO}",
         {"poles": 0},
     )
     return Chosen((), (), refusal)

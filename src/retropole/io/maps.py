@@ -35,7 +35,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     if place.at is None and (high - low)[:2].max() > 2 * REACH:
         raise ReadError(
-            f"the map spans {_spans(low, high)}: say roughly where in it the LiDAR is, with "
+            f"the map spans {_spans(low, high)}: give the rough position of the LiDAR in it with "
             "--prior-xyz"
         )
     rows = np.flatnonzero(is_near(cloud.xyz[:, 0], cloud.xyz[:, 1], place))

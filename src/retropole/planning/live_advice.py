@@ -90,8 +90,8 @@ def _unseen(view: View, now: float) -> Iterator[Advice]:
     if view.fault:
         yield Advice("unreadable", f"{view.name}: {view.fault}")
     elif looked is None or now - looked.at > 3.0:
-        why = view.silent or "its newest sweep is old"
-        yield Advice("silent", f"{view.name} gives no sweeps: {why}")
+        why = view.silent or "its latest sweep is old"
+        yield Advice("silent", f"{view.name} sends no sweeps: {why}")
     elif looked.refusal is not None:
         explained = explain(looked.refusal.code)
         remedy = plain(explained.advice[0]) if explained and explained.advice else ""
@@ -117,7 +117,7 @@ def _step_aside(name: str, before: float, away: float) -> Advice:
     where = f"{before:.1f} m" if before else "right"
     return Advice(
         "in_front",
-        f"Step aside: something {where} before {name} hides the pole that it saw {away:.1f} m "
+        f"Step aside: something {where} in front of {name} hides the pole that it saw {away:.1f} m "
         "away.",
     )
 
@@ -150,13 +150,13 @@ def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
         where = f"{present(view.tracks, now)[0].distance:.1f} m from {view.name}"
         yield Advice(
             "missing",
-            f"Only one pole is seen, {where}. Stand another 1 to 4 m beside it, leaning by 15° "
+            f"Only one pole is seen, {where}. Place another 1 to 4 m next to it, leaning by 15° "
             "or more against it.",
         )
     else:
         yield Advice(
             "no_poles",
-            f"No LiDAR sees a pole. Stand two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
+            f"No LiDAR sees a pole. Place two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
             f"LiDARs{''.join(map(_ahead, views))}, with retro-reflective tape all around.",
         )
 
@@ -189,17 +189,17 @@ def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
         return Advice(
             "dim",
             f"{sees}. The tape of the other, {away:.1f} m away, is too dim for it: put on new "
-            "tape, all around, or stand it nearer. It would need a threshold below "
+            "tape, all around, or place it nearer. It would need a threshold below "
             f"{looked.threshold:.3g}.",
         )
     what = f"{sees}. The other, {away:.1f} m away, has {counted(len(pole.xyz), 'return')} on "
     what += counted(pole.rings, "ring")
     if len(pole.xyz) < FEW_POINTS or pole.rings <= MIN_POLE_RINGS:
-        return Advice("too_far", f"{what}: stand it {_nearer(pole, name)}.")
+        return Advice("too_far", f"{what}: place it {_nearer(pole, name)}.")
     why = next(w for each, w in zip(looked.doubtful, looked.why, strict=True) if each is pole)
     return Advice(
         "doubtful",
-        f"{what}, but {why}. Stand it free, 0.5 m from all else; is --radius right?",
+        f"{what}, but {why}. Place it 0.5 m from everything else; is --radius right?",
     )
 
 
@@ -216,7 +216,9 @@ def _moving(view: View, now: float) -> Iterator[Advice]:
     moving = [track for track in restless if track.has_moved]
     which = " and ".join(f"{track.distance:.1f} m" for track in moving or restless)
     if moving:
-        yield Advice("moving", f"Keep the poles still: {view.name} sees one move, {which} away.")
+        yield Advice(
+            "moving", f"Keep the poles still: {view.name} sees one that moves, {which} away."
+        )
     elif restless:
         yield Advice("settling", f"Wait a moment: {view.name} watches the pole {which} away.")
 
@@ -238,8 +240,8 @@ def _edge(view: View, now: float) -> Iterator[Advice]:
         if view.is_at_edge(track.pole):
             yield Advice(
                 "at_edge",
-                f"The pole {track.distance:.1f} m from {view.name} is at the edge of what it sees: "
-                "move it a metre inward.",
+                f"The pole {track.distance:.1f} m from {view.name} is at the edge of its field "
+                "of view: move it a metre inward.",
             )
 
 
@@ -259,7 +261,7 @@ def _weak(view: View, now: float) -> Iterator[Advice]:
         have = f"{counted(len(pole.xyz), 'return')} on {counted(pole.rings, 'ring')}"
         yield Advice(
             "nearer",
-            f"{view.name} has {have} of the pole {away:.1f} m away: stand it "
+            f"{view.name} has {have} of the pole {away:.1f} m away: place it "
             f"{_nearer(pole, view.name)}.",
         )
 
@@ -333,8 +335,8 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
         if least > outcome.need.within:
             return Advice(
                 "need_too_small",
-                f"No recording shows less than {at_most(least)}: end here, or ask for less with "
-                f"--need-cm. {_so_far(outcome).capitalize()}.",
+                f"No recording can show less than {at_most(least)}: stop here, or require less "
+                f"with --need-cm. {_so_far(outcome).capitalize()}.",
             )
         return Advice(
             "need_not_met",
@@ -357,13 +359,13 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
 
 def another(placements: int) -> str:
     """Recommend what to record after a number of placements of poles that are set up."""
-    return f"Placement {placements + 1}: stand the poles elsewhere, on another side."
+    return f"Placement {placements + 1}: set up the poles at other positions, on another side."
 
 
 def _so_far(outcome: Outcome) -> str:
     at = f"up to {outcome.need.at:g} m away"
     if outcome.bound is None:
-        return f"nothing {at} is sure"
+        return f"no error bound {at} is certain"
     return f"no point {at} is off by more than {at_most(outcome.bound)}, 95 % sure"
 
 

@@ -410,10 +410,10 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
         messages += frame.cloud.notes
         is_other = lidar.origin is not None
         if is_other:
-            messages.append(f"its sweeps come from {origin.words} now")
+            messages.append(f"its sweeps now come from {origin.words}")
         lidar.origin = origin
     if lidar.kept not in (None, origin):
-        fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
+        fault = f"its sweeps come from {origin.words}, the stored ones from {lidar.kept.words}"
         lidar.view = replace(view, fault=fault)
         return Received(None, tuple(messages), is_other)
     lidar.came.append((now, frame.number))

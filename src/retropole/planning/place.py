@@ -161,7 +161,8 @@ def survey(
         raise Refusal(
             "no_ground",
             f"no LiDAR recorded anything within {FARTHEST:g} m of it, the nearest return is "
-            f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
+            f"{near.min(initial=np.inf):.1f} m away: a pole cannot be set up where it would be "
+            "seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
     points = points[near < FARTHEST]
@@ -188,8 +189,8 @@ def survey(
         raise Refusal(
             "no_ground",
             f"the recordings show {np.count_nonzero(flat)} squares of {CELL:g} m on bare, flat "
-            f"ground within {FARTHEST:g} m, {np.count_nonzero(kept)} of them{where}: no pole can "
-            "stand",
+            f"ground within {FARTHEST:g} m, {np.count_nonzero(kept)} of them{where}: a pole "
+            "cannot be set up",
             {"places": int(np.count_nonzero(flat)), "allowed": int(np.count_nonzero(kept))},
         )
     # Where nothing low is near, what was recorded is on something.

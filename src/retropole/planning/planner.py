@@ -226,23 +226,24 @@ def plan(
     stations = refined(stations, surfaces)
     progress("ground")
     place = survey(stations, allowed, forbidden)
-    progress("poles that can stand")
+    progress("possible positions of poles")
     widths = divergences_of(stations)
     candidates, seen = candidate_poles(place, stations, widths, length, radius)
     if len(candidates) < poles:
         raise _too_few(stations, place, len(candidates), poles, length, radius)
-    progress("what each would tell")
+    progress("information from each")
     network = network_of(
         stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, quickly=True
     )
     design = design_of(stations, surfaces, candidates, seen, network, reach)
-    progress("the best of them")
+    progress("the best set")
     chosen = choose(design, poles, placements)
     if chosen is None:
         raise Refusal(
             "nowhere_seen",
-            f"{counted(len(candidates), 'pole')} could stand, but no {poles} of them together, "
-            "1 m apart and 15° against each other: ask for fewer, or allow more ground",
+            f"{counted(len(candidates), 'pole')} could be set up, but no {poles} of them "
+            "together, 1 m from each other and at 15° to each other: request fewer, or allow "
+            "more ground",
             {"seen": len(candidates)},
         )
     _check_linked(stations, design, chosen)
@@ -305,11 +306,11 @@ def _too_few(
     lidars = np.stack([each.at for each in stations])
     away = float(np.sort(cdist(middle, lidars), axis=1)[:, 1].min())
     reach = FAR * radius
-    advice = "take thicker or longer poles, or turn the LiDARs so that they see the same ground"
+    advice = "use thicker or longer poles, or rotate the LiDARs so that they see the same ground"
     if reach < away < FAR * MAX_RADIUS:
         advice = (
             f"of {2e3 * radius:.0f} mm they are seen up to {reach:.1f} m away, and the nearest "
-            f"such place is {away:.1f} m from one of two LiDARs; take poles of "
+            f"such place is {away:.1f} m from one of two LiDARs; use poles of "
             f"{np.ceil(2e3 * away / FAR):.0f} mm or thicker (--radius is half of that, in metres)"
         )
     return Refusal(
@@ -351,8 +352,8 @@ def _check_linked(
     if unlinked:
         raise Refusal(
             "not_linked",
-            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: ask for "
-            "another placement, or allow ground that these LiDARs see together with others",
+            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: request "
+            "another placement, or allow ground that these LiDARs and others see",
             {"names": ", ".join(unlinked)},
         )
 
@@ -365,7 +366,7 @@ def _check_poses(rehearsal: Rehearsal) -> None:
             raise Refusal(
                 "pose_contradicted",
                 f"with poles put into the recordings, {said}: correct the rough poses, they must "
-                "be good to 10° and 1 m",
+                "be accurate to 10° and 1 m",
                 reason.values,
             )
 

@@ -128,9 +128,9 @@ def place_drawn_lidars(
         if len(recorded.cloud) < LEAST_RETURNS or T[2, 3] <= 0:
             raise Refusal(
                 "no_ground",
-                f"{name}, {T[2, 3]:g} m above the ground, would have {len(recorded.cloud)} returns "
-                f"in all, {LEAST_RETURNS} are needed: set it up above the ground (z > 0) and turn "
-                "it so that it sees the ground",
+                f"{name}, {T[2, 3]:g} m above the ground, would have {len(recorded.cloud)} "
+                f"returns in all, {LEAST_RETURNS} are needed: set it up above the ground (z > 0) "
+                "and rotate it so that it sees the ground",
                 {"lidar": name, "height_m": float(T[2, 3]), "returns": len(recorded.cloud)},
             )
         scans.append(bare_scan(recorded.cloud, sensor))
@@ -223,9 +223,9 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
             )
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose of {second} {counts.contradicting} parts of the scene stand "
-            f"where the other LiDAR looked through, {counts.agreeing} agree with {first}{other}: "
-            "correct the pose, it must be good to 10° and 1 m",
+            f"under the rough pose of {second} {counts.contradicting} parts of the scene are in "
+            f"space that the other LiDAR saw to be empty, {counts.agreeing} agree with "
+            f"{first}{other}: correct the pose, it must be accurate to 10° and 1 m",
             {"agreeing": counts.agreeing, "contradicting": counts.contradicting},
         )
     surface = prepare(target.cloud.xyz, SCORING_VOXEL)
@@ -284,7 +284,8 @@ def check_grounds(
         upside = "; is one LiDAR mounted upside down?" if tilt > np.radians(150) else ""
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose the ground below {second} is tilted by {np.degrees(tilt):.0f}° "
-            f"against that below {first}{upside}: correct the pose, it must be good to 10° and 1 m",
+            f"under the rough pose the ground below {second} is tilted by "
+            f"{np.degrees(tilt):.0f}° against that below {first}{upside}: correct the pose, it "
+            "must be accurate to 10° and 1 m",
             {"tilt_rad": tilt},
         )

@@ -41,7 +41,9 @@ def apart(subject: Subject) -> Html:
         for each in found
     ]
     header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
-    return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
+    return fill(
+        "apart", table=listed(Listing("Distances between surfaces, medians", header, rows, (1,)))
+    )
 
 
 def measured_distances(subject: Subject) -> list[Distance]:

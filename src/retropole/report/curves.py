@@ -141,7 +141,7 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
     else:
         text.append(
             f"No 95 % line: the pose itself is wrong with a probability of {curve.wrong:.0%}, "
-            "which 1 σ does not count.".replace("%,", " %,")
+            "which 1 σ does not include.".replace("%,", " %,")
         )
     if curve.need is not None:
         outside = "" if is_drawn else ", far above this picture"

@@ -92,7 +92,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
         yield f"`--prior-rpy-deg R P Y`{instead}, {known}, leaves one"
     if config.hypothesis is None:
         names = " | ".join(name for name, _ in named)
-        yield f"`--hypothesis {names}` takes the one that you know is right, with a warning"
+        yield f"`--hypothesis {names}` selects the one that you know is right, with a warning"
 
 
 def _least_turn(poses: Sequence[Array]) -> float:
@@ -123,7 +123,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
         mark = " *" if each.chosen else "  "
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
-            lines.append(f"       as against a: {relative_words(result, each)}")
+            lines.append(f"       compared with a: {relative_words(result, each)}")
     lines += [f"  {plain(words)}" for words in deciding(result, named)]
     return lines
 
@@ -192,7 +192,7 @@ def _undecided(result: ResultDoc) -> Html:
         )
         for name, each in named
     ]
-    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; as against a"
+    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; compared with a"
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",

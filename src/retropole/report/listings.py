@@ -224,8 +224,8 @@ def pair_words(pair: PairDoc, refused: bool) -> str:
         return "decides by itself"
     if pair.standing > 1:
         ways = counted(pair.standing, "way")
-        return f"leaves {ways}" if refused else f"leaves {ways}, others decide"
-    return "no answer of its own" if refused else "linked through others"
+        return f"leaves {ways}" if refused else f"leaves {ways}, decided by others"
+    return "no separate answer" if refused else "linked through others"
 
 
 def loops(site: SiteDoc) -> Listing:
@@ -507,7 +507,7 @@ def checks_of_site(site: SiteDoc) -> Iterator[str]:
         by_chance = f"by chance: {probability(worst.probability)}"
         yield f"{which} {around(site, worst)}: misses by {misses} ({by_chance})"
     elif len(site.lidars) > 2:
-        yield "no closed loop: no third LiDAR checks a pair"
+        yield "no closed loop: there is no third LiDAR to check a pair"
     yield from _checks(site)
 
 
@@ -515,7 +515,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
     """Say what the consistency checks of an answer showed."""
     tests = ranked_tests(site)
     if not tests:
-        yield "no consistency checks: nothing verifies these poses"
+        yield "no consistency checks: there is no verification of these poses"
         return
     high = [each for each in tests if _is_large(each.w, each.allowed)]
     checks = counted(len(tests), "consistency check")
@@ -530,7 +530,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
         yield f"{checks}, none suspicious; the largest: {named[0]}"
     blind = unchecked(site)
     if blind:
-        yield f"{counted(blind, 'observation')} without a check: an error there would not show"
+        yield f"{counted(blind, 'observation')} without a check: errors there stay undetected"
 
 
 def fitness_words(subject: Subject) -> str:

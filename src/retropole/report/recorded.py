@@ -323,11 +323,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     rejected = list(enumerate(scan.detection.rejected))
     threshold = f"{scan.detection.threshold:g}"
     unseen = (
-        f"its returns are below the threshold of {threshold}, or something hides it, or it stands "
-        "outside of the field of view."
+        f"its returns are below the threshold of {threshold}, or something hides it, or it "
+        "is outside the field of view."
     )
     if not rejected:
-        yield f"Nothing else is as bright as tape. If the pole is there, {unseen}"
+        yield f"Nothing else is as bright as tape. If the pole is present, {unseen}"
         return
     distances = _distances(other.poles)
     if not scan.poles or not distances:
@@ -353,11 +353,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     listed = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
     there = f"The other LiDAR sees poles {listed} m from each other"
     if fitting:
-        yield f"{there}: what is named here fits that."
+        yield f"{there}: the clusters named here fit that."
     else:
         yield (
             f"{there}. None of the {len(rejected)} rejected clusters fits that. If the pole is "
-            f"there, {unseen}"
+            f"present, {unseen}"
         )
 
 
@@ -391,8 +391,8 @@ def _nearer(distance: float, share: float) -> str:
     """
     enough = share * distance
     if enough < NEAREST:
-        return "if it is your pole, stand it much nearer."
-    return f"if it is your pole, stand it {math.ceil(10 * (distance - enough)) / 10:.1f} m nearer."
+        return "if it is your pole, place it much nearer."
+    return f"if it is your pole, place it {math.ceil(10 * (distance - enough)) / 10:.1f} m nearer."
 
 
 def _place(away: Array) -> str:

@@ -16,7 +16,7 @@ VERDICTS = {
     "warn": (
         "!",
         "Calibrated, with a warning",
-        "There is a pose, and a reason to read before you use it.",
+        "There is a pose. Read the reason before you use it.",
     ),
     "refused": (
         "✕",
@@ -75,9 +75,7 @@ def instead_words(subject: Subject) -> str:
     trusted = (
         ""
         if subject.pair is None
-        else (
-            " If somebody watched and nobody touched the poles in between, `--trust-poles` says so."
-        )
+        else (" If you watched the poles and nobody touched them in between, give `--trust-poles`.")
     )
     return (
         f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "

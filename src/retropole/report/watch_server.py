@@ -82,11 +82,9 @@ class WatchServer(ThreadingMixIn, TCPServer):
         try:
             address = ip_address(host)
         except ValueError:
-            raise UsageError(f"{host!r} is no IP address") from None
+            raise UsageError(f"{host!r} is not an IP address") from None
         if address.is_unspecified:
-            raise UsageError(
-                f"{host} stands for all addresses of this machine: name the one to use"
-            )
+            raise UsageError(f"{host} means all addresses of this machine: give the one to use")
         self.state = state
         self._open: dict[socket.socket, tuple[str, float]] = {}
         self.address_family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
@@ -221,7 +219,7 @@ def local_address() -> str:
         except OSError:
             address = "127.0.0.1"
     if ip_address(address).is_loopback or ip_address(address).is_unspecified:
-        raise UsageError("this machine is in no network that a phone could be in")
+        raise UsageError("this machine is in no network that a phone could join")
     return address
 
 

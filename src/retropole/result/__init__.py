@@ -443,5 +443,5 @@ def any_result_file(path: Path) -> Path:
     if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
         return result_file(path)
     if (path / RESULT_FILE).exists():
-        raise UsageError(f"{path} holds {RESULT_FILE} and {SITE_RESULT_FILE}; name one of them")
+        raise UsageError(f"{path} contains {RESULT_FILE} and {SITE_RESULT_FILE}; give one of them")
     return path / SITE_RESULT_FILE

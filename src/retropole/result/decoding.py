@@ -125,7 +125,7 @@ def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
         raise ReadError("placements: two poles have the same name")
     for name in () if plan.moved is None else plan.moved.poles:
         if name not in of_poles:
-            raise ReadError(f"moved.poles: no pole is called {printable(name)}")
+            raise ReadError(f"moved.poles: no pole is named {printable(name)}")
     for p, placement in enumerate(plan.placements):
         for k, pole in enumerate(placement.poles):
             field, seers = f"placements[{p}].poles[{k}]", [each.lidar for each in pole.seen]

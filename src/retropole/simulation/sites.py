@@ -212,7 +212,7 @@ def draw_site(
 ) -> DrawnSite:
     """Draw a site where poles link all LiDARs: the first half of `simulate_site`, as there."""
     if kind not in SITES:
-        raise UsageError(f"no kind of site is called {kind!r}; there are {', '.join(SITES)}")
+        raise UsageError(f"no kind of site is named {kind!r}; there are {', '.join(SITES)}")
     placements, poles = _numbers(kind, lidars, placements, poles)
     names = sensors or DEFAULT_SENSORS[kind]
     models = tuple(find_sensor(names[k % len(names)]) for k in range(lidars))

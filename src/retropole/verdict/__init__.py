@@ -111,16 +111,17 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
     if not poles:
         yield Reason(
             "without_poles",
-            "without poles the place gives all of the pose, and nothing checks it; it leads other "
-            f"angles and shifts by {lead:.1f} σ. Look at the clouds, or {SET_UP_TWO}",
+            "without poles the surroundings determine the whole pose, and there is no check; the "
+            f"pose is better than other angles and shifts by {lead:.1f} σ. Look at the clouds, "
+            f"or {SET_UP_TWO}",
             {"lead": lead},
         )
         return
-    are = "one pole leaves" if len(poles) == 1 else f"{len(poles)} poles, all parallel, leave"
+    are = "one pole does" if len(poles) == 1 else f"{len(poles)} poles, all parallel, do"
     yield Reason(
         "by_place",
-        f"{are} a part of the pose open, which the place around gives: it leads other angles and "
-        f"shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
+        f"{are} not determine the whole pose, the rest is from the surroundings: it is better "
+        f"than other angles and shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
         {"poles": len(poles), "lead": lead},
     )
 
@@ -148,8 +149,8 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
     if margin is not None and margin < WARN_MARGIN:
         yield Reason(
             "small_margin",
-            f"the chosen hypothesis leads by {margin:.3f} only (comfortable: {WARN_MARGIN:g}); "
-            "look at the hypotheses in the report before you use the transform",
+            f"the score of the chosen hypothesis is higher by only {margin:.3f} ({WARN_MARGIN:g} "
+            "or more is clear); look at the hypotheses in the report before you use the transform",
             {"margin": margin, "comfortable": WARN_MARGIN},
         )
 
@@ -163,7 +164,7 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
             yield Reason(
                 "pole_left_out",
                 f"pole T{i} of the target and pole S{j} of the source{of} lie "
-                f"{quantities.error(distance)} apart where the {len(each.target_poles)} others "
+                f"{quantities.error(distance)} apart, whereas the {len(each.target_poles)} others "
                 "agree, and were left out: did it move between the recordings?",
                 {"placement": k, "target": i, "source": j, "apart_m": distance},
             )
@@ -180,10 +181,10 @@ def check_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
         low, high = (np.degrees(angle) for angle in UNITS_DIFFER)
         yield Reason(
             "nominal_angles",
-            f"the points of {lidar} are placed by the angles of an example of the {model}: units "
-            f"differ by {low:.2f}° to {high:.1f}° in elevation, {30 * UNITS_DIFFER[0]:.2f} to "
-            f"{30 * UNITS_DIFFER[1]:.1f} m at 30 m, which the stated error does not count; "
-            "--angles FILE gives those of the unit",
+            f"the points of {lidar} are computed with the angles of an example of the {model}: "
+            f"units differ by {low:.2f}° to {high:.1f}° in elevation, {30 * UNITS_DIFFER[0]:.2f} "
+            f"to {30 * UNITS_DIFFER[1]:.1f} m at 30 m, which the stated error does not include; "
+            "give the angles of the unit with --angles FILE",
             {"lidar": lidar, "model": model, "differ_rad": float(UNITS_DIFFER[1])},
         )
 
@@ -202,8 +203,8 @@ def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reas
         of = lidars and f" that link {lidars}"
         yield Reason(
             "nearly_parallel_poles",
-            f"the poles{of} are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
-            "or more",
+            f"the poles{of} are {degrees:.1f}° apart, so that the height is weakly determined; "
+            "lean one by 15° or more",
             {"angle_deg": degrees},
         )
 
@@ -226,7 +227,7 @@ def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
     elif rings <= MIN_POLE_RINGS:
         yield Reason(
             "few_rings",
-            f"a pole is met by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
+            f"a pole is hit by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
             "it nearer, or use a longer one",
             {"lidar": lidar, "rings": rings},
         )
@@ -247,9 +248,9 @@ def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Rea
     if noise > allowed:
         yield Reason(
             "noisy_poles",
-            f"the {lidar}'s returns on the poles scatter by {1000 * noise:.0f} mm along the beam, "
-            f"{1000 * allowed:.0f} mm are the most to expect: is --radius right, and did the poles "
-            "stand still?",
+            f"the {lidar}'s returns on the poles scatter by {1000 * noise:.0f} mm along the "
+            f"beam, {1000 * allowed:.0f} mm is the largest expected: is --radius right, and did "
+            "the poles not move?",
             {"lidar": lidar, "noise_m": noise, "expected_m": expected},
         )
 
@@ -270,10 +271,10 @@ def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reaso
         if with_offset > OFFSET_SHARE * without:
             yield Reason(
                 "offset_not_separable",
-                "the returns cannot tell the pose from a range offset that the tape may cause, or "
-                f"from an error of the radius: with these known the poles' pose would have 1 σ of "
-                f"{quantities.error(without)}, without {quantities.error(with_offset)}; put poles "
-                "on different sides of the LiDARs",
+                "the returns do not distinguish the pose from a range offset of the tape or an "
+                "error of the radius: if these were known, the pose from the poles would have 1 "
+                f"σ of {quantities.error(without)}, otherwise {quantities.error(with_offset)}; "
+                "put poles on different sides of the LiDARs",
                 {"sigma_m": with_offset, "sigma_if_known_m": without},
             )
 
@@ -282,8 +283,8 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
     if not aligned.converged:
         yield Reason(
             "not_converged",
-            f"the poles' pose still moved after {aligned.iterations} iterations; record more "
-            "frames, or look at what was taken for a pole",
+            f"the pose from the poles still moved after {aligned.iterations} iterations; record "
+            "more frames, or check which objects were detected as poles",
             {"stage": "poles", "iterations": aligned.iterations},
         )
     if refined is not None and not refined.converged:

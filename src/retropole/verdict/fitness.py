@@ -86,7 +86,7 @@ def _not_fit(
         said.append(f"95 % sure: within {quantities.at_most(fit.bound_m)}")
     said += _helping(fit, answer, is_doubted)
     if not is_asked:
-        said.append("if less accuracy is enough, --need-cm and --at-m say so")
+        said.append("if less accuracy is enough, give it by --need-cm and --at-m")
     yield Reason("not_fit_for_purpose", "; ".join(said), values)
 
 
@@ -96,12 +96,12 @@ def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[st
     if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
         # Of its doubts each says by itself what to do.
         if not is_doubted:
-            more = "another pole, or a placement with the poles in another way"
+            more = "another pole, or a placement with the poles arranged differently"
             yield f"what would help: {MORE_OF_MAP if _is_in_map(answer) else more}"
         return
     least = displacement_bound(floor(), fit.at_m)
     if least > fit.within_m:
-        yield f"no recording shows less than {quantities.at_most(least)}"
+        yield f"no recording can show less than {quantities.at_most(least)}"
         return
     lead = "what would help"
     if answer.refined is None:

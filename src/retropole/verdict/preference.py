@@ -64,10 +64,10 @@ def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) 
     apart = se3.difference(T_poles, T)
     raise Refusal(
         "scene_contradicts",
-        f"far surfaces lead the pose {error(apart.translation, 'm')} and "
+        f"far surfaces move the pose {error(apart.translation, 'm')} and "
         f"{error(apart.rotation, 'rad')} away from the poles, but ground and walls within "
         f"{NEAR_POLES:g} m of the poles fit worse there, by {sigmas:.1f} σ ({SURELY:g} are "
-        "allowed): record where more stands around, or keep to the poles with --no-refine",
+        "allowed): record where there are more objects, or use only the poles with --no-refine",
         {"worse": worse, "sigmas": sigmas, "allowed": SURELY, "places": int(places.max()) + 1},
     )
 

@@ -148,7 +148,9 @@ def check_unit(placement: Placement, *, radius: float, thresholds: Thresholds) -
     if min(len(scan.poles) for scan in placement.scans) > 1:
         return
     read = _read_in(placement, [METRES[unit] for unit in UNITS], radius, thresholds)
-    doubt = Refusal("wrong_unit", "in metres, the clouds do not show two poles that both see", {})
+    doubt = Refusal(
+        "wrong_unit", "in metres, the clouds do not show two poles that both LiDARs see", {}
+    )
     found = _in_common_unit(placement, read, radius, doubt, _in_no_metres(placement))
     if found is not None:
         raise found
@@ -266,8 +268,8 @@ def _in_no_metres(placement: Placement) -> Refusal | None:
     options = " or ".join(_options(unit, *odd) for unit in likely.units)
     return Refusal(
         "wrong_unit",
-        f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, which no "
-        f"LiDAR sees in metres: they look like {likely.candidates}; if they are, read them with "
+        f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, too far "
+        f"for a LiDAR in metres: they look like {likely.candidates}; if they are, read them with "
         f"{options}",
         {"lidars": " and ".join(odd), "half": likely.half, "units": " or ".join(likely.units)},
     )
@@ -297,7 +299,7 @@ def _in_common_unit(
     said = (
         f"read as {NAMES[unit]}, the target shows {len(target.scan.poles)} poles of radius "
         f"{radius:g} m and the source {len(source.scan.poles)}, which fit each other, and "
-        f"{agreed.agreeing} of {agreed.total} patches off the ground agree"
+        f"{agreed.agreeing} of {agreed.total} patches above the ground agree"
     )
     values = {"unit": unit, "unit_m": METRES[unit], "agreeing": agreed.agreeing}
     if odd is not None or thicker > MAX_RADIUS:
@@ -319,19 +321,19 @@ def _options(unit: Unit, *lidars: str) -> str:
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:
     agreed = found.agreed
     figures = {"agreeing": agreed.agreeing, "contradicting": agreed.contradicting}
-    shown = f"{agreed.agreeing} of {agreed.total} patches off the ground then agree"
+    shown = f"{agreed.agreeing} of {agreed.total} patches above the ground then agree"
     if rigid is not None:
         figures["rigid_agreeing"] = rigid.agreed.agreeing
         figures["rigid_contradicting"] = rigid.agreed.contradicting
         shown += f", {rigid.agreed.agreeing} of {rigid.agreed.total} under the best rigid motion"
     if found.factor > 0:
-        return _wrong_scale(found.factor, f"{shown}; bring both clouds to metres", figures)
+        return _wrong_scale(found.factor, f"{shown}; convert both clouds to metres", figures)
     # As far as the LiDARs' own axes tell: two horizontal ones differ by a rotation.
     moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.factor).axis
     cosine = float(placement.target.cloud.axis @ moved)
     axis, words = (
         "vertical",
-        "the vertical axis, or a horizontal one where a LiDAR hangs upside down,",
+        "the vertical axis, or a horizontal one if a LiDAR is mounted upside down,",
     )
     if abs(cosine) < LEVEL:
         axis, words = "unknown", "one axis"
@@ -339,8 +341,8 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
         axis, words = "horizontal", "one horizontal axis"
     return Refusal(
         "mirrored",
-        f"{words} of one of the two clouds is reversed: {shown}; look at the driver's axes "
-        "(left-handed?), and at what converted the files",
+        f"{words} of one of the two clouds is reversed: {shown}; check the driver's axes "
+        "(left-handed?), and the program that converted the files",
         {"axis": axis, "lidar": "one of the two", **figures},
     )
 

@@ -50,7 +50,7 @@ def check_decided(
     if not choices.rivals:
         raise Refusal(
             "ambiguous_loop",
-            "too many arrangements of the LiDARs are possible to tell them apart; add a pole or a "
+            "too many arrangements of the LiDARs are possible to distinguish them; add a pole or a "
             "placement that several of them see",
             {"rivals": 0},
         )
@@ -65,9 +65,9 @@ def check_decided(
     around = "" if loop is None else " around " + " – ".join(site.lidars[i].name for i in loop)
     raise Refusal(
         "ambiguous_loop",
-        f"{1 + len(choices.rivals)} arrangements fit as well{around}; they differ in "
-        f"{', '.join(names)}: lean the poles so that no half turn lays them on each other, or add "
-        "another pole that these LiDARs see with others",
+        f"{1 + len(choices.rivals)} arrangements fit equally well{around}; they differ in "
+        f"{', '.join(names)}: lean the poles so that no half turn maps them onto each other, or "
+        "add another pole that these LiDARs see with others",
         {"rivals": len(choices.rivals), "lidars": ", ".join(names)},
     )
 
@@ -113,7 +113,7 @@ def confirm_links(
             poles = "two poles alone link" if len(link.poles) > 1 else "one pole alone links"
             yield Reason(
                 "not_confirmed",
-                f"{poles} {names}, and their surroundings do not tell (chance of a "
+                f"{poles} {names}, and the surroundings do not decide (chance of a "
                 f"wrong pose {100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
@@ -222,9 +222,9 @@ def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int],
             (i, j),
             Reason(
                 "by_place",
-                f"{link} {hang} to the others, by {each.names(site)}: a part of the pose is open, "
-                "which the place around gives; a second pole that leans by 15° or more against "
-                "the first checks it",
+                f"{link} {hang} to the others, by {each.names(site)}: the poles do not determine "
+                "the whole pose, the rest is from the surroundings; a second pole that leans by "
+                "15° or more against the first would check it",
                 {"lidars": hang, "poles": len(across)},
             ),
         )
@@ -243,8 +243,8 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
         those = ", ".join(f"{count} of {name}'s" for name, count in counts.items())
         yield Reason(
             "doubtful_poles",
-            f"{those} poles are doubtful by themselves, near a wall, beside something bright, with "
-            "few returns or dim tape; other LiDARs see the same, and the scenes coincide",
+            f"{those} poles are doubtful, near a wall, next to a bright object, with "
+            "few returns or dim tape; other LiDARs see the same poles, and the scenes coincide",
             {"poles": sum(counts.values()), "lidars": ", ".join(counts)},
         )
 
@@ -262,15 +262,15 @@ def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterato
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
     if worst.pole is not None:
         values |= place_of(site, adjusted.datum.poles[worst.pole])
-    why = "did a pole move a little, or is the LiDAR worse than its data sheet?"
+    why = "did a pole move slightly, or is the LiDAR worse than its data sheet?"
     surveyed = worst.pole is not None and adjusted.datum.poles[worst.pole].surveyed is not None
     if worst.kind in ("survey", "control point"):
         why = "check its coordinates"
     elif surveyed:
-        why = "did it move a little, or is it surveyed a little wrongly?"
+        why = "did it move slightly, or is its survey slightly wrong?"
     yield Reason(
         "misfit",
-        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to expect): "
+        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the largest expected): "
         + why,
         {"observation": worst.name, **values},
     )
@@ -296,8 +296,9 @@ def _unchecked(site: Site, tests: Sequence[Test]) -> Iterator[Reason]:
         if own and max(own) < CHECKED:
             yield Reason(
                 "not_checked",
-                f"nothing checks {lidar.name} (redundancy {max(own):.2f}): a blunder there would "
-                "not show; add a pole, a placement, or a LiDAR that sees the same poles",
+                f"there is no check of {lidar.name} (redundancy {max(own):.2f}): a gross error "
+                "there would not be detected; add a pole, a placement, or a LiDAR that sees the "
+                "same poles",
                 {"lidar": lidar.name, "redundancy": max(own), "needed": CHECKED},
             )
 
@@ -312,7 +313,7 @@ def fitness_of(site: Site, covariance: Array) -> Fitness | None:
 def not_fit(
     site: Site,
     lidars: Sequence[LidarPose],
-    helps: str = "a placement with the poles in another way",
+    helps: str = "a placement with the poles arranged differently",
 ) -> Iterator[Reason]:
     """Say which poses are not as accurate as was asked for, and what `helps`."""
     short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]

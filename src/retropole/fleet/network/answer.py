@@ -77,7 +77,7 @@ def reason_of(of: FleetNetwork, found: NetworkAdjustment, k: int) -> str:
     """Say how an observation does not fit, and what may be wrong in its stead."""
     words = f"{name_of(of, k)}: w {found.w[k]:.1f} against all others"
     if rivals := ", ".join(name_of(of, rival) for rival in found.rivals.get(k, ())):
-        words += f"; {rivals} may be wrong in its stead"
+        words += f"; {rivals} may be the wrong one instead"
     return words
 
 

@@ -100,7 +100,7 @@ def read_nodes(place: str) -> NodeList:
             raise ReadError(f"{here}: expected site and lidar, or x_m, y_m, z_m and sigma_m")
         if is_member:
             if not {"site", "lidar"} <= line.keys():
-                raise ReadError(f"{here}: site and lidar need each other")
+                raise ReadError(f"{here}: site and lidar must be given together")
             site, lidar = str(line["site"]), str(line["lidar"])
             lidars = of_site.setdefault(site, {})
             if lidar in lidars or node in lidars.values():

@@ -167,18 +167,24 @@ class PacketSource:
                 return ""
             wrong = self._wrong_in_words()
             if self._sender is None:
-                taken = "" if wrong else "no packet came"
+                taken = "" if wrong else "no packet received"
             elif now - self._last_packet >= PAUSE:
                 taken = f"{_named(self._sender)} sends no more packets"
             else:
-                taken = f"{counted(self._taken, 'packet')} of {_named(self._sender)} came, no sweep"
+                taken = (
+                    f"{counted(self._taken, 'packet')} of {_named(self._sender)} received, no "
+                    "complete sweep"
+                )
             others = self._left_out(counted(self._others, "packet")) if self._others else ""
         return f"port {self._port}: {'; '.join(filter(None, (taken, wrong, others)))}"
 
     def _left_out(self, packets: str) -> str:
         if self._senders:
-            return f"{packets} of {_named(self._other)} left out, as --from names another"
-        other = f"{packets} of {_named(self._other)} left out, as those of one sensor are taken"
+            return f"{packets} of {_named(self._other)} left out, since --from gives another sender"
+        other = (
+            f"{packets} of {_named(self._other)} left out, since only packets of one sensor are "
+            "used"
+        )
         return f"{other}; --from ADDRESS names it"
 
     def _wrong_in_words(self) -> str:
@@ -186,7 +192,7 @@ class PacketSource:
             return ""
         came = " and ".join(size for size, _ in self._wrong.most_common(3))
         return (
-            f"{counted(self._wrong.total(), 'packet')} came, none of a {self._kind.maker}: "
+            f"{counted(self._wrong.total(), 'packet')} received, none of a {self._kind.maker}: "
             f"{self._kind.expected} expected, {came} came"
         )
 
@@ -413,7 +419,7 @@ class TableSource(PacketSource):
         except UsageError as error:
             if told is not None:
                 raise
-            unheard = f"its angles are not heard: {error}"
+            unheard = f"its angles are not received: {error}"
 
         def misfit(packet: bytes) -> str:
             return "" if recognized(packet) in models else str(len(packet))
@@ -553,7 +559,7 @@ class OusterSource(PacketSource):
 def _no_velodyne(packet: bytes) -> str:
     if len(packet) != VELODYNE_SIZE:
         return str(len(packet))
-    return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} that begin otherwise"
+    return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} with another beginning"
 
 
 def _address(text: str) -> str:

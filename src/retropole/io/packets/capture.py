@@ -91,7 +91,7 @@ class Capture:
             where = counted(len(self.gaps), "place")
             lost.append(
                 f"{int(self.gaps[:, 1].sum()):,} of {self.size:,} bytes at {where} (from byte "
-                f"{self.gaps[0, 0]}) hold no whole packet"
+                f"{self.gaps[0, 0]}) contain no complete packet"
             )
         if unreadable:
             lost.append(f"{unreadable:,} of {len(self.records):,} packets cannot be read")
@@ -135,7 +135,7 @@ def walk(path: Path) -> Capture:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
     if not records and (gaps or not header):
-        raise ReadError(f"has no whole packet in the {size - header} bytes after its header")
+        raise ReadError(f"has no complete packet in the {size - header} bytes after its header")
     found_records = _table(records)
     return Capture(
         np.column_stack([found_records["start"], found_records["size"]]),

@@ -53,7 +53,7 @@ def _decoded(kind: str, data: bytes, encoding: str, known: int | None) -> tuple[
         except Exception:
             # rosbags lets pass whatever is raised when bytes do not fit.
             continue
-    raise ReadError(f"a message of {len(data):,} bytes is no {kind} that is known")
+    raise ReadError(f"a message of {len(data):,} bytes is not a known {kind}")
 
 
 @cache

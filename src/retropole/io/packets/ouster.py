@@ -27,7 +27,7 @@ def find_metadata(path: Path, sizes: str) -> Path:
         return files[0]
     have = f"{len(files)} files .json, none of them {same.name}" if files else "no .json"
     raise ReadError(
-        f"{path}: its packets are of no known LiDAR ({sizes}); those of an Ouster need the "
+        f"{path}: its packets are not of a known LiDAR ({sizes}); those of an Ouster need the "
         f"sensor's metadata next to them as {same.name}, found {have}"
     )
 
