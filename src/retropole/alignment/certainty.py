@@ -127,7 +127,7 @@ SWAY = "sway while it recorded"
 SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
 """What the LiDARs of a pair are called."""
 
-SIGNIFICANT = 0.99
+CHI2_SHARE = 0.99
 """Share of chance up to which it may be chance."""
 
 
@@ -138,7 +138,7 @@ MAX_NORMAL = float(-ndtri(SIGNIFICANCE / 2.0))
 """Standard normal number, 3.29, that is exceeded so often."""
 
 
-def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
+def chi2_limit(freedom: float, share: float = CHI2_SHARE) -> float:
     """χ² with some degrees of freedom that a share of chance is below."""
     return float(chdtri(freedom, 1.0 - share))
 

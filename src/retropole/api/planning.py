@@ -20,10 +20,10 @@ from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..export import read_transform
 from ..pipeline import Options, calibrate
 from ..planning.place import Area, Station
+from ..planning.plan_text import plan_document
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
 from ..planning.stations import bare_scan, place_drawn_lidars, place_lidars
-from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..report.pole_plan_picture import PlanPicture
 from ..result import DEFAULT_CONFIG, PLAN_FILE, PLAN_PAGE, RunConfig, encode

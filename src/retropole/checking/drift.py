@@ -238,7 +238,7 @@ def swapped_clouds(
         Conclusion about the stored pose.
     """
     reverse = se3.inverse(T_stored)
-    rotation, translation = _apart(T_stored, reverse)
+    rotation, translation = _step_size(T_stored, reverse)
     if rotation < SEPARATION * NEAR_ROTATION and translation < SEPARATION * NEAR_TRANSLATION:
         return None
     there = count(scenes, reverse)
@@ -250,7 +250,7 @@ def swapped_clouds(
     )
     if T_found is not None:
         # Poles that give another pose say more than voxels that happen to agree.
-        rotation, translation = _apart(T_found, reverse)
+        rotation, translation = _step_size(T_found, reverse)
         agrees = rotation < NEAR_ROTATION and translation < NEAR_TRANSLATION
     if not agrees:
         return None
@@ -272,7 +272,7 @@ def swap(why: str, values: dict[str, float | int | str]) -> Reason:
     return Reason("swapped", f"TARGET and SOURCE are swapped: {why}; exchange them", values)
 
 
-def _apart(T: Array, other: Array) -> tuple[float, float]:
+def _step_size(T: Array, other: Array) -> tuple[float, float]:
     step = se3.local(T, other)
     return float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
 

@@ -156,7 +156,7 @@ def listening(
     """
     from ..api.inputs import Listener
 
-    def tell(given: Input) -> None:
+    def report_notes(given: Input) -> None:
         if quiet:
             return
         for line in _left_out(given, frames is not None, advice):
@@ -170,7 +170,7 @@ def listening(
             say(f"retropole: {given.sensor_doubt}")
 
     with progress_on_terminal(quiet or hidden) as progress:
-        yield Listener(progress, tell)
+        yield Listener(progress, report_notes)
 
 
 def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:

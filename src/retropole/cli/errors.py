@@ -115,7 +115,7 @@ def failure_of(error: Exception, command: str) -> Failure:
     raise error
 
 
-def tell(failure: Failure, *, refused: bool, as_json: bool) -> int:
+def report_failure(failure: Failure, *, refused: bool, as_json: bool) -> int:
     """Say it on stderr, with --json on stdout too, and give the exit code."""
     if refused:
         echo_refusal(failure.code, failure.message)

@@ -73,14 +73,14 @@ def _robot(root: Element) -> Element:
     return root
 
 
-def _beside(element: Element, tag: str) -> str:
+def _qualified(element: Element, tag: str) -> str:
     """Tag in the namespace of an element: some robots declare one for all that has no prefix."""
     return element.tag[: element.tag.rfind("}") + 1] + tag
 
 
 def _named(element: Element, tag: str) -> list[Element]:
     """Children with a tag, in the namespace of their parent."""
-    return element.findall(_beside(element, tag))
+    return element.findall(_qualified(element, tag))
 
 
 def _found(robot: Element) -> list[Found]:
@@ -157,7 +157,7 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
         an expression; or it would close a circle.
     """
     robot: Any = _robot(xml_to_edit(data))
-    joints = robot.iter(_beside(robot, "joint"))
+    joints = robot.iter(_qualified(robot, "joint"))
     mine = [joint for joint in joints if _link(joint, "child") == transform.child]
     if mine:
         _check_joint(mine, robot)
@@ -230,7 +230,7 @@ def _check_room(robot: Any, transform: Transform) -> None:
 
 def _set_origin(joint: Any, transform: Transform) -> None:
     """Set the origin of a joint that is there; one that is missing becomes its first element."""
-    origin = joint.find(_beside(joint, "origin"))
+    origin = joint.find(_qualified(joint, "origin"))
     if origin is None:
         origin = joint.makeelement("origin")
         origin.tail = joint.text

@@ -43,7 +43,7 @@ from .placements import (
 )
 from .prior import PosePrior, agreeing_with_prior
 
-HELD = 0.25
+DETERMINED = 0.25
 """The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
 taken to give before (`alignment.adjustment.SURROUNDINGS_SIGMA`): 0.5° and 5 cm. With twice that, an
 answer between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
@@ -126,7 +126,7 @@ def choose_by_place(
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
 
 
-def align_by_place_where_open(
+def align_by_place_if_open(
     chosen: Chosen,
     *,
     radius: float,
@@ -309,7 +309,7 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     contradicted = MAX_CONTRADICTED if has_no_poles(paired) else 1.0
     if found.total >= MIN_TOTAL and wrong <= MAX_WRONG and found.contradicted <= contradicted:
         return
-    left, advice = _left_open(paired)
+    left, advice = _undetermined(paired)
     needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % needed"
     if has_no_poles(paired):
         needed += f", at most {100 * MAX_CONTRADICTED:.0f} % contradicting it"
@@ -329,7 +329,7 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     )
 
 
-def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
+def _undetermined(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     """Say what the poles leave to the place, and what to do where it does not tell."""
     if has_no_poles(paired):
         return "without poles the whole pose is undetermined", SET_UP_TWO
@@ -361,7 +361,7 @@ def check_constrained(
     """
     if not is_by_place(paired):
         return
-    left, advice = _left_open(paired)
+    left, advice = _undetermined(paired)
     if refined is None:
         raise Refusal(
             "degenerate_poles",
@@ -378,7 +378,7 @@ def check_constrained(
 def is_constrained(covariance: Array) -> bool:
     """Whether a pose (6, 6) is known far better than the place was taken to give it."""
     by_place = covariance / np.outer(SURROUNDINGS_SIGMA, SURROUNDINGS_SIGMA)
-    return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
+    return float(np.linalg.eigvalsh(by_place)[-1]) <= DETERMINED**2
 
 
 def check_constrained_by_scene(

@@ -24,9 +24,9 @@ from .placements import (
     Chosen,
     PairedPlacement,
     PlacementHypotheses,
-    counts_candidates,
     find_recurring,
     rank_joint_hypotheses,
+    uses_candidates,
 )
 
 RIVAL_OVERLAP, RIVAL_FREE_SPACE_VIOLATION = 0.62, 0.025
@@ -261,7 +261,7 @@ def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     if name is None or (chosen.refusal is not None and chosen.refusal.code != "ambiguous"):
         return chosen
     # Candidate poles count for the one hypothesis that the scene confirms, and for no other.
-    doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
+    doubtful = any(uses_candidates(each.placement) for each in chosen.paired)
     names = [hypothesis_name(k) for k in range(1 if doubtful else len(chosen.choices))]
     if name not in names:
         raise UsageError(

@@ -56,8 +56,8 @@ def distinct(matches: list[Match], source_points: Array) -> list[Match]:
     for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
         k, T = len(kept), match.T_target_source
         rotations[k], places[k] = T[:3, :3].reshape(-1), se3.apply(T, source_points)
-        alike = np.flatnonzero(rotations[:k] @ rotations[k] > least)
-        apart = np.linalg.norm(places[alike] - places[k], axis=2).max(axis=1)
+        similar = np.flatnonzero(rotations[:k] @ rotations[k] > least)
+        apart = np.linalg.norm(places[similar] - places[k], axis=2).max(axis=1)
         if not np.any(apart < SAME_POSE_DISTANCE):
             kept.append(match)
     return kept
@@ -376,7 +376,7 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
     return Pairs(index, frames, *np.array(rows).reshape(-1, 5).T)
 
 
-def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
+def _similar(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     """Rows of the pairs that agree in angle, distance and hand, within noise; most alike first."""
     sigma = np.hypot(target.sigma[:, None], source.sigma[None])
     angle_gap = np.abs(target.angle[:, None] - source.angle[None])
@@ -394,9 +394,9 @@ def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
-def are_alike(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
+def are_similar(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
     """Whether two of some poles may, within noise, stand to each other as two of the others do."""
-    return bool(_alike(all_pairs(poles), all_pairs(others)))
+    return bool(_similar(all_pairs(poles), all_pairs(others)))
 
 
 def _angle_between(a: Array, b: Array) -> float:
@@ -462,13 +462,13 @@ def every_match(
     """
     _check_poles(target, source, count or 2)
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
-    every = _alike(pairs_target, pairs_source)
-    alike = every[:MAX_PAIR_MATCHES]
-    laid = Share(len(alike), len(every))
+    every = _similar(pairs_target, pairs_source)
+    similar = every[:MAX_PAIR_MATCHES]
+    laid = Share(len(similar), len(every))
     found: list[tuple[Match, Match]] = []
-    for k in range(0, len(alike), ENOUGH_PAIR_MATCHES):
+    for k in range(0, len(similar), ENOUGH_PAIR_MATCHES):
         found += _matched(
-            target, source, alike[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
+            target, source, similar[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
         )
         if any(len(whole.pairs) > 2 and whole.exact for _, whole in found):
             laid = Share(len(every), len(every))  # the others are not needed
@@ -504,7 +504,7 @@ def every_match(
 def _matched(
     target: Sequence[Pole],
     source: Sequence[Pole],
-    alike: Sequence[tuple[int, int]],
+    similar: Sequence[tuple[int, int]],
     pairs_target: Pairs,
     pairs_source: Pairs,
 ) -> list[tuple[Match, Match]]:
@@ -515,9 +515,9 @@ def _matched(
     list of (Match, Match)
         Of two poles, and of all that fall into place; of more than two and two only exact ones.
     """
-    ways = {column: pair_ways(pairs_source.frame[column]) for _, column in alike}
+    ways = {column: pair_ways(pairs_source.frame[column]) for _, column in similar}
     pairs, starts = [], []
-    for row, column in alike:
+    for row, column in similar:
         (i, j), both = pairs_target.index[row], pairs_source.index[column]
         for way, (first, second) in ways[column]:
             pairs.append(((i, both[first]), (j, both[second])))

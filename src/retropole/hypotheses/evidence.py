@@ -34,7 +34,7 @@ from ..surfaces.consistency import (
 )
 from ..surfaces.static import recorded_together
 from ..surfaces.visibility import OVERLAP_DISTANCE
-from .correspondence import are_alike
+from .correspondence import are_similar
 from .placements import PairedPlacement, is_by_place
 
 MAX_CONFLICTING, MIN_TOTAL = 0.2, 60
@@ -122,7 +122,9 @@ def confirm(
         deceiving=usual if deceiving is None else deceiving,
         along=_way(T, shifted[least]) if least < len(shifted) else None,
         z_margin=min(margins, default=0.0),
-        better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
+        better_at=_median_distance(T, min(better, key=lambda each: each[0])[1], points)
+        if better
+        else None,
         redundant=_are_redundant(paired)
         and not any(
             margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < REDUNDANT_POLES
@@ -232,7 +234,7 @@ def _margin_in_map(scene: tuple[SceneObjects, SceneObjects], T: Array) -> Callab
     return margin
 
 
-def _apart(T: Array, other: Array, points: Array) -> float:
+def _median_distance(T: Array, other: Array, points: Array) -> float:
     """Median distance of the points of the source under two poses, metres."""
     points = points if len(points) else np.zeros((1, 3))
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
@@ -250,8 +252,8 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
         return True
     two = [each for each in paired if len(each.target_poles) == 2]
     return any(
-        not are_alike(one.target_poles, other.target_poles)
-        and not are_alike(one.source_poles, other.source_poles)
+        not are_similar(one.target_poles, other.target_poles)
+        and not are_similar(one.source_poles, other.source_poles)
         for one, other in combinations(two, 2)
     )
 
@@ -313,8 +315,8 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
     yield Reason(
         "not_confirmed",
         f"chance of a wrong pose: {found.chance_words}; {100 * MAX_WRONG:.0f} % is allowed. Scene "
-        f"check: {found.counts}, {_lead_words(found.z_margin or 0.0)}. "
-        f"{_held_by_poles(found)}. If nobody touched the poles between the recordings, "
+        f"check: {found.counts}, {_margin_words(found.z_margin or 0.0)}. "
+        f"{_constrained_by_poles(found)}. If nobody touched the poles between the recordings, "
         "give --trust-poles; otherwise add another pole or another placement",
         {
             "agreeing": found.agreeing,
@@ -328,14 +330,14 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
     )
 
 
-def _lead_words(sigmas: float) -> str:
+def _margin_words(sigmas: float) -> str:
     """Say how this pose compares with the best of others."""
     if sigmas < 0.0:
         return f"worse than another pose by {-sigmas:.1f} σ"
     return f"better than other poses by {sigmas:.1f} σ"
 
 
-def _held_by_poles(found: Confirmation) -> str:
+def _constrained_by_poles(found: Confirmation) -> str:
     """Say which direction only the poles constrain, where they cannot check each other."""
     if found.along is None:
         return "Only the poles constrain the pose"

@@ -134,7 +134,7 @@ class _Search:
 
     `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
     second in the frame of the first; both for either order. The same poses come up by thousands of
-    ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
+    ways: `via`, `same` and `gains` remember by identity what was found of them, which `via`
     and the choice that the search starts from keep alive. `known` has one of each LiDAR's poses
     that are the same, `numbers` which of them each is, and `reached` what the LiDARs counted when
     their poses were last the same: whoever comes there with no more finds nothing new. `still` has
@@ -145,7 +145,7 @@ class _Search:
     poles: Sequence[Array]
     most: dict[tuple[int, int], float]
     between: dict[tuple[int, int], list[Array]]
-    beside: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
+    via: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
     same: dict[tuple[int, int], bool] = field(default_factory=dict)
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
     known: dict[int, Array] = field(default_factory=dict)
@@ -211,7 +211,7 @@ class _Search:
         """Poses of a LiDAR by the hypotheses of its pairs, with what each would count."""
         poses: list[Array] = []
         for other, T_other in so_far.poses.items():
-            for T in self._beside(other, T_other, lidar):
+            for T in self._poses_via(other, T_other, lidar):
                 if not any(self._is_same(lidar, T, known) for known in poses):
                     poses.append(T)
         gains = [
@@ -219,13 +219,13 @@ class _Search:
         ]
         return sorted(gains, key=lambda each: -each[1])
 
-    def _beside(self, other: int, T_other: Array, lidar: int) -> list[Array]:
+    def _poses_via(self, other: int, T_other: Array, lidar: int) -> list[Array]:
         """Poses of a LiDAR by the hypotheses of its pair with another."""
         key = id(T_other), lidar
-        if key not in self.beside:
+        if key not in self.via:
             between = self.between.get((other, lidar), ())
-            self.beside[key] = [np.asarray(T_other @ T) for T in between]
-        return self.beside[key]
+            self.via[key] = [np.asarray(T_other @ T) for T in between]
+        return self.via[key]
 
     def _is_same(self, lidar: int, T: Array, known: Array) -> bool:
         key = id(T), id(known)

@@ -53,7 +53,7 @@ SLIDE = int(MAX_LENGTH / CELL)
 """Slides that are tried, in cells. The middles of what two LiDARs see of one pole lie no farther
 apart than it is long."""
 
-POSES_APART = np.radians(8.0), 1.2
+DISTINCT_POSES = np.radians(8.0), 1.2
 """Peaks nearer to each other than this are one, rad and m."""
 
 MOST_POLES, MOST_SETTLED = 4, 6
@@ -78,7 +78,7 @@ LAID_RMS = 0.1
 of a pole are apart: registrations of sparse clouds are off by this amount. What the poles
 determine more exactly is used later."""
 
-NOTHING_SAID = np.zeros((6, 6))
+NO_INFORMATION = np.zeros((6, 6))
 """Information that such a match gives about its pose."""
 
 
@@ -129,7 +129,7 @@ def matches_about(
         T = None if is_low else settled(peak.T, pole)
         match = None if T is None else match_under(target.poles, source.poles, T, apart)
         if match is None or peak.pair not in match.pairs or not match.exact:
-            match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
+            match = Match((peak.pair,), peak.T, 0.0, False, True, NO_INFORMATION, by_place=True)
         if not any(same_pose(match, other, at) for other in found):
             found.append(match)
     return found
@@ -194,7 +194,14 @@ def match_under(
     squares = np.concatenate([_off_line(target[i], source[j], T) for i, j in pairs]) ** 2
     rms = float(np.sqrt(squares.mean()))
     return Match(
-        pairs, T, rms, rms <= LAID_RMS + apart, True, NOTHING_SAID, icp_refined=True, by_place=True
+        pairs,
+        T,
+        rms,
+        rms <= LAID_RMS + apart,
+        True,
+        NO_INFORMATION,
+        icp_refined=True,
+        by_place=True,
     )
 
 
@@ -276,7 +283,7 @@ def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]
         if height <= 0:
             return
         yield 2 * np.pi * float(k) / ANGLES, CELL * float(m - SLIDE), height
-        about, along = int(POSES_APART[0] / (2 * np.pi) * ANGLES), int(POSES_APART[1] / CELL)
+        about, along = int(DISTINCT_POSES[0] / (2 * np.pi) * ANGLES), int(DISTINCT_POSES[1] / CELL)
         turns = np.arange(k - about, k + about + 1) % ANGLES
         total[turns, max(m - along, 0) : m + along + 1] = 0.0
 
@@ -350,7 +357,7 @@ def matches_from_above(
 
 def _laid(T: Array) -> Match:
     """State a pose (4, 4) as a match of no poles, which need not be `exact`."""
-    return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
+    return Match((), T, 0.0, False, True, NO_INFORMATION, by_place=True)
 
 
 def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) -> list[GroundPeak]:
@@ -366,9 +373,9 @@ def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) 
     over = [*half, *np.conj(half)]
     # Shifts of more than half of the cells are those in the opposite direction.
     shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
-    reach = SIGMAS * prior.distance_sigma + POSES_APART[1]
+    reach = SIGMAS * prior.distance_sigma + DISTINCT_POSES[1]
     near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)
-    turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / SIGMAS)
+    turned = PosePrior(prior.rotation, prior.sigma + DISTINCT_POSES[0] / SIGMAS)
     found = []
     for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
         R = _about_z(turn)
@@ -383,19 +390,21 @@ def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) 
                 if turned.allows(T):
                     found.append(GroundPeak(T, float(heights[k])))
     found.sort(key=lambda peak: -peak.height)
-    return list(_apart(found))
+    return list(_separate_peaks(found))
 
 
 def _about_z(turn: float) -> Array:
     return se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3))
 
 
-def _apart(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
+def _separate_peaks(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
     """Leave out what is lower and near another."""
     kept: list[GroundPeak] = []
     for peak in peaks:
         gaps = [se3.difference(peak.T, other.T) for other in kept]
-        if any(gap.rotation < POSES_APART[0] and gap.translation < POSES_APART[1] for gap in gaps):
+        if any(
+            gap.rotation < DISTINCT_POSES[0] and gap.translation < DISTINCT_POSES[1] for gap in gaps
+        ):
             continue
         kept.append(peak)
         yield peak

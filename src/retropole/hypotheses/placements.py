@@ -55,14 +55,14 @@ NOTHING = Tried()
 VERBS = {"pairs": "laid", "ways": "tried", "fitting": "registered"}
 
 
-def counts_candidates(placement: Placement) -> bool:
+def uses_candidates(placement: Placement) -> bool:
     """Whether candidate poles are among those of a placement."""
     return any(
         pole is own for scan in placement.scans for pole in scan.poles for own in scan.candidates
     )
 
 
-def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
+def with_attempts(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
     """Add to the values of a refusal what was left out to bound the time, where something was.
 
     Parameters

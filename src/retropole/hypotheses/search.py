@@ -30,8 +30,8 @@ from .placements import (
     PlacementMatches,
     Share,
     Tried,
-    counts_candidates,
-    with_what_was_tried,
+    uses_candidates,
+    with_attempts,
 )
 from .prior import PosePrior, agreeing_with_prior
 
@@ -117,7 +117,7 @@ def choose_with_candidates(
         ):
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    refusal = with_what_was_tried(explained(first.refusal, placements), tried)
+    refusal = with_attempts(explained(first.refusal, placements), tried)
     return replace(first, refusal=refusal)
 
 
@@ -272,7 +272,7 @@ def match_poles(
 ) -> PlacementMatches:
     """Find the ways of laying the source poles on the target poles that the prior allows."""
     found, laid = correspondence.every_match(
-        placement.target.poles, placement.source.poles, count, part=counts_candidates(placement)
+        placement.target.poles, placement.source.poles, count, part=uses_candidates(placement)
     )
     allowed = agreeing_with_prior(found, prior)
     best = allowed[: correspondence.MAX_HYPOTHESES]

@@ -145,14 +145,14 @@ def look(
         dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
     except Refusal as refusal:
         return Looked(at, cloud, refusal=refusal)
-    new = _apart(doubtful.candidates, found)
+    new = _other_candidates(doubtful.candidates, found)
     return Looked(
         at,
         cloud,
         found.poles,
         doubtful=new,
         why=tuple(_why(each, doubtful) for each in new),
-        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, new)),
+        dim=tuple(p for p in _other_candidates(dim.candidates, found) if not _is_any(p, new)),
         threshold=found.threshold,
     )
 
@@ -163,7 +163,7 @@ def _why(pole: Pole, found: Detection) -> str:
     return max(shared, default=(0, ""))[1]
 
 
-def _apart(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
+def _other_candidates(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
     """Those that are none of the poles."""
     return tuple(each for each in candidates if not _is_any(each, found.poles))
 

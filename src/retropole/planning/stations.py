@@ -73,7 +73,7 @@ def place_lidars(
     """
     poses, is_refined = [np.eye(4)], [True]
     for i in range(1, len(scans)):
-        others = sorted(range(i), key=lambda j: _apart(rough[j], rough[i]))
+        others = sorted(range(i), key=lambda j: _distance(rough[j], rough[i]))
         # The nearest of those placed already shares most with it.
         found, conflicts = Refined(rough[i]), []
         for j in others:
@@ -152,7 +152,7 @@ def station(name: str, scan: Scan, T: Array) -> Station:
     return Station(name, cloud, scan.sensor, beams, T @ shift, scan.cloud.origin)
 
 
-def _apart(a: Array, b: Array) -> float:
+def _distance(a: Array, b: Array) -> float:
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
 
 

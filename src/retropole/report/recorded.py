@@ -339,7 +339,7 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
             yield f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
         return
     near = sorted(
-        (abs(_beside(pole, cluster.centre) - distance), k, n)
+        (abs(_distance_to_axis(pole, cluster.centre) - distance), k, n)
         for k, cluster in rejected
         for n, pole in enumerate(scan.poles)
         for distance in distances
@@ -347,7 +347,7 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        place = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
+        place = f"{_distance_to_axis(scan.poles[n], clusters[k].centre):.1f} m from"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {place} {name}")
     listed = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
@@ -361,10 +361,10 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
         )
 
 
-def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, beside: str = "") -> Html:
+def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, near: str = "") -> Html:
     """Say of a rejected cluster where it is, and what it lacks of a pole."""
     away = cluster.centre - scan.cloud.origin
-    name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{beside}"
+    name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{near}"
     return fill("candidate", name=name, lacks=_lacks(cluster, scan, float(np.linalg.norm(away))))
 
 
@@ -403,10 +403,10 @@ def _place(away: Array) -> str:
 
 def _distances(poles: Sequence[Pole]) -> list[float]:
     """How far each pole's centre is from the line of each other, metres, without repetition."""
-    found = sorted(_beside(a, b.point) for a, b in permutations(poles, 2))
+    found = sorted(_distance_to_axis(a, b.point) for a, b in permutations(poles, 2))
     return [d for k, d in enumerate(found) if k == 0 or d - found[k - 1] > 0.05]
 
 
-def _beside(pole: Pole, point: Array) -> float:
+def _distance_to_axis(pole: Pole, point: Array) -> float:
     """Distance of a point from the line of a pole, metres."""
     return float(np.linalg.norm(np.cross(point - pole.point, pole.direction)))

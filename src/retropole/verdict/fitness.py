@@ -18,7 +18,7 @@ from ..base.uncertainty.purpose import (
     Need,
     displacement_bound,
     fitness,
-    is_surely_met,
+    is_certainly_met,
 )
 from .map import MORE_OF_MAP
 
@@ -50,7 +50,7 @@ def judge(answer: Calibration, need: Need | None) -> Calibration:
     assert answer.covariance is not None
     doubts: tuple[str, ...] = ()
     if need is None:
-        if is_surely_met(answer.covariance, USABLE):
+        if is_certainly_met(answer.covariance, USABLE):
             return answer
         fit = fitness(answer.covariance, USABLE)
     else:

@@ -21,7 +21,7 @@ NEAR_POLES = 10.0
 """Surfaces so near to a pole count for `check_near_poles`, metres: what poles say of the pose is
 most certain there."""
 
-MAX_WORSE, SURELY = 0.05, 2.0
+MAX_WORSE, MIN_SIGMAS = 0.05, 2.0
 """Surfaces near the poles conflict with a refined pose where they lie further apart under it than
 under that of the poles: by this mean difference of their losses, and so many times its own 1 σ. In
 45 honest recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference was
@@ -59,16 +59,16 @@ def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) 
         for patches, each in ((refined.corrected, T), (refined.surfaces, T_poles))
     )
     worse, sigmas = float(np.mean(own - by_poles)), _studentised(own - by_poles, places)
-    if worse <= MAX_WORSE or sigmas <= SURELY:
+    if worse <= MAX_WORSE or sigmas <= MIN_SIGMAS:
         return
-    apart = se3.difference(T_poles, T)
+    moved = se3.difference(T_poles, T)
     raise Refusal(
         "scene_contradicts",
-        f"far surfaces move the pose {error(apart.translation, 'm')} and "
-        f"{error(apart.rotation, 'rad')} away from the poles, but ground and walls within "
-        f"{NEAR_POLES:g} m of the poles fit worse there, by {sigmas:.1f} σ ({SURELY:g} are "
+        f"far surfaces move the pose {error(moved.translation, 'm')} and "
+        f"{error(moved.rotation, 'rad')} away from the poles, but ground and walls within "
+        f"{NEAR_POLES:g} m of the poles fit worse there, by {sigmas:.1f} σ ({MIN_SIGMAS:g} are "
         "allowed): record where there are more objects, or use only the poles with --no-refine",
-        {"worse": worse, "sigmas": sigmas, "allowed": SURELY, "places": int(places.max()) + 1},
+        {"worse": worse, "sigmas": sigmas, "allowed": MIN_SIGMAS, "places": int(places.max()) + 1},
     )
 
 

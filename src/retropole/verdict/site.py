@@ -17,7 +17,7 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal, refusing_of
 from ..base.quantities import at_most
 from ..base.uncertainty.confirmation import Confirmation
-from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
+from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_certainly_met
 from ..hypotheses.choice import ambiguous
 from ..hypotheses.correspondence import MIN_ANGLE, widest_angle
 from ..hypotheses.evidence import MAX_WRONG, check_confirmation, confirm
@@ -27,7 +27,7 @@ from ..hypotheses.placements import PairedPlacement
 from ..hypotheses.scans import SiteScans
 from . import check_angles, check_noise, check_returns, check_sensor, check_sway
 
-OPEN = 1e-5
+LOOP_SIGNIFICANCE = 1e-5
 """A loop is open where its misclosure is as large by chance less often than this."""
 
 CHECKED = 0.01
@@ -166,7 +166,7 @@ def weaknesses(
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
-    yield from radius_denied(adjusted)
+    yield from radius_conflict(adjusted)
     yield from poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
@@ -179,7 +179,7 @@ def weaknesses(
     yield from not_fit(site, lidars)
 
 
-def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
+def radius_conflict(adjusted: Adjusted) -> Iterator[Reason]:
     """Say where the returns conflict with the radius that was given."""
     return check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
 
@@ -277,7 +277,7 @@ def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterato
 
 
 def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
-    found = [loop for loop in loops if loop.probability < OPEN]
+    found = [loop for loop in loops if loop.probability < LOOP_SIGNIFICANCE]
     if found:
         worst = max(found, key=lambda loop: loop.chi2)
         names = " – ".join(site.lidars[i].name for i in worst.lidars)
@@ -286,7 +286,7 @@ def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
             f"{len(found)} of {len(loops)} loops do not close; worst is {names}, by "
             f"{np.degrees(worst.rotation):.3f}° and {1000 * worst.translation:.1f} mm (χ² "
             f"{worst.chi2:.0f} with {worst.freedom} degrees of freedom)",
-            {"loops": len(found), "chi2": worst.chi2, "allowed": OPEN},
+            {"loops": len(found), "chi2": worst.chi2, "allowed": LOOP_SIGNIFICANCE},
         )
 
 
@@ -305,7 +305,7 @@ def _unchecked(site: Site, tests: Sequence[Test]) -> Iterator[Reason]:
 
 def fitness_of(site: Site, covariance: Array) -> Fitness | None:
     """Whether a pose is as accurate as was asked for; None where nothing was, and it is usable."""
-    if site.need is None and is_surely_met(covariance, USABLE):
+    if site.need is None and is_certainly_met(covariance, USABLE):
         return None
     return fitness(covariance, site.need or USABLE)
 

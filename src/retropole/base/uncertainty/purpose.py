@@ -177,7 +177,7 @@ def displacement_bounds(
     return np.array([np.quantile(_moved(*parts, each), probability) for each in distances])
 
 
-def is_surely_met(covariance: Array, need: Need) -> bool:
+def is_certainly_met(covariance: Array, need: Need) -> bool:
     """Whether a need is fulfilled with a probability of `CONFIDENCE`, whatever the distribution.
 
     By the inequality of Chebyshev, without a draw: no error moves a point by more than

@@ -24,7 +24,7 @@ FEWEST_SURFELS = 20
 """Fewer give no information: each is off by some millimetres."""
 
 
-def apart(subject: Subject) -> Html:
+def distances_of_surfaces(subject: Subject) -> Html:
     """Say how far from each other surfaces lie; nothing if no two LiDARs see any, or none has a
     pose."""
     found = [each for each in measured_distances(subject) if each.surfels >= FEWEST_SURFELS]
@@ -42,7 +42,8 @@ def apart(subject: Subject) -> Html:
     ]
     header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
     return fill(
-        "apart", table=listed(Listing("Distances between surfaces, medians", header, rows, (1,)))
+        "surface-distances",
+        table=listed(Listing("Distances between surfaces, medians", header, rows, (1,))),
     )
 
 
