@@ -1,4 +1,5 @@
-"""Ok, warn or refused, and why: the rules that stand between an estimate and an answer."""
+"""The verdict ok, warn or refused, and its reasons: the rules by which an estimate becomes an
+answer."""
 
 from __future__ import annotations
 
@@ -33,20 +34,21 @@ from ..surfaces.static import other_times
 from .map import MORE_OF_MAP
 
 WEAK_ANGLE = np.radians(15.0)
-"""Poles nearer to parallel than this make a weak answer."""
+"""Below this angle between the poles, the answer is weak."""
 
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
 
 NOISE_RATIO = 3.0
-"""Returns on poles scatter no more than this many times the noise that the manufacturer states."""
+"""Limit of the scatter of returns on poles, in multiples of the noise that the manufacturer
+states."""
 
 WEAK_SIGMA = 0.05
-"""1 σ of the poles' place above which a direction is called weak, metres."""
+"""1 σ of the position at the poles above which a direction is called weak, metres."""
 
 OFFSET_SHARE = 2.0
-"""By this factor a range offset or the radius, were they known, would sharpen the pose, before it
-is said that they are what limits it."""
+"""A range offset or the radius is reported as the limit of the accuracy if knowing it would reduce
+1 σ of the pose by this factor."""
 
 
 def weaknesses(
@@ -57,7 +59,7 @@ def weaknesses(
     refined: Refinement | None,
     confirmation: Confirmation,
 ) -> list[Reason]:
-    """Say what makes an answer weak that is good enough to give.
+    """Report the weaknesses of an accepted answer.
 
     Parameters
     ----------
@@ -66,13 +68,13 @@ def weaknesses(
     hypotheses
         All hypotheses, the chosen one first.
     aligned
-        The poles' pose.
+        The pose from the poles.
     weakest
         The direction in which the answer is least certain.
     refined
-        The pose of poles and scene; None where the scene was not asked, or had nothing to say.
+        The pose from poles and scene; None if the scene was not used, or gave no information.
     confirmation
-        How far what stands in the scene agrees with the answer.
+        Agreement of the objects in the scene with the answer.
     """
     is_map = paired[0].placement.target.cloud.is_map
     return [
@@ -100,7 +102,8 @@ def weaknesses(
 
 
 def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> Iterator[Reason]:
-    """Say that the poles leave a part of the pose to the place, or are nearly parallel."""
+    """Report that a part of the pose is from the surroundings, or that the poles are nearly
+    parallel."""
     poles = [pole for each in paired for pole in each.target_poles]
     if not is_by_place(paired):
         yield from check_angles([pole.direction for pole in poles])

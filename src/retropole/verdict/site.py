@@ -1,4 +1,4 @@
-"""What makes the answer of a site weak that is good enough to give, and what conflicts with it."""
+"""Weaknesses of an accepted answer for a site, and observations that conflict with it."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from ..hypotheses.scans import SiteScans
 from . import check_angles, check_noise, check_returns, check_sensor, check_sway
 
 LOOP_SIGNIFICANCE = 1e-5
-"""A loop is open where its misclosure is as large by chance less often than this."""
+"""A loop is open if the probability of a misclosure of its size by chance is smaller than this."""
 
 CHECKED = 0.01
-"""Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose. A precise LiDAR
-among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
+"""Least redundancy of one of a LiDAR's recordings: below, there is no check of its pose. A
+precise LiDAR among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
 
 
 def check_decided(
     site: Site, choices: Choices, pairs: Sequence[Pair], poles: Sequence[Array]
 ) -> None:
-    """Refuse where several choices of the hypotheses go together as well.
+    """Refuse if several choices of the hypotheses are equally consistent.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def check_decided(
 
 
 def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | None:
-    """A LiDAR that may lie elsewhere, with those that it shares poles with."""
+    """A LiDAR that may have another pose, with those that see poles in common with it."""
     for i in moved:
         others = [
             a if b == i else b
@@ -88,12 +88,12 @@ def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | No
 def confirm_links(
     site: Site, scans: SiteScans, adjusted: Adjusted, pairs: Sequence[Pair]
 ) -> Iterator[Reason]:
-    """Hold the poses against what stands in the scenes, link by link of all LiDARs.
+    """Check the poses against the objects in the scenes, for every link between LiDARs.
 
     Yields
     ------
     Reason
-        ``not_confirmed`` where two poles alone link some LiDARs to all others, and the scene does
+        ``not_confirmed`` if two poles alone link some LiDARs to all others, and the scene does
         not confirm the link.
 
     Raises
@@ -120,7 +120,8 @@ def confirm_links(
 
 
 def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
-    """Count what stands in the scenes of two LiDARs, under their adjusted poses and others."""
+    """Count the objects in the scenes of two LiDARs that agree under their adjusted poses and
+    others."""
     i, j = pair.lidars
     T = se3.inverse(adjusted.end.T[i]) @ adjusted.end.T[j]
     shared = [pole for pole in adjusted.datum.poles if {i, j} <= pole.seen.keys()]
@@ -137,12 +138,12 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
         own = Hypothesis(match, None, None, 0.0, 0.0, 0.0)
         paired.append(PairedPlacement(Placement(target, source), own))
     if len(scans.by_lidar) > 2:
-        # The poles of many placements check each other: the place is asked once.
+        # The poles of many placements check each other: the surroundings are compared once.
         paired = [max(paired, key=lambda each: len(each.hypothesis.match.pairs))]
-    # What does not recur in all placements is no rival.
+    # A hypothesis that does not recur in all placements is no rival.
     most = max((len(each.poles) for each in pair.hypotheses), default=0)
     recurring = [each for each in pair.hypotheses if len(each.poles) == most]
-    # All other angles about a pole are asked, where the place gives that.
+    # All other angles about a pole are compared, if the angle is from the surroundings.
     rivals = recurring if pair.by_place else recurring[:4]
     others = [each for each in rivals if _is_other(each.T, T)]
     return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
@@ -164,7 +165,8 @@ def weaknesses(
     loops: Sequence[LoopClosure],
     lidars: Sequence[LidarPose],
 ) -> Iterator[Reason]:
-    """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
+    """Report weaknesses of an answer: open loops, poses without a check, poses that are not
+    accurate."""
     yield from _by_lidars(site, scans, adjusted)
     yield from radius_conflict(adjusted)
     yield from poor_fit(site, adjusted)
@@ -180,12 +182,12 @@ def weaknesses(
 
 
 def radius_conflict(adjusted: Adjusted) -> Iterator[Reason]:
-    """Say where the returns conflict with the radius that was given."""
+    """Report a conflict of the returns with the given radius."""
     return check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
 
 
 def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
-    """Say what makes the poles of single LiDARs, and of two that they link, weak."""
+    """Report weaknesses of the poles of single LiDARs, and of pairs that they link."""
     poles = adjusted.datum.poles
     noise = np.exp(adjusted.aligned.maximum.point.log_noise[:, 0])
     for i, lidar in enumerate(site.lidars):
@@ -200,7 +202,7 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
     by_place = {link for link, _ in reported}
     for link in find_links(adjusted):
         names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
-        # Of poles that leave some of a pose to the place the note below says so.
+        # For poles that do not determine the whole pose, the note below states it.
         if len(link.poles) > 1 and link.lidars not in by_place:
             yield from check_angles([poles[k].direction for k in link.poles], names)
     yield from (reason for _, reason in reported)
@@ -208,12 +210,12 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
 
 
 def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int], Reason]]:
-    """Say of which pairs the poles leave a part of the pose to the place."""
+    """Report the pairs for which a part of the pose is from the surroundings."""
     poles = adjusted.datum.poles
     for each in adjusted.datum.dependent:
         across = each.across(poles)
         if len(across) > 1 and widest_angle([poles[k].direction for k in across]) >= MIN_ANGLE:
-            # With what other LiDARs see the poles tell all of it.
+            # With the observations of other LiDARs the poles determine the whole pose.
             continue
         hang = ", ".join(site.lidars[i].name for i in sorted(each.lidars))
         link = "one pole links" if len(across) == 1 else f"{len(across)} poles, all parallel, link"
@@ -231,7 +233,7 @@ def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int],
 
 
 def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
-    """Say how many of each LiDAR's poles are doubtful by themselves."""
+    """Report how many of each LiDAR's poles are doubtful by themselves."""
     counts = {}
     for i, lidar in enumerate(site.lidars):
         own = [pole for scan in scans.used(i) for pole in scan.candidates]
@@ -250,11 +252,12 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
 
 
 def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterator[Reason]:
-    """Say which observation fits worst, where one fits poorly and none was left out for it.
+    """Report the observation that fits worst, if one fits poorly and none was left out for it.
 
-    Of two LiDARs alone (`of_two`) how scene and poles agree says more than the test of either.
+    For a pair (`of_two`), the agreement of scene and poles is more informative than the test of
+    either.
     """
-    # A LiDAR's test contains those of all its poles: reported where none of them says more.
+    # A LiDAR's test contains those of all its poles: reported if none of them is more specific.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
     worst = worst_test(single, POOR) or worst_test(() if of_two else adjusted.tests, POOR)
     if worst is None:
@@ -270,8 +273,7 @@ def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterato
         why = "did it move slightly, or is its survey slightly wrong?"
     yield Reason(
         "misfit",
-        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the largest expected): "
-        + why,
+        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} expected at most): " + why,
         {"observation": worst.name, **values},
     )
 
@@ -304,7 +306,7 @@ def _unchecked(site: Site, tests: Sequence[Test]) -> Iterator[Reason]:
 
 
 def fitness_of(site: Site, covariance: Array) -> Fitness | None:
-    """Whether a pose is as accurate as was asked for; None where nothing was, and it is usable."""
+    """Whether a pose is as accurate as required; None if nothing was required, and it is usable."""
     if site.need is None and is_certainly_met(covariance, USABLE):
         return None
     return fitness(covariance, site.need or USABLE)
@@ -315,7 +317,7 @@ def not_fit(
     lidars: Sequence[LidarPose],
     helps: str = "a placement with the poles arranged differently",
 ) -> Iterator[Reason]:
-    """Say which poses are not as accurate as was asked for, and what `helps`."""
+    """Report the poses that are not as accurate as required, and what `helps`."""
     short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]
     if not short:
         return
