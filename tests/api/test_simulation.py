@@ -25,7 +25,7 @@ def test_options_are_taken() -> None:
     assert made.sensors[1].name == "VLP-16"
     assert made.target.frame is not None
     assert set(np.unique(made.target.frame)) == {0, 1}
-    with pytest.raises(rp.UsageError, match="no scene is called 'moon'"):
+    with pytest.raises(rp.UsageError, match="no scene is named 'moon'"):
         rp.simulate("moon")
 
 

@@ -331,7 +331,7 @@ def test_another_recording_in_the_place_of_what_was_captured_is_left_out(
     monkeypatch.setattr(f"{module}.calibrate_with", swapped)
     watch, _, clock = watch_of(sweeps, WISH, tmp_path)
     said = go_on(watch, clock, lambda doc: any("left out" in words for words in doc.words))
-    assert "placement1.mcap is left out: it is no longer what was recorded" in said[-1].words[-1]
+    assert "placement1.mcap is left out: it has changed since it was recorded" in said[-1].words[-1]
     assert watch.result is None
     used = list[Path]()
 
@@ -355,7 +355,7 @@ def test_sweeps_of_another_origin_join_no_placement_that_is_kept(
     front.frame_id = "other" * 300
     said = go_on(watch, clock, lambda doc: doc.code == "unreadable")
     assert "'otherother" in said[-1].next
-    assert "those that are kept from frame 'front_frame'" in said[-1].next
+    assert "the stored ones from frame 'front_frame'" in said[-1].next
     assert all(len(words) < 400 for words in said[-1].words)
     front.frame_id = "front_frame"
     go_on(watch, clock, lambda doc: doc.code != "unreadable")
@@ -391,7 +391,11 @@ def test_sources_read_the_field_and_the_angles_that_are_wanted(tmp_path: Path) -
     unit = Wanted(angles="unit.csv")
     for named, wanted, fault in (
         (texts, unit, "has no packets"),
-        ([f"folder:{tmp_path}", "hesai:2368"], unit, "angles are of packets of hesai, robosense"),
+        (
+            [f"folder:{tmp_path}", "hesai:2368"],
+            unit,
+            "angles can be given for packets of hesai, robosense",
+        ),
         (["hesai:2368", f"folder:{tmp_path}"], Wanted("echo"), "packets have one intensity"),
     ):
         with pytest.raises(UsageError, match=fault):
@@ -415,10 +419,10 @@ def test_names_come_from_topics() -> None:
 @pytest.mark.parametrize(
     ("frames", "said"),
     [
-        (("", "rear"), "the sweeps of front name no frame"),
-        (("front", ""), "the sweeps of rear name no frame"),
+        (("", "rear"), "the sweeps of front have no frame_id"),
+        (("front", ""), "the sweeps of rear have no frame_id"),
         (("lidar", "lidar"), "both LiDARs name the frame 'lidar'"),
-        (("front\nlidar", "rear"), "no name for the parent frame"),
+        (("front\nlidar", "rear"), "not a valid name for the parent frame"),
         (("front", "x" * 501), "501 characters"),
     ],
 )

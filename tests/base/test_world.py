@@ -43,7 +43,7 @@ def test_a_frame_without_a_place_keeps_its_offset_exactly() -> None:
     T = pose(1)
     np.testing.assert_array_equal(world.pose_in_frame(frame, T)[:3, :3], T[:3, :3])
     assert world.heading(frame, T) is None
-    with pytest.raises(UsageError, match="nothing ties the frame"):
+    with pytest.raises(UsageError, match="has no known position on the earth"):
         world.geodetic(frame, full)
 
 

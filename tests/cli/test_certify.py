@@ -77,4 +77,4 @@ def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
     assert json.loads(of_folder.stdout)["status"] == "pass"
     other = retropole_here("certify", four / "site.toml", "--radius", "0.03")
     assert other.returncode == 2
-    assert "--radius: the site file says so itself" in other.stderr
+    assert "--radius: the site file already gives it" in other.stderr

@@ -82,7 +82,7 @@ def test_the_report_is_made_with_it_and_again(fleet: Path, tmp_path: Path) -> No
     assert "fleet calibrate --out" in none.stderr
     none = retropole_here("fleet", "report", out, "--history", tmp_path / "no", "--out", again)
     assert none.returncode == 2
-    assert "no: is no history of 'retropole fleet check'" in none.stderr
+    assert "no: is not a history of 'retropole fleet check'" in none.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the system has no SIGINT for one process")

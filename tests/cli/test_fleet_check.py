@@ -125,7 +125,7 @@ def test_nothing_reported_is_not_nothing_found(fleet: Path, answers: Path, tmp_p
     [
         (("nothing.csv",), "no such file or folder"),
         (("{0}", "--workers", 2, "--scheduler", "tcp://a:1"), "not both"),
-        (("{0}", "--answers", "{1}"), "is no dataset"),
+        (("{0}", "--answers", "{1}"), "is not a dataset"),
         (("{0}", "--time-limit", 0), "--time-limit"),
     ],
 )

@@ -142,8 +142,8 @@ def test_an_option_of_both_is_given_once_or_twice_or_as_before(
     ("words", "said"),
     [
         (("--sensor", "a", "--sensor", "b", "--sensor", "c"), "one value for both LiDARs"),
-        (("--sensor", "a", "--sensor-target", "b"), "--sensor is for TARGET"),
-        (("--unit", "m", "--unit", "mm", "--unit-source", "ft"), "--unit is for TARGET"),
+        (("--sensor", "a", "--sensor-target", "b"), "--sensor can be given twice"),
+        (("--unit", "m", "--unit", "mm", "--unit-source", "ft"), "--unit can be given twice"),
         (("--threshold", "1,5"), "'1,5' is no number"),
         (("--unit", "m,mm"), "'m,mm'"),
     ],

@@ -88,7 +88,7 @@ def test_exchanged_files_and_other_names_are_told(site: Path, tmp_path: Path) ->
     assert retropole_here("site", "init", tmp_path).returncode == 0
     done = retropole_here("site", "check", site / "out", tmp_path)
     assert done.returncode == 2
-    assert "the result has posts-1, posts-2, posts-3: name them so" in done.stderr
+    assert "the result has posts-1, posts-2, posts-3: use these names" in done.stderr
 
 
 def test_a_lidar_without_a_recording_is_not_told(site: Path, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_sweeps_without_a_frame_are_not_published(recorded: Path, tmp_path: Path
     words = ("--publish", "--interface", "lo", "--domain", "77", "--no-page", "--out", out)
     done = retropole_here("watch", *sources(recorded), *words)
     assert done.returncode == 2
-    assert "name no frame" in done.stderr
+    assert "have no frame_id" in done.stderr
     assert not (out / "result.json").exists()
 
 

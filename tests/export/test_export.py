@@ -438,7 +438,7 @@ def test_rounding_is_taken_and_made_rigid(tmp_path: Path) -> None:
     [
         ("a.txt", "1 2 3", "16 numbers, this has 3"),
         ("a.txt", "", "16 numbers, this has 0"),
-        ("a.txt", "one " * 16, "'one' is no number"),
+        ("a.txt", "one " * 16, "'one' is not a number"),
         ("a.txt", "x: 1\ny: 1\nz: 1\nqw: 1\n", "expected x y z and qx"),
         ("a.txt", "x: 1\nx: 2\nyaw: 0\n", "one line"),
         ("a.json", "[1]", "not an object"),

@@ -234,5 +234,5 @@ def test_every_format_takes_and_gives_a_mounting(fmt: str, tmp_path: Path) -> No
 def test_a_mounting_names_its_frames(tmp_path: Path) -> None:
     path = tmp_path / "mounting.txt"
     np.savetxt(path, np.eye(4))
-    with pytest.raises(UsageError, match=r"mounting\.txt: does not name the frames"):
+    with pytest.raises(UsageError, match=r"mounting\.txt: does not give the names of the frames"):
         read_mounting(path, "front")

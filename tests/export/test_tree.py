@@ -138,7 +138,7 @@ def test_a_result_is_read_for_two_named_frames(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="name both frames"):
         read_transform(path)
     (tmp_path / "result.json").write_text("{}")
-    with pytest.raises(UsageError, match="name one of them"):
+    with pytest.raises(UsageError, match="give one of them"):
         read_tree(tmp_path)
     assert read_tree(tmp_path / "result.json") is None
 

@@ -130,7 +130,7 @@ def test_a_partition_of_a_newer_version_is_kept(tmp_path: Path) -> None:
     table = pq.read_table(path)
     pq.write_table(table.replace_schema_metadata({"schema": "retropole/fleet/2"}), path)
     with pytest.raises(
-        NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is of a newer"
+        NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is from a newer"
     ):
         known_answers(str(tmp_path))
 

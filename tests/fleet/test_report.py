@@ -235,7 +235,7 @@ def test_without_a_history_nothing_changes(watched: Path, tmp_path: Path) -> Non
     write_history(tmp_path / "moved", HISTORY)
     assert render_fleet(overview_of(str(watched))) == before
     assert len(overview_of(str(watched), str(tmp_path / "moved")).changed) == 3
-    with pytest.raises(ReadError, match="none: is no history of 'retropole fleet check'"):
+    with pytest.raises(ReadError, match="none: is not a history of 'retropole fleet check'"):
         overview_of(str(watched), str(tmp_path / "none"))
 
 
@@ -416,6 +416,6 @@ def test_what_is_not_drawn_or_named_is_reported(monkeypatch: pytest.MonkeyPatch)
     assert set(places(html)) == {"a", "b"}
     assert "3 sites." in html
     assert "1 site of unknown position not drawn" in html
-    assert "2 have their names" in html
+    assert "2 show their names" in html
     assert len(re.findall(r'<path d="M[\d]+ [\d]+h.01"/>', html)) == 1 + 1  # And of the legend.
     assert "svg" not in fleet_map([nowhere])

@@ -81,10 +81,13 @@ def test_a_heap_far_from_the_origin_is_in_the_frame_of_a_map(
     assert odd is not None
     assert odd.is_map
     assert odd.units == ()
-    assert "a LAS file does not say where the LiDAR stood" not in odd.words
+    assert "a LAS file does not store where the LiDAR was" not in odd.words
     of_las = oddity_of(replace(cloud, source="survey.LAZ"))
     assert of_las is not None
-    assert "a LAS file does not say where the LiDAR was, so beams have no origin" in of_las.words
+    assert (
+        "a LAS file does not store where the LiDAR was, so that the origin of the beams is unknown"
+        in of_las.words
+    )
 
 
 def test_what_is_narrow_and_in_millimetres_is_no_map() -> None:

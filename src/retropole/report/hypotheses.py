@@ -123,7 +123,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
         mark = " *" if each.chosen else "  "
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
-            lines.append(f"       compared with a: {relative_words(result, each)}")
+            lines.append(f"       versus a: {relative_words(result, each)}")
     lines += [f"  {plain(words)}" for words in deciding(result, named)]
     return lines
 
@@ -192,7 +192,7 @@ def _undecided(result: ResultDoc) -> Html:
         )
         for name, each in named
     ]
-    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; compared with a"
+    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; versus a"
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",

@@ -197,7 +197,7 @@ def test_an_interrupt_loses_no_fault_that_was_met(city: Path, answers: str, tmp_
 
 def test_what_is_wrong_with_all_sites_is_no_row(city: Path, answers: str, tmp_path: Path) -> None:
     sites = find_sites([str(city)])
-    with pytest.raises(UsageError, match="is no dataset"):
+    with pytest.raises(UsageError, match="is not a dataset"):
         check_fleet(sites, str(tmp_path / "h"), here, answers=str(tmp_path))
     path = tmp_path / "sites.csv"
     path.write_text("id,target,source,result\na,t.pcd,s.pcd,result.json\n")

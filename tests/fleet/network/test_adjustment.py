@@ -142,8 +142,8 @@ def test_parts_have_a_datum_of_their_own() -> None:
     assert [each.nodes.tolist() for each in found.components] == [[0, 1, 2], [3], [4, 5, 6]]
     assert [each.datum(range(7)) for each in found.components] == [
         "4 controls",
-        "no control: pose 3 is held",
-        "no control: pose 4 is held",
+        "no control points: pose 3 is fixed",
+        "no control points: pose 4 is fixed",
     ]
     np.testing.assert_allclose(found.covariance[[3, 4]], 0, atol=1e-11)
     np.testing.assert_allclose(found.T_world_node[[3, 4]], np.tile(np.eye(4), (2, 1, 1)), atol=1e-9)

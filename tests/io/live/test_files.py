@@ -461,7 +461,9 @@ def test_a_pipe_in_a_folder_is_left_out_with_a_word(
         assert_cloud(source.newest(LONG), 1)
         monkeypatch.setattr(files, "QUIET", 0.0)
         assert nothing(source)
-        assert source.waits_for.endswith("no new file comes; 2 names left out, as a.npy, no file")
+        assert source.waits_for.endswith(
+            "no new file appears; 2 names left out, such as a.npy, not a file"
+        )
 
 
 def test_what_cannot_be_read_while_it_is_written(tmp_path: Path) -> None:

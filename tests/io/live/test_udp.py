@@ -194,15 +194,15 @@ def test_sweeps_that_nobody_took_are_left_out_and_counted(
 
 def test_other_packets_are_counted_and_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
-    assert source.waits_for == f"port {port}: no packet came"
+    assert source.waits_for == f"port {port}: no packet received"
     with sender(port) as send:
         send([bytes(1248)] * 120)
         until(lambda: number_taken(source) == 120)
-        expected = "120 packets came, none of a Velodyne: 1206 bytes expected, 1248 came"
+        expected = "120 packets received, none of a Velodyne: 1206 bytes expected, 1248 came"
         assert source.waits_for == f"port {port}: {expected}"
         send([bytes(1206)] * 200 + [b""] * 3)
         until(lambda: number_taken(source) == 323)
-        assert "1206 that begin otherwise and 1248 and 0 came" in source.waits_for
+        assert "1206 with another beginning and 1248 and 0 came" in source.waits_for
         assert source.newest(0) is None
 
 

@@ -146,7 +146,7 @@ class Confirmation(
         """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
         text = self.counts
         if self.conflicting:
-            text += f" ({100 * self.contradicted:.1f} % contradict)"
+            text += f" ({100 * self.contradicted:.1f} % against it)"
         if self.better_at is not None:
             text += f"; it fits better {self.better_at:.1f} m away"
         if self.probability_wrong is None:

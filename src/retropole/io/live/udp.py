@@ -171,20 +171,14 @@ class PacketSource:
             elif now - self._last_packet >= PAUSE:
                 taken = f"{_named(self._sender)} sends no more packets"
             else:
-                taken = (
-                    f"{counted(self._taken, 'packet')} of {_named(self._sender)} received, no "
-                    "complete sweep"
-                )
+                taken = f"{counted(self._taken, 'packet')} of {_named(self._sender)}, no sweep"
             others = self._left_out(counted(self._others, "packet")) if self._others else ""
         return f"port {self._port}: {'; '.join(filter(None, (taken, wrong, others)))}"
 
     def _left_out(self, packets: str) -> str:
         if self._senders:
             return f"{packets} of {_named(self._other)} left out, since --from gives another sender"
-        other = (
-            f"{packets} of {_named(self._other)} left out, since only packets of one sensor are "
-            "used"
-        )
+        other = f"{packets} of {_named(self._other)} left out, since one sensor is read"
         return f"{other}; --from ADDRESS names it"
 
     def _wrong_in_words(self) -> str:
