@@ -79,7 +79,7 @@ def returns(rng: np.random.Generator, width: float, count: int = 200) -> Array:
     return np.stack([depth, x + SIGMA_MISS * rng.normal(size=count), np.full(count, RADIUS)], 1)
 
 
-@pytest.mark.parametrize("beside", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("passed_share", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("width", [0.0, 0.008])
 def test_arc_derivatives(width: float, passed_share: float) -> None:
     values = returns(np.random.default_rng(3), width)

@@ -30,7 +30,7 @@ def beams_before(wall: tuple[float, float]) -> Beams:
 
 
 @pytest.mark.parametrize(
-    ("wall", "beside"), [((-1.0, 1.0), 1.0), ((0.0, 1.0), 0.5), ((0.0, 0.0), 0.0)]
+    ("wall", "passed_share"), [((-1.0, 1.0), 1.0), ((0.0, 1.0), 0.5), ((0.0, 0.0), 0.0)]
 )
 def test_beams_next_to_a_pole_are_known_where_something_stands_behind(
     wall: tuple[float, float], passed_share: float

@@ -1,11 +1,11 @@
 """Whether the objects in the scene confirm a pose, and how many of them could have contradicted it.
 
-That nothing conflicts with a pose shows little where nothing could: in a corridor of plain
-walls a pose may slide along them. So the same voxels are counted at other poses: the best shifts
-along the ground and off it, small turns about the vertical, and the other ways of laying the poles
-on each other. The pose must be better than all of them. Two measures, the share of the voxels that
-conflict with the pose and by how many σ it is better, make one figure: how many of such answers
-are wrong in simulation.
+The absence of conflicts shows little if no conflict was possible: in a corridor of
+plain walls a pose may slide along them. So the same voxels are counted at other poses: the
+best shifts along the ground and off it, small turns about the vertical, and the other ways of
+matching the poles. The pose must be better than all of them. Two measures, the share of the voxels
+that conflict with the pose and by how many σ it is better, are combined into one figure: the share
+of such answers that are wrong in simulation.
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ pose of 200 hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share w
 median and at most 5.7 %."""
 
 BETTER = 1.05
-"""By this factor more voxels agree where the scene fits better: by 1.09 and more for poles carried
-by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
+"""The scene fits better at a pose with more agreeing voxels by this factor: by 1.09 and more for
+poles carried by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10
+to 25)."""
 
 TURN = np.radians(15.0)
 """Poses turned by this amount about the vertical are compared with the pose, rad."""
@@ -54,12 +55,12 @@ MAX_RIVALS = 3
 surroundings gave the pose."""
 
 REDUNDANT_POLES = 3
-"""So many poles check each other: two fit a wrong pose as exactly as the right one."""
+"""Number of poles that check each other: two fit a wrong pose as exactly as the right one."""
 
 MAX_WRONG = 0.05
 """An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
-20000 to 20022 of benchmarks/deception.py the least that a wrong answer states is 27 %; of 341 right
-ones 264 are confirmed with 5 %, 260 with 3 %, and 267 with 10 %."""
+20000 to 20022 of benchmarks/deception.py the smallest figure of a wrong answer is 27 %; of 341
+right ones 264 are confirmed with 5 %, 260 with 3 %, and 267 with 10 %."""
 
 
 def confirm(
@@ -86,7 +87,7 @@ def confirm(
     trusted
         Whether the user trusts the poles.
     deceiving
-        Share of recordings like these that deceive; None takes what the times of both allow.
+        Share of similar recordings with misleading poles; None chooses it by the times of both.
     """
     if is_by_place(paired):
         scenes = [under(grounds_of(each.placement, rng), T) for each in paired]
@@ -158,7 +159,7 @@ def grounds_of(
 def under(
     grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]], T: Array
 ) -> tuple[SceneObjects, SceneObjects]:
-    """Choose the planes that a pose (4, 4) lays on each other; the first of each, where it none."""
+    """Choose the planes that coincide under a pose (4, 4); the first of each if none do."""
     every = list(product(*grounds))
     return next((pair for pair in every if is_ground_on_ground(*pair, T)), every[0])
 
@@ -214,7 +215,7 @@ def _way(T: Array, other: Array) -> Array:
 
 
 def _z_margin(here: Confirmation, there: Confirmation) -> float:
-    """By how many σ more voxels agree, and fewer conflict with, at one pose than at another."""
+    """By how many σ more voxels agree, and fewer conflict, at one pose than at another."""
     net = (here.agreeing - here.conflicting) - (there.agreeing - there.conflicting)
     return float(net / np.sqrt(here.total + there.total + 1))
 
@@ -222,8 +223,9 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
 def _margin_in_map(scene: tuple[SceneObjects, SceneObjects], T: Array) -> Callable[[Array], float]:
     """Give by how many σ a pose (4, 4) in a map is better than another.
 
-    Most of a street agrees with either. So only what differs counts, and by blocks, since what one
-    thing says is said by many of its voxels: half of all blocks would prefer either pose by chance.
+    Most of a street agrees with either. So only the differences are used, and by blocks, since
+    the voxels of one object are not independent: by chance, half of all blocks would prefer either
+    pose.
     """
     here, block = verdicts(*scene, T), blocks(*scene, T)
 
@@ -261,10 +263,11 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
 def _poles_against(
     paired: Sequence[PairedPlacement], scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array
 ) -> int:
-    """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
+    """Number of pairs of poles that coincide with nothing in the other cloud under another pose (4,
+    4).
 
-    Posts of a row lie on their neighbours where it is shifted by a post: only the poles that do not
-    speak against the shift, and one or two may have been carried.
+    Posts of a row lie on their neighbours where it is shifted by a post: only these poles do not
+    contradict the shift, and one or two may have been carried.
     """
     return sum(
         not (coincides(target.xyz, there, se3.inverse(T)) or coincides(source.xyz, here, T))
@@ -274,7 +277,7 @@ def _poles_against(
 
 
 def is_in_conflict(found: Confirmation) -> bool:
-    """Whether so many voxels conflict with a pose that nothing else makes up for it."""
+    """Whether the number of voxels that conflict with a pose is decisive by itself."""
     return found.total >= MIN_TOTAL and found.contradicted > MAX_CONFLICTING
 
 
@@ -308,7 +311,7 @@ def check_confirmation(found: Confirmation) -> None:
 
 
 def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
-    """Warn where the scene does not confirm the pose, and nobody trusts the poles."""
+    """Warn if the scene does not confirm the pose, and the user does not trust the poles."""
     wrong = found.probability_wrong
     if found.trusted or wrong is None or wrong <= MAX_WRONG:
         return
@@ -331,14 +334,14 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
 
 
 def _margin_words(sigmas: float) -> str:
-    """Say how this pose compares with the best of others."""
+    """Describe how this pose compares with the best of the others."""
     if sigmas < 0.0:
         return f"worse than another pose by {-sigmas:.1f} σ"
     return f"better than other poses by {sigmas:.1f} σ"
 
 
 def _constrained_by_poles(found: Confirmation) -> str:
-    """Say which direction only the poles constrain, where they cannot check each other."""
+    """Describe the direction that only the poles constrain, if they cannot check each other."""
     if found.along is None:
         return "Only the poles constrain the pose"
     x, y, z = found.along

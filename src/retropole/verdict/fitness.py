@@ -1,4 +1,4 @@
-"""Is an answer as accurate as it must be; where that is not shown, what would make it so."""
+"""Whether an answer is as accurate as required; if that is not shown, how to improve it."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ DOUBTS = (
     "chosen_by_hand",
     "several_minima",
 )
-"""Warnings that the pose may be another one, which its covariance does not count."""
+"""Warnings that the pose may be another one, which its covariance does not include."""
 
 MOST_OF_VARIANCE = 0.5
-"""Sources of error are named, two at most, until they make this share of the variance."""
+"""Sources of error are named, at most two, until they amount to this share of the variance."""
 
 
 def judge(answer: Calibration, need: Need | None) -> Calibration:
-    """Answer whether a pose is as accurate as it must be, and warn where that is not shown.
+    """Determine whether a pose is as accurate as required, and warn if that is not shown.
 
     Parameters
     ----------
     answer
         An answer, not a refusal.
     need
-        How accurate it must be. None requires `USABLE` of its covariance, and adds nothing if
+        The required accuracy. None requires `USABLE` of its covariance, and adds nothing if
         that is met.
     """
     assert answer.covariance is not None
@@ -72,7 +72,7 @@ def judge(answer: Calibration, need: Need | None) -> Calibration:
 def _not_fit(
     fit: Fitness, answer: Calibration, *, is_asked: bool, is_doubted: bool
 ) -> Iterator[Reason]:
-    """Say that an answer is not as accurate as it must be, and what would make it so."""
+    """Report that an answer is not as accurate as required, and how to improve it."""
     if fit.answer == "yes":
         return
     said = [fit.words]
@@ -91,10 +91,10 @@ def _not_fit(
 
 
 def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[str]:
-    """Say what would make an answer good enough, or that nothing would."""
+    """State what would make an answer accurate enough, or that nothing would."""
     assert answer.covariance is not None
     if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
-        # Of its doubts each says by itself what to do.
+        # The reasons for doubt have separate advice.
         if not is_doubted:
             more = "another pole, or a placement with the poles arranged differently"
             yield f"what would help: {MORE_OF_MAP if _is_in_map(answer) else more}"
@@ -117,7 +117,7 @@ def _is_in_map(answer: Calibration) -> bool:
 
 
 def _remedies(answer: Calibration) -> dict[str, str]:
-    """Say what makes the largest sources of error smaller, each with its share of the variance."""
+    """State how to reduce the largest sources of error, each with its share of the variance."""
     first = answer.placements[0]
     is_known = {
         "target": first.target.sensor is not None,

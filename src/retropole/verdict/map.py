@@ -1,4 +1,4 @@
-"""Why a LiDAR has no pose in a map, in words of a map and not of poles."""
+"""Why a LiDAR has no pose in a map: messages about maps instead of poles."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ MORE_OF_MAP = (
     "use a larger part of the map or a map with more objects, record where the LiDAR sees more "
     "of it, or compare with surveyed points"
 )
-"""What helps where a map leaves a direction to little."""
+"""Advice if little in a map determines a direction."""
 
 DIFFERS = {"scene_contradicts", "too_few_poles", "poles_scene_contradict"}
-"""Refusals of poses in a map that what the LiDAR sees speaks against."""
+"""Refusals of poses in a map that the recording contradicts."""
 
 
 def of_map(refusal: Refusal) -> Refusal:
-    """Say of a refusal what it means where the target is a map."""
+    """Reword a refusal for a target that is a map."""
     values = refusal.values
     place = "give a heading (--prior-rpy-deg) or a better position (--prior-xyz, --prior-sigma-m)"
     if "lead" in values and _hardly_contradicted(values):
@@ -64,7 +64,7 @@ def of_map(refusal: Refusal) -> Refusal:
 
 
 def _hardly_contradicted(values: Mapping[str, float | int | str]) -> bool:
-    """Whether enough was counted, and no more speaks against a pose than may."""
+    """Whether enough was counted, and the contradictions to a pose are within the limit."""
     against = int(values["contradicting"]) + int(values["missing"])
     total = int(values["agreeing"]) + against
     return total >= MIN_TOTAL and against <= MAX_CONTRADICTED * total
