@@ -5,8 +5,8 @@ from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
-from retropole.report.surface_distances import distances_of_surfaces, measured_distances
 from retropole.report.subject import Subject, as_subject
+from retropole.report.surface_distances import distances_of_surfaces, measured_distances
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.results import result_of
 
