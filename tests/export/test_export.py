@@ -444,7 +444,7 @@ def test_rounding_is_taken_and_made_rigid(tmp_path: Path) -> None:
         ("a.json", "[1]", "not an object"),
         ("a.json", "{", "no JSON"),
         ("a.json", "{}", "found 0"),
-        ("a.json", '{"T_target_source": "x"}', "no transform"),
+        ("a.json", '{"T_target_source": "x"}', "not a transform"),
         ("a.json", '{"T_target_source": [[1, 0], [0, 1]]}', "instead of"),
         ("a.json", '{"schema": "retropole/result/1"}', "no result document"),
         ("a.yaml", "a: 1", "expected the YAML"),

@@ -520,7 +520,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
     high = [each for each in tests if _is_large(each.w, each.allowed)]
     checks = counted(len(tests), "consistency check")
     named = [
-        f"{each.name} (w {abs(each.w or 0.0):.1f}, {each.allowed or 0.0:.2g} is the most to expect)"
+        f"{each.name} (w {abs(each.w or 0.0):.1f}, {each.allowed or 0.0:.2g} expected at most)"
         for each in (high or tests)[:NAMED]
     ]
     if high:
