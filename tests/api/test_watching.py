@@ -366,7 +366,7 @@ def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
         open_sources(["front.pcd", "folder:x"])
     with pytest.raises(UsageError, match="two sources"):
         open_sources([f"folder:{tmp_path}"] * 2)
-    with pytest.raises(UsageError, match="no port"):
+    with pytest.raises(UsageError, match="not a port"):
         open_sources(["velodyne:abc", f"folder:{tmp_path}"])
     with pytest.raises(UsageError, match="metadata"):
         open_sources(["ouster:7502", f"folder:{tmp_path}"])

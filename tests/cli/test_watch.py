@@ -126,7 +126,7 @@ def test_slips_are_usage_errors(tmp_path: Path) -> None:
         ((folder, folder), "two sources"),
         ((folder, "folder:nowhere"), "nowhere"),
         ((folder, "replay:nowhere.bag"), "nowhere.bag"),
-        ((folder, "velodyne:0x1"), "no port"),
+        ((folder, "velodyne:0x1"), "not a port"),
         ((folder, "ros2:/a", "--interface", "nowhere0"), "no network interface"),
         ((folder, f"{folder}/..", "--at-m", "30"), "give both"),
         ((folder, f"{folder}/..", "--name", "a", "a"), "same name"),

@@ -192,7 +192,7 @@ def test_what_is_suspicious_is_what_the_verdict_warns_of(
     test = replace(document.tests[0], w=w, chi2=chi2, freedom=freedom, allowed=allowed)
     others = [replace(each, w=0.5, chi2=0.25) for each in document.tests[1:] if each.w is not None]
     words = " ".join(checks_of_site(replace(document, tests=[test, *others])))
-    assert f"{test.name} (w {abs(w):.1f}, {allowed:.2g} is the most to expect)" in words
+    assert f"{test.name} (w {abs(w):.1f}, {allowed:.2g} expected at most)" in words
     assert ("1 suspicious: " in words) is is_said
     assert ("none suspicious; the largest: " in words) is not is_said
     assert is_poor(abs(w), chi2, freedom) is is_said

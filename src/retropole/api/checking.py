@@ -126,7 +126,7 @@ def read_stored(
 
 
 def wanted_of(document: SiteDoc) -> dict[str, Wanted]:
-    """Say by the names of LiDARs how the points of their recordings were made."""
+    """Give, by the names of LiDARs, the options for reading their points."""
     return {
         document.lidars[each.lidar].name: Wanted(each.intensity, each.angles)
         for each in document.inputs
@@ -304,7 +304,7 @@ _RECORDINGS_OF_RESULT = Reason(
 
 
 def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
-    """Say that the topics of the stored run are read swapped."""
+    """Report that the topics of the stored run are read swapped."""
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
@@ -313,7 +313,7 @@ def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> 
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:
-    """Take the topic that is given, else the stored one where there is a bag to look for it in."""
+    """Use the given topic, else the stored one if the recording is a bag."""
     if given is not None or known is None:
         return given
     return known if topics_of(path) else None
@@ -462,7 +462,7 @@ def _pairs(document: SiteDoc, file: SiteFile) -> Iterator[tuple[str, str]]:
 
 
 def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
-    """Say that a recording is one that the result has of another LiDAR, by its hash."""
+    """Report that a recording is, by its hash, that of another LiDAR in the result."""
     owners: dict[str, set[str]] = {}
     for each in document.inputs:
         owners.setdefault(each.sha256, set()).add(document.lidars[each.lidar].name)
@@ -482,7 +482,8 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
 
 
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
-    """Take the options of a check of two LiDARs: of the poles from the result, else of the file.
+    """Choose the options of a check of two LiDARs: those of the poles from the result, others from
+    the file.
 
     If the file says neither angles nor the field of an intensity, they are those of the result.
     """

@@ -157,7 +157,7 @@ class _Line(NamedTuple):
 
 
 def _poles(document: ResultDoc | None) -> tuple[list[_Line], list[_Line]]:
-    """Take the poles of the target and of the source that a result lists."""
+    """Read the poles of the target and of the source that a result lists."""
     if document is None:
         return [], []
     target, source = (

@@ -142,7 +142,7 @@ def read_input(
     *,
     role: str = "cloud",
 ) -> Input:
-    """Take a cloud as the user gives it, and look up its sensor.
+    """Read a cloud in any form that a user may give, and look up its sensor.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def read_pair(
     listener: Listener = SILENT,
     which: str = "",
 ) -> InputPair:
-    """Take a target and a source, with the options of a run; see `read_input`.
+    """Read a target and a source, with the options of a run; see `read_input`.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def read_placements(
     config: RunConfig,
     listener: Listener = SILENT,
 ) -> tuple[InputPair, ...]:
-    """Take the target and the source of every placement, with the options of a run.
+    """Read the target and the source of every placement, with the options of a run.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def refuse_repeated(
 
 
 def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
-    """Say that a recording is given twice.
+    """Report that a recording is given twice.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
 
 
 def intensity_hint(code: str, inputs: Iterable[Input]) -> str:
-    """Say what to give instead where an array has no intensity; empty for any other refusal."""
+    """Advise on arrays without intensity; empty for any other refusal."""
     arrays = (each for each in inputs if not isinstance(each.given, str | Path | PointCloud))
     if code != "no_intensity" or all(each.cloud.intensity is not None for each in arrays):
         return ""

@@ -187,7 +187,7 @@ class _Reader(Thread):
                 self._arrival.notify()
 
     def _made(self, frame: Frame, came: float) -> float:
-        """Say when a sweep was made by this computer's clock, which its own may be far from."""
+        """Give the time of a sweep by this computer's clock, from which its own may differ much."""
         stamp = frame.stamp if frame.clock is None else frame.clock
         if stamp is None:
             return came
@@ -205,7 +205,7 @@ class _Reader(Thread):
 
     @property
     def words(self) -> str:
-        """Say why nothing comes, or what is odd about its clock; empty if nothing is."""
+        """State why nothing arrives, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
             return f"left out, since no sweep arrives{': ' + why if why else ''}"
@@ -296,7 +296,7 @@ class LiveMerge:
         return True
 
     def _ready(self) -> list[tuple[int, _Received]]:
-        """Take the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
+        """Read the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
         used = [own for own in self._readers if own.lidar.name not in self.moved]
         waiting = [own.newest for own in used if own.newest is not None]
         is_late = any(own.newest is None and own.does_record for own in used)
@@ -341,7 +341,7 @@ class LiveMerge:
         return words
 
     def pace(self) -> Pace:
-        """Say how clouds kept up since this was last called."""
+        """Report the rate of clouds since the last call."""
         now = time.time()
         found = Pace(now - self._since, tuple(self._ages), dict(self._sweeps))
         self._since, self._ages = now, []
@@ -349,7 +349,7 @@ class LiveMerge:
         return found
 
     def close(self) -> None:
-        """Let go of sources, threads and processes."""
+        """Close sources, threads and processes."""
         for own in self._readers:
             own.is_closed = True
         for own in self._readers:

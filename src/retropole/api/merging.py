@@ -104,7 +104,7 @@ class Merged:
 
     @property
     def surfaces(self) -> list[str]:
-        """Say in words how far from each other surfaces lie, a line for each pair of LiDARs."""
+        """Describe the distances between surfaces, a line for each pair of LiDARs."""
         return fusing.in_words(self.distances, self.lidars)
 
 

@@ -28,7 +28,7 @@ def keyword(field: str) -> str:
 
 
 def run_config(options: Mapping[str, object], others: RunConfig = DEFAULT_CONFIG) -> RunConfig:
-    """Take options by their keywords, and nothing else that is there; NumPy's numbers are as good.
+    """Make options from their keywords, and refuse other ones; NumPy's numbers are accepted.
 
     Options that are not there are taken of `others`.
 
@@ -126,7 +126,7 @@ LETTER = "a letter from the list of hypotheses, such as a"
 
 
 def _in_words(message: str, config: RunConfig) -> str:
-    """Say which option is wrong, and what is expected there."""
+    """Report which option is wrong, and what is expected."""
     what, _, where = message.partition(" - at `$.")
     field = re.split(r"\W", where)[0]
     given, kind = f"{keyword(field)} is {getattr(config, field)!r}", OPTIONS[field].kind

@@ -55,7 +55,7 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
 
 
 def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
-    """Say which of the poles that one LiDAR, of the plan, sees is out of place."""
+    """Report which of the poles that one LiDAR of the plan sees is out of place."""
     compared = against_plan(plan, poles, lidar)
     several = len(plan.placements) > 1
     where = f" in placement {compared.placement + 1}" if several else ""

@@ -105,7 +105,7 @@ class PolePlan:
     planned: Planned
 
     def __repr__(self) -> str:
-        """Say where the poles are and what to expect, a line each."""
+        """Describe the positions of the poles and the expected result, a line each."""
         poles = [pole.words for each in self.document.placements for pole in each.poles]
         return "\n".join(["PolePlan:", *poles, *self.document.words])
 

@@ -158,7 +158,7 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
 
 
 def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take LiDAR and placement from the name of each file, or the placement from its time."""
+    """Read LiDAR and placement from the name of each file, or the placement from its time."""
     if all(TIMED.search(_name(path)) for path in files):
         return _by_times(files)
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
@@ -179,7 +179,7 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
 
 
 def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take the LiDAR from what a name has besides the time; what is near in time is one
+    """Read the LiDAR from the part of a name besides the time; recordings near in time are one
     placement.
 
     Near is nearer than half of the least time between two recordings of one LiDAR.

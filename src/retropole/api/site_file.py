@@ -194,7 +194,7 @@ def read_site_file(path: Path) -> SiteFile:
 
 
 def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
-    """Take a site file from its bytes; files that it names are in its folder.
+    """Read a site file from its bytes; paths in it are relative to its folder.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def _keys_at(steps: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _faults(site: SiteFile) -> Iterator[str]:
-    """Say what is wrong that the types of the keys cannot say."""
+    """Report errors that the types of the keys do not cover."""
     yield from _names(site)
     for lidar in site.lidar:
         yield from _lidar_faults(lidar, len(site.placements))
@@ -310,7 +310,7 @@ def _faults(site: SiteFile) -> Iterator[str]:
 
 
 def _walk_faults(site: SiteFile) -> Iterator[str]:
-    """Say what does not go together with a pole that is carried."""
+    """Report keys that cannot be used with a pole that is carried."""
     if len(site.placements) > 1:
         yield (
             f"carried: a walk is one recording of each LiDAR, expected one placement; there are "
@@ -336,7 +336,7 @@ def _end_faults(
     by_value: str,
     sigmas: str,
 ) -> Iterator[str]:
-    """Say what is wrong with one surveyed place, given by its name or by its coordinates."""
+    """Report errors of one surveyed place, given by its name or by its coordinates."""
     named, at, own = (getattr(table, key) for key in (by_name, by_value, sigmas))
     if named is not None and at is not None:
         yield f"{of}: expected {by_name} or {by_value}, not both"
@@ -347,7 +347,7 @@ def _end_faults(
 
 
 def _names(site: SiteFile) -> Iterator[str]:
-    """Say which names are none, or are given twice."""
+    """Report names that are invalid, or given twice."""
     for what, names in (
         ("name", [site.name]),
         ("placements", site.placements),

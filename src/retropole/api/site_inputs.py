@@ -81,7 +81,7 @@ class SiteInputs:
 
 
 def site_file_in(path: Path) -> Path:
-    """Take the site file in a folder; a file as it is.
+    """Find the site file in a folder; a file is returned unchanged.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
 
 
 def with_survey(file: SiteFile, path: Path) -> SiteFile:
-    """Put in the coordinates, and 1 σ of each, of the points of the survey that a site file names.
+    """Insert the coordinates, and 1 σ of each, of the survey points that a site file names.
 
     A `sigma_m` that the site file gives goes before that of the survey.
 
@@ -229,7 +229,7 @@ def _where(file: SiteFile, path: Path, lidar: int, placement: int) -> str:
 
 
 def inputs_of(site: Site) -> SiteInputs:
-    """Say of a site that was put together in Python what it was made of.
+    """Describe the input of a site that was built in Python.
 
     Raises
     ------

@@ -274,7 +274,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
 
 
 def decode_any(data: bytes) -> ResultDoc | SiteDoc:
-    """Take a result document, of two LiDARs or of a site."""
+    """Read a result document, of two LiDARs or of a site."""
     return result_in(data) or decode(data)
 
 

@@ -338,7 +338,7 @@ def _opened(note: Path) -> int:
 
 
 def this_run(command: str = "") -> str:
-    """Say which process this is, and since when it runs."""
+    """Describe this process, and its start time."""
     since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     named = f"{command}, " if command else ""
     return f"{named}process {os.getpid()} on {socket.gethostname()}, since {since}"
@@ -462,7 +462,7 @@ def _permit_as(place: Path, temporary: str) -> None:
 
 @contextmanager
 def _signals_wait() -> Iterator[None]:
-    """Let interrupts wait for a moment, where the system can."""
+    """Defer interrupts for a moment, if the system can."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

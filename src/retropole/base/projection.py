@@ -65,7 +65,7 @@ class Grid:
 
     @property
     def words(self) -> str:
-        """Say what that means for a site, in one line."""
+        """Describe the effect on a site, in one line."""
         off = 30.0 * (self.combined - 1)
         side = "east" if self.convergence >= 0 else "west"
         words = (

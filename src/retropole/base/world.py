@@ -72,7 +72,7 @@ class OnWgs84(NamedTuple):
 
 
 def tangent_frame(epsg: int, coordinates: Array) -> Frame:
-    """Take the metric frame in which to adjust what was surveyed in a projected system.
+    """Choose the metric frame for the adjustment of a survey in a projected system.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
 
 
 def to_site(frame: Frame, coordinates: Array) -> Array:
-    """Take coordinates of the frame, as surveyed, to those of the site (N, 3), metres.
+    """Convert coordinates of the frame, as surveyed, to those of the site (N, 3), metres.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def to_site(frame: Frame, coordinates: Array) -> Array:
 
 
 def in_metres(site: Site) -> Site:
-    """Take a site that was surveyed in a projected system to its metric frame (`tangent_frame`).
+    """Convert a site that was surveyed in a projected system to its metric frame (`tangent_frame`).
 
     What LiDARs measure is as it was. A site in any other frame is metric already, and stays.
 
@@ -155,7 +155,8 @@ def in_metres(site: Site) -> Site:
 
 
 def to_frame(frame: Frame, xyz: Array) -> Array:
-    """Take places of the site (N, 3) to the coordinates of the frame, metres: undoes `to_site`."""
+    """Convert places of the site (N, 3) to the coordinates of the frame, metres: the inverse of
+    `to_site`."""
     full = np.asarray(xyz, dtype=float) + frame.offset
     if frame.epsg is None or frame.geodetic is None:
         return np.asarray(full)
@@ -220,7 +221,7 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
 
 
 def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
-    """Take places of the site (N, 3) to another projected system: east, north, height as it was.
+    """Convert places of the site (N, 3) to another projected system: east, north, unchanged height.
 
     By the best operation from datum to datum that PROJ has the data for, as `on_wgs84`.
 

@@ -76,7 +76,7 @@ class CarrierMotion:
 
     @property
     def seen(self) -> Reason:
-        """Say that the carrier moved, and that its motion is removed."""
+        """Report that the carrier moved, and that its motion is removed."""
         speed = float(np.linalg.norm(self.velocity[TRANSLATION]))
         sigma = least_certain(self.covariance, TRANSLATION).sigma / abs(self.apart)
         rate, turned = value_and_error(speed, sigma), self._turned
@@ -89,7 +89,7 @@ class CarrierMotion:
         )
 
     def explains(self, step: Array) -> Reason:
-        """Say that a carrier that crept may have made a step (6,) of the pose."""
+        """Report that the creep of a carrier may have caused a step (6,) of the pose."""
         moved = float(np.linalg.norm(step[TRANSLATION]))
         return Reason(
             "carrier_moved",

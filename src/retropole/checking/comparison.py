@@ -121,7 +121,7 @@ def compare(
 
 
 def _outcome_of_ours(name: str, answer: Calibration) -> Compared:
-    """Take the outcome of the poles alone, or with the scene, from one calibration."""
+    """Extract the outcome of the poles alone, or with the scene, from one calibration."""
     codes = tuple(reason.code for reason in answer.reasons)
     message = answer.reasons[0].message if answer.reasons else ""
     alone = name == "poles"

@@ -118,7 +118,7 @@ def calibrate(
 def placed(
     target: Path | None, source: Path | None, placements: Sequence[tuple[Path, Path]]
 ) -> tuple[list[Path], list[Path]]:
-    """Take the two arguments, or those of each --placement, never both: targets and sources."""
+    """Use the two arguments, or those of each --placement, never both: targets and sources."""
     if placements and target is not None:
         raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
     if not placements:

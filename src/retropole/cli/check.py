@@ -258,7 +258,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Say which LiDARs of a site have moved since RESULT was made.
+    """Find which LiDARs of a site have moved since RESULT was computed.
 
     RESULT is site-result.json, or its folder. SITE.toml is the site file of new
     recordings, or its folder; 'retropole site init' writes one. One placement is

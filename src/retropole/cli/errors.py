@@ -67,7 +67,7 @@ class Failure(NamedTuple):
 
 
 def failure_of(error: Exception, command: str) -> Failure:
-    """Say in words what an error means, and what to do about it.
+    """Describe an error, with advice.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def failure_of(error: Exception, command: str) -> Failure:
 
 
 def report_failure(failure: Failure, *, refused: bool, as_json: bool) -> int:
-    """Say it on stderr, with --json on stdout too, and give the exit code."""
+    """Print it on stderr, with --json on stdout too, and give the exit code."""
     if refused:
         echo_refusal(failure.code, failure.message)
     else:

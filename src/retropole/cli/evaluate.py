@@ -34,7 +34,7 @@ TITLES = OURS | {
 
 
 def _names(context: click.Context, option: click.Parameter, value: str | None) -> list[str]:
-    """Take the names of methods between commas."""
+    """Parse the names of methods between commas."""
     names = [] if value is None else [name.strip() for name in value.split(",")]
     for name in names:
         if name not in ALL_METHODS:
@@ -191,7 +191,7 @@ fill_in(evaluate, "METHODS", TITLES, width=max(map(len, ALL_METHODS)))
 
 
 def _exit_code(found: Sequence[Compared], *, as_json: bool) -> int:
-    """Say on stderr which methods did not run, or refused, and give the exit code."""
+    """Print on stderr which methods did not run, or refused, and give the exit code."""
     for each in found:
         if each.status == "refused" and as_json:
             say(f"retropole: {each.method}: refused ({each.codes[0]}): {each.message}")

@@ -186,7 +186,7 @@ def _write(words: str | bytes, out: Path | None) -> None:
 
 
 def _warn(path: Path) -> None:
-    """Say on stderr what a result warns of; other files hold no verdict."""
+    """Print on stderr the warnings of a result; other files have no verdict."""
     for reason in transforms.read_verdict(path):
         echo_warning(reason.code, reason.message)
 
@@ -196,7 +196,7 @@ def _note(words: str) -> None:
 
 
 def _report_origin(given: Input) -> None:
-    """Say on stderr where the beams of a cloud start if that is not its origin."""
+    """Print on stderr the beam origin of a cloud if it is not the origin."""
     if given.cloud.origin.any():
         _note(
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "

@@ -180,7 +180,7 @@ def report(dataset: str, out: str, reports: str | None, history: str | None, qui
 
 
 def _in_words(summary: FleetSummary, *written: str) -> str:
-    """Say the outcome of a fleet: counts, the commonest codes, where it is."""
+    """Report the outcome of a fleet: counts, the most frequent codes, the place of the dataset."""
     from ..base.errors import printable
     from ..base.quantities import counted
 

@@ -140,7 +140,7 @@ def _write(
 
 
 def describe(document: LevelDoc) -> str:
-    """Say in a table where the LiDARs are over the ground, and what ground it is."""
+    """List the poses of the LiDARs over the ground, and describe the ground."""
     from ..base.quantities import error
 
     width = max(5, *(len(lidar.name) for lidar in document.lidars))

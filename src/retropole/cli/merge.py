@@ -258,7 +258,7 @@ def merged_fields(merged: Merged, out: Path | None) -> dict[str, Any]:
 
 
 def in_words(merged: Merged) -> str:
-    """Say what was merged, and how far from each other surfaces lie."""
+    """Report what was merged, and the distances between surfaces."""
     from ..base.errors import printable
     from ..base.quantities import counted
     from ..report.text import wrapped

@@ -95,7 +95,7 @@ def plan(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Say where to set up the poles, before you drive out.
+    """Plan where to set up the poles, before you drive out.
 
     TARGET and SOURCE are recordings of the site without poles, as calibrate reads them. Give the
     pose of SOURCE, to 10° and 1 m, by --xyz and --rpy-deg, or by --pose FILE; without these it is

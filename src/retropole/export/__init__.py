@@ -290,7 +290,7 @@ def read_tree(path: Path) -> Tree | None:
 
 
 def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
-    """Put a transform into the URDF of a file, as `put_into_urdf` does.
+    """Write a transform into the URDF of a file, as `put_into_urdf` does.
 
     Returns
     -------

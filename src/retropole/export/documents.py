@@ -191,7 +191,7 @@ def _text(document: dict[str, Any], key: str) -> str | None:
 
 
 def _pose(document: dict[str, Any], key: str) -> Array:
-    """Take the matrix, and check that the quaternion and translation next to it say the same."""
+    """Read the matrix, and check that the quaternion and translation next to it agree."""
     try:
         T = rigid(np.array(document[key], dtype=float))
         if "quaternion" in document and "translation_m" in document:
@@ -339,7 +339,7 @@ def _keys(node: Any) -> set[str]:
 
 
 def _outline(root: Any) -> str:
-    """Say what a document has at its top, two levels deep."""
+    """Describe the top of a document, two levels deep."""
     found = []
     for key, value in root.value[:5]:
         below = ", ".join(sorted(_keys(value))[:4])

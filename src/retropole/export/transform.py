@@ -98,18 +98,18 @@ class Transform:
 
     @property
     def meaning(self) -> str:
-        """Say in words what it maps, and name the frames so that they can be read back."""
+        """Describe what it maps, and name the frames so that they can be read back."""
         parent, child = quoted(self.parent), quoted(self.child)
         return f"maps points of {child} into {parent}; parent: {parent}, child: {child}"
 
     @property
     def notes(self) -> list[str]:
-        """Say in comments what it maps, and the verdict of its calibration."""
+        """Describe in comments what it maps, and the verdict of its calibration."""
         return [self.meaning, *([self.verdict] if self.verdict else [])]
 
 
 def notes_on(transforms: Sequence[Transform]) -> list[str]:
-    """Say what several transforms map, and each verdict once."""
+    """Describe what several transforms map, and each verdict once."""
     verdicts = dict.fromkeys(each.verdict for each in transforms if each.verdict)
     return [*(each.meaning for each in transforms), *verdicts]
 
@@ -322,7 +322,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
 
 
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
-    """Take the one transform that fits the names; name it where the file does not.
+    """Find the one transform that fits the names; name it if the file does not.
 
     If none has both names, that over a way of several: over ``base_link`` to both LiDARs.
 

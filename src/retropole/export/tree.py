@@ -166,7 +166,7 @@ def grid_of(tree: Tree) -> Grid | None:
 
 
 def notes_of(tree: Tree) -> list[str]:
-    """Say in words what the frames are, a line each, without line breaks.
+    """Describe the frames, a line each, without line breaks.
 
     Of a projected system also what it does to lengths, and by how much the tree, which has the
     lengths of the ground, then differs from the coordinates in it.

@@ -126,7 +126,7 @@ def _three(text: str, name: str) -> Array:
 
 
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:
-    """Put a transform into a robot, and leave all else that the file says as it is.
+    """Write a transform into a robot, and leave the rest of the file unchanged.
 
     The joint to the child is written. Where it starts at another link than the parent,
     its origin is the way there from that link, over fixed joints, times the transform: the robot

@@ -76,7 +76,7 @@ class Failure:
 def shape_failure(
     cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS, shortest: float = MIN_LENGTH
 ) -> Failure | None:
-    """Say why a line does not have the shape of a pole; None if it has.
+    """State why a line does not have the shape of a pole; None if it has.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ seen at 28°."""
 
 
 def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
-    """Say why a line that passes all other rules is no confirmed pole; None if it is.
+    """State why a line that passes all other rules is not a confirmed pole; None if it is.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
-    """Say that a line is thicker than a pole of a radius, metres; None if it is not."""
+    """Report that a line is thicker than a pole of a radius, metres; None if it is not."""
     limit = line.with_beams(MAX_CONFIRMED_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:

@@ -223,7 +223,7 @@ def pole_on(cloud: PointCloud, found: Judged) -> Pole:
 def _rejected(
     cloud: PointCloud, free: BoolArray, failures: list[tuple[IntArray, Failure]]
 ) -> list[RejectedCluster]:
-    """Give what no line has claimed, cluster by cluster, with its reason."""
+    """Give the points that belong to no line, cluster by cluster, with the reason."""
     rejected = []
     for cluster, failure in failures:
         left = np.sort(cluster[free[cluster]])

@@ -180,7 +180,7 @@ def _spins(cloud: PointCloud) -> bool:
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
-    """Say why a cloud is hardly of the sensor that was named; empty if it may be, or if
+    """State why a cloud is probably not of the given sensor; empty if it may be, or if
     `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No

@@ -324,7 +324,7 @@ def _given(client: Any, task: Task) -> Any:
 
 
 def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
-    """Take the outcome of a task; None if it is to be given out again."""
+    """Process the outcome of a task; None if it is to be repeated."""
     from distributed import CancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 

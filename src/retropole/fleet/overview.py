@@ -181,7 +181,7 @@ def overview_of(out: str, history: str | None = None) -> Overview:
 def _changed(
     out: str, sites: Iterable[Seen], history: str | None
 ) -> tuple[tuple[Changed, ...], tuple[str, ...]]:
-    """Say which sites changed since they were calibrated, and what of the history is damaged."""
+    """Report sites that changed since they were calibrated, and damaged parts of the history."""
     place = below(out, HISTORY) if history is None else absolute(history)
     if not exists(place, as_folder=True):
         if history is not None:

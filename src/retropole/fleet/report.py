@@ -1,4 +1,4 @@
-"""Put the outcome of a fleet into one HTML file that needs no network."""
+"""Write the outcome of a fleet to one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def _when(overview: Overview) -> str:
 
 
 def _counts(overview: Overview) -> Html:
-    """Say how many sites ended how, before all else."""
+    """State how many sites had which outcome, at the top."""
     every = len(overview.sites)
     tiles = []
     for status, count in overview.statuses.items():
@@ -317,7 +317,7 @@ def _reasons(overview: Overview) -> Html:
 
 
 def _dataset(overview: Overview) -> Html:
-    """Say what the page is of."""
+    """State the content of the page."""
     rows = [("dataset", _named(overview)), ("schema", FLEET_SCHEMA)]
     for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):
         # The ten commonest.
@@ -380,7 +380,7 @@ def _site_text(site: Seen) -> tuple[str, str, str]:
 
 
 def _next(site: Seen) -> Html:
-    """Say what to do next about the first code of a site."""
+    """Advise on the next step for the first code of a site."""
     known = explain(site.codes[0]) if site.codes else None
     if known is not None and known.advice:
         return inline(known.advice[0])
@@ -388,7 +388,7 @@ def _next(site: Seen) -> Html:
 
 
 def _explained(code: str) -> tuple[str, Html]:
-    """Say what a code means, and what to do about it."""
+    """Explain a code, with advice."""
     known = explain(code)
     if known is not None:
         return known.title, inline(" ".join(known.advice))
@@ -500,7 +500,7 @@ def _marks(
 
 
 def _map_text(placed: int, sites: int, view: _View) -> str:
-    """Say what the map shows, also for those who do not see it."""
+    """Describe the map, also for those who do not see it."""
     text = [
         f"{quantities.counted(placed, 'site')}. North is at the top; the worst are drawn on top."
     ]

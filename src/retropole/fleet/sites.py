@@ -129,7 +129,7 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
 
 
 def _expanded(given: str) -> list[str]:
-    """Give what a glob matches; a place that is none as it is."""
+    """Give the places that match a glob; a place without a pattern is unchanged."""
     if exists(given) or not any(sign in given for sign in "*?["):
         return [absolute(given)]
     if found := matching(given):

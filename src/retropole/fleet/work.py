@@ -213,7 +213,7 @@ def unanswered(
 
 
 def _run(row: Row, seconds: float, steps: Mapping[str, float], memory: int) -> Run:
-    """Say how a row came about that is done now."""
+    """Describe how the present row was made."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
     return Run(
         id=row.id,

@@ -78,7 +78,7 @@ def inside(xyz: Array, box: Array) -> BoolArray:
 
 
 def usual_view(sweeps: Iterable[PointCloud]) -> Array:
-    """Say how far a LiDAR at rest usually sees in each direction, (E, A) metres.
+    """Find how far a LiDAR at rest usually sees in each direction, (E, A) metres.
 
     By half of the sweeps that saw anything there; infinite where none did. See `is_static`.
     """

@@ -429,7 +429,8 @@ def distances(apart: Iterable[SurfaceDistance]) -> list[Distance]:
 
 
 def in_words(found: Sequence[Distance], names: Sequence[str]) -> list[str]:
-    """Say it in a line for each pair: ``front–rear: ground 3 mm apart (120 surfels, 4.1 m²)``."""
+    """Describe it in a line for each pair: ``front–rear: ground 3 mm apart (120 surfels, 4.1
+    m²)``."""
     lines: dict[tuple[int, int], list[str]] = {}
     for each in found:
         lines.setdefault(each.lidars, []).append(

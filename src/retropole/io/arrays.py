@@ -472,7 +472,7 @@ def _alternate(rows: NDArray[Any]) -> bool:
 
 
 def _why(data: bytes, are_both: bool) -> str:
-    """Say why the values are no points, or two kinds of them, and how to convert them."""
+    """State why the values are not points, or two kinds of them, and how to convert them."""
     size = len(data)
     if size % (4 * FLOAT) and size % (5 * FLOAT):
         return (

@@ -205,7 +205,7 @@ def _sqlite(path: Path) -> Iterator[Bag]:
 
 
 def _text(column: str) -> str:
-    """Take the text of a column, whatever is in it: SQLite lets any value be of any type."""
+    """Read a column as text, whatever it contains: SQLite lets any value be of any type."""
     return f"substr(CAST(coalesce({column}, '') AS TEXT), 1, 1000)"
 
 

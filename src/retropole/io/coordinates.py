@@ -53,7 +53,7 @@ class Oddity:
 
 
 def oddity_of(cloud: PointCloud) -> Oddity | None:
-    """Say why coordinates cannot be metres about the LiDAR; None if they can.
+    """State why coordinates cannot be metres about the LiDAR; None if they can.
 
     A hint, and no proof: a LiDAR of long range on open ground may look the same.
 

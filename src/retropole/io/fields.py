@@ -372,7 +372,7 @@ def _kind(column: NDArray[Any]) -> str:
 
 
 def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
-    """Take one number per point, the first of several; refuse text and complex numbers."""
+    """Convert to one number per point, the first of several; refuse text and complex numbers."""
     if column.dtype.kind not in REAL_KINDS or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         kind = f"{column.dtype} {list(column.shape[1:]) or ''}"
         raise ReadError(f"field {name} is {kind}, expected numbers")

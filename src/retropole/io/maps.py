@@ -25,7 +25,7 @@ def is_near(x: Array, y: Array, place: MapPlace) -> BoolArray:
 
 
 def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
-    """Take a cloud as that of a map about a place; without one, about the middle of its points.
+    """Treat a cloud as a map about a place; without one, about the middle of its points.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
 
 
 def nothing_near(place: MapPlace, count: int, low: Array, high: Array) -> ReadError:
-    """Say that a map has too few points near a place, and from where to where it has any."""
+    """Report that a map has too few points near a place, and the extent of its points."""
     where = ", ".join(f"{value:,.1f}" for value in place.at or ())
     return ReadError(
         f"{counted(count, 'point')} of the map within {REACH:g} m of ({where}), {FEWEST:,} are "

@@ -210,7 +210,7 @@ def _meanings(name: str) -> list[tuple[str, int]]:
 
 
 def _plain(name: str) -> str:
-    """Take letters alone, in lower case: ``Point Id`` and ``Easting [m]`` as pointid, easting."""
+    """Keep letters only, in lower case: ``Point Id`` and ``Easting [m]`` as pointid, easting."""
     return re.sub(r"[^a-zöσ]", "", IN_BRACKETS.sub("", name.lower().replace("3d", "")))
 
 

@@ -79,7 +79,7 @@ def against_plan(
     lidar: str | None = None,
     placement: int | None = None,
 ) -> StationView:
-    """Hold the poles that a LiDAR sees against the plan.
+    """Compare the poles that a LiDAR sees with the plan.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def _missing(plan: PlannedPoleDoc) -> str:
 
 
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
-    """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
+    """Describe how a pole leans, and where to move it as seen from the first LiDAR."""
     far = float(np.linalg.norm(offset))
     where = f"pole {plan.name} is {far:.2f} m and {np.degrees(turned):.0f}° from its planned pose"
     if far <= NEAR and turned <= ALIKE:

@@ -253,7 +253,8 @@ def leaning_words(foot: Array, axis: Array, stations: Sequence[Station]) -> tupl
 def pole_words(
     name: str, foot: Array, lean: float, towards: str, stations: Sequence[Station]
 ) -> str:
-    """Say where a pole is: ``pole A: 4.2 m from front, 30° left of the line to rear, upright``."""
+    """Describe the position of a pole: ``pole A: 4.2 m from front, 30° left of the line to rear,
+    upright``."""
     lidar, azimuth, line = viewpoint_of(foot, stations)
     to = foot - lidar.at
     turn = _steps(np.arctan2(to[1], to[0]) - azimuth, PLACE_STEP_DEG)
@@ -301,7 +302,7 @@ def _titles(rehearsal: Rehearsal) -> Iterator[str]:
 def sentences(
     planned: Planned, predicted: Sequence[PredictedDoc], need: Need | None, met: float | None
 ) -> Iterator[str]:
-    """Say what to expect, the most important first."""
+    """Describe the expected result, the most important first."""
     at = planned.reach
     is_poor = planned.rehearsal.status != "ok" or (met is not None and met < 0.5)
     if is_poor and len(planned.stations) == 2:

@@ -53,7 +53,7 @@ def recordings_with(
     *,
     again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles, in the frame of the scene, into the recording of each LiDAR.
+    """Insert poles, in the frame of the scene, into the recording of each LiDAR.
 
     The scene was recorded once. If it is recorded `again`, for another placement, its
     ranges get other noise: with identical numbers, it would be refused as one recording given

@@ -58,7 +58,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
 
 
 def _unnamed(document: FieldTestDoc) -> str:
-    """Say whose sensor is not named; empty if both are."""
+    """Report whose sensor is not given; empty if both are."""
     inputs = zip(LIDARS, document.inputs, strict=False)
     auto = [lidar for lidar, given in inputs if given.sensor == "auto"]
     if not auto:
@@ -126,7 +126,7 @@ def _in_order(document: FieldTestDoc) -> list[PairTestDoc]:
 
 
 def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
-    """Say what was tested, and what it means."""
+    """Describe the test, and its meaning."""
     if not pair.distances:
         return []
     out = [each for each in pair.distances if not each.passed]

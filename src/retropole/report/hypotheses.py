@@ -44,7 +44,7 @@ def undecided(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
-    """Say how the source is posed under a hypothesis, as against the first of all."""
+    """Describe the pose of the source under a hypothesis, relative to the first of all."""
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
@@ -169,7 +169,7 @@ TRIED = {
 
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
-    """Say what a refusal left out to bound the time; empty if it tried all."""
+    """State what a refusal left out to bound the time; empty if it tried all."""
     text = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons

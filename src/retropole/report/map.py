@@ -150,7 +150,7 @@ def _direction(plan: Plan) -> Html:
 
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
-    """Say what the picture shows, also for those who do not see it."""
+    """Describe the picture, also for those who do not see it."""
     text = [f"Seen from above; up is {plan.words}."]
     if plan.north:
         text.append(f"{plan.north.capitalize()} is at the top.")

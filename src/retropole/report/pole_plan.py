@@ -207,7 +207,7 @@ def _error_rows(predicted: PredictedDoc, several: bool) -> Iterator[tuple[str, .
 
 
 def _limits(document: PolePlanDoc) -> Html:
-    """Say what limits the error, and what more poles or placements would bring."""
+    """State what limits the error, and the gain from more poles or placements."""
     worst = document.predicted[stated(document).index(max(stated(document)))]
     entries = sorted(worst.budget, key=lambda each: -each.share_at_30m)[:LISTED_SOURCES]
     tables = []

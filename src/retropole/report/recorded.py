@@ -292,7 +292,8 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
 
 
 def missing_poles(subject: Subject) -> Html:
-    """Say of each LiDAR of a refused pair that sees too few poles what it sees, and what lacks."""
+    """For each LiDAR of a refused pair that sees too few poles: state what it sees, and what is
+    missing."""
     pair = subject.pair
     if pair is None or pair.status != "refused":
         return EMPTY
@@ -362,14 +363,14 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
 
 
 def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, near: str = "") -> Html:
-    """Say of a rejected cluster where it is, and what it lacks of a pole."""
+    """Describe the position of a rejected cluster, and what it lacks to be a pole."""
     away = cluster.centre - scan.cloud.origin
     name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{near}"
     return fill("candidate", name=name, lacks=_lacks(cluster, scan, float(np.linalg.norm(away))))
 
 
 def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
-    """Say how much is missing, in numbers where there are; else the reason and its advice."""
+    """State how much is missing, in numbers if there are any; else the reason and its advice."""
     returns, ring = len(cluster.index), scan.cloud.ring
     if cluster.code == "too_few_points" and returns < MIN_POLE_POINTS:
         count = f"{counted(returns, 'return')}, {MIN_POLE_POINTS} are needed"
@@ -384,7 +385,7 @@ def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
 
 
 def _nearer(distance: float, share: float) -> str:
-    """Say how much nearer a pole has as many returns, or rings, as are needed.
+    """State how much nearer a pole has the required number of returns, or rings.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
     LiDAR, too: this much nearer there are enough, on average at least.
@@ -396,7 +397,7 @@ def _nearer(distance: float, share: float) -> str:
 
 
 def _place(away: Array) -> str:
-    """Say where something is as the LiDAR sees it: how far away, and at which azimuth."""
+    """Describe a position as seen by the LiDAR: its distance and azimuth."""
     azimuth = math.degrees(math.atan2(away[1], away[0]))
     return f"{float(np.linalg.norm(away)):.1f} m away at azimuth {azimuth:.0f}°"
 

@@ -1,4 +1,4 @@
-"""Put a result and its clouds into one HTML file that needs no network: of a pair, or of a site."""
+"""Write a result and its clouds to one HTML file that needs no network: of a pair, or of a site."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def render_recordings(
 
 
 def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
-    """Say of a recording what was found in it."""
+    """Describe what was found in a recording."""
     detection, found = scan.detection, found_document(scan)
     if scan.refusal is not None:
         yield fill("alert", value=f"{scan.refusal.code}: {scan.refusal.message}.")

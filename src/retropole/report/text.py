@@ -102,7 +102,7 @@ LONGEST_NAME = 20
 
 
 def input_lines(name: str, document: InputDoc) -> list[str]:
-    """Say what was read of a recording, and what was left out."""
+    """State what was read from a recording, and what was left out."""
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
     line = (
@@ -404,13 +404,13 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
 
 
 def _pattern_line() -> str:
-    """Say how long to record LiDARs that do not repeat their pattern."""
+    """State how long to record LiDARs that do not repeat their pattern."""
     requested = [f"{s.name} {s.seconds:g} s" for s in SENSORS.values() if s.sweeps > 1]
     return f"           a pattern that does not repeat needs time ({', '.join(requested)}), or more"
 
 
 def _odd_lines(cloud: CloudDoc) -> list[str]:
-    """Say what is odd about the coordinates, and what to do about it."""
+    """Describe what is odd about the coordinates, with advice."""
     if not cloud.odd_coordinates:
         return []
     options = " or ".join(f"--unit {unit}" for unit in cloud.units)

@@ -28,7 +28,7 @@ VERDICTS = {
 
 
 def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> Html:
-    """Say ok, warn or refused, how good the poses are, and every reason with what to do.
+    """State ok, warn or refused, the accuracy of the poses, and every reason with advice.
 
     Of an answer it is short: its transform comes next, and what is certain of it below.
 
@@ -125,7 +125,7 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
 
 
 def next_steps(subject: Subject) -> Html:
-    """Say what to do with an answer; about a refusal its reasons say that."""
+    """Advise on the next steps after an answer; a refusal has advice in its reasons."""
     if not subject.answered or subject.chance_wrong is not None:
         return EMPTY
     piece = "next-site" if subject.pair is None else "next-pair"

@@ -37,7 +37,7 @@ REFUSED = b"Open the address as printed.\n"
 
 @cache
 def watch_page() -> tuple[str, str]:
-    """Put the page together; and its policy, which allows only this style and code, by their
+    """Assemble the page; and its policy, which allows only this style and code, by their
     hashes, and the state."""
     template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
     policy = (
@@ -132,7 +132,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
                     connection.shutdown(socket.SHUT_RDWR)
 
     def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
-        """Let go of a connection."""
+        """Release a connection."""
         super().shutdown_request(request)
         if isinstance(request, socket.socket):
             self._open.pop(request, None)
@@ -203,7 +203,7 @@ class _Answering(BaseHTTPRequestHandler):
 
 
 def local_address() -> str:
-    """Say the address of this machine in the local network; nothing is sent.
+    """Find the address of this machine in the local network; nothing is sent.
 
     Raises
     ------

@@ -48,7 +48,7 @@ THINNEST = 0.005
 
 
 def radius_in_metres(given: float) -> str:
-    """Say of a radius above the limit which unit it was probably typed in, and what to give.
+    """Report the probable unit of a radius above the limit, and the value to give.
 
     Empty if it is not above, or no radius of a pole in centimetres or millimetres.
     """
@@ -62,7 +62,7 @@ def radius_in_metres(given: float) -> str:
 
 
 def describe(text: str) -> Meta:
-    """Say what an option is, in the words of the command line's help."""
+    """Describe an option, in the text of the command line's help."""
     return Meta(description=text)
 
 
@@ -75,7 +75,7 @@ SAME = describe("The same for SOURCE.")
 
 
 def frames_named(text: str) -> slice | None:
-    """Take frames as they are typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
+    """Parse frames as typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
     try:
         parts = [int(part) if part.strip() else None for part in text.split(":")]
     except ValueError:
@@ -91,7 +91,7 @@ def frames_named(text: str) -> slice | None:
 
 
 def slice_of(frames: Frames | None) -> slice | None:
-    """Take frames as in a document as a slice; None for those evenly spread."""
+    """Convert frames of a document to a slice; None for those evenly spread."""
     return None if frames is None else slice(*frames)
 
 

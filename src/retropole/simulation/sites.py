@@ -118,7 +118,7 @@ class SimulatedSite:
         return tuple(str(k + 1) for k in range(len(self.poles)))
 
     def as_site(self) -> Site:
-        """Give what a calibration starts from: nothing of the truth."""
+        """Give the input of a calibration, without the truth."""
         surveyed = bool(self.surveyed or self.points)
         return Site(
             name=f"simulated {self.kind}",

@@ -130,7 +130,7 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
 
 
 def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
-    """Say that a LiDAR swayed while it recorded: the worst of its recordings."""
+    """Report that a LiDAR swayed while it recorded: the worst of its recordings."""
     found = [scan.sway for scan in scans if scan.sway is not None]
     if not found:
         return
@@ -159,7 +159,7 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
 
 
 def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
-    """Say which poles were left out since they do not stand as the others do."""
+    """Report the poles that were left out since they contradict the others."""
     for k, each in enumerate(paired, 1):
         target, source = each.placement.target.poles, each.placement.source.poles
         of = "" if len(paired) == 1 else f" of placement {k}"
@@ -174,7 +174,7 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
 
 
 def check_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
-    """Say that a cloud shows more than the sensor that was named can see, or is placed by angles
+    """Report that a cloud shows more than the given sensor can see, or is computed with angles
     that are not those of the unit.
     """
     doubt = sensor_doubt(scan.cloud, scan.sensor)
@@ -199,7 +199,7 @@ and most of five models, of which the maker and a driver (Nebula) publish an exa
 
 
 def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reason]:
-    """Say that poles (3,) each are nearly parallel that link two LiDARs, of a site by name."""
+    """Report that poles (3,) each that link two LiDARs, of a site by name, are nearly parallel."""
     angle = widest_angle(directions)
     if angle < WEAK_ANGLE:
         degrees = float(np.degrees(angle))
@@ -213,7 +213,8 @@ def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reas
 
 
 def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
-    """Say that a LiDAR has little to tell of its poles; two hold a pose: the second best counts."""
+    """Report that a LiDAR has few returns on its poles; two determine a pose: the second best is
+    used."""
     if not poles:
         return
     points, rings = (
@@ -237,7 +238,8 @@ def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
 
 
 def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Reason]:
-    """Say that a LiDAR's returns on the poles scatter more than its manufacturer's figure allows.
+    """Report that a LiDAR's returns on the poles scatter more than its manufacturer's figure
+    allows.
 
     Parameters
     ----------

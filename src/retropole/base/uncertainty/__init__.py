@@ -138,7 +138,7 @@ def source_words(name: str, sensor: str | None) -> str:
 
 
 def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
-    """Say what keeps a matrix (N, N) from being a covariance; None if nothing does.
+    """State why a matrix (N, N) is not a covariance; None if it is.
 
     One part of an uncertainty may have no variance; nobody knows a pose without error.
     """

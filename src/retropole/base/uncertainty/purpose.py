@@ -97,7 +97,7 @@ def whole_percent(share: float) -> str:
 
 
 def displacement(steps: Array, distance: float) -> Array:
-    """Say how far errors of a pose move a point at most, of all points at a distance.
+    """Give the largest displacement of a point by errors of a pose, of all points at a distance.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class WatchedPair:
 def watched_pairs(
     site: FleetSite, answers: Mapping[str, Row] | None = None
 ) -> Iterator[WatchedPair]:
-    """Give what is watched of a site: a pair itself, of many LiDARs each pair that shared poles.
+    """Give the watched pairs of a site: a pair itself, or each pair of LiDARs with poles in common.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def watched_pairs(
 
 
 def _unanswered(stored: Row | None) -> str:
-    """Say why a pair has no stored result among the answers; empty if it has one."""
+    """State why a pair has no stored result among the answers; empty if it has one."""
     if stored is None:
         return "the answers have no site with this id; calibrate it"
     if stored.kind == "site":
@@ -121,7 +121,7 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
 def _recorded(
     site: FleetSite, stored: SiteDoc, target: LidarTable, source: LidarTable
 ) -> dict[str, Any]:
-    """Take the recordings of the first placement that both have, with the options of the file."""
+    """Use the recordings of the first placement that both have, with the options of the file."""
     shared = shared_placements(target, source)
     if not shared:
         raise ReadError(f"no placement of both {target.name} and {source.name}")

@@ -64,7 +64,7 @@ class SiteChange:
         return self.is_decided and event.found == len(self.times) - 1
 
     def words(self, event: Event) -> str:
-        """Say what changed, since when and by how much."""
+        """Describe the change, its onset and its size."""
         since = f"{self.times[event.onset]:%Y-%m-%d}"
         new = ", new" if self.is_new(event) else ""
         if event.size is None or event.covariance is None:
@@ -226,7 +226,7 @@ def replay(
     newest: Mapping[str, CheckRow] | None = None,
     known: store.Sites | None = None,
 ) -> Replayed:
-    """Say what changed at sites, in the order of their ids, and what of the history is damaged.
+    """Report changes at sites, in the order of their ids, and damaged parts of the history.
 
     Without ids, at all that the history has.
     `newest` has the result of each site of a run, by its id, and `known` the files that existed.
@@ -251,7 +251,7 @@ def _replayed(table: Any) -> Replayed:
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
-    """Say what changed at one site, from all of its checks; `newest` is that of this run."""
+    """Report changes at one site, from all of its checks; `newest` is that of this run."""
     usable = store.observed(rows)
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
     times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])

@@ -229,7 +229,7 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
 
 
 def _ordering(graph: Graph, factors: Any) -> Any:
-    """Put what is fixed last: eliminated earlier, it would drown all other information in
+    """Order fixed variables last: eliminated earlier, it would drown all other information in
     rounding."""
     everything = np.ones(len(graph.ends), dtype=bool)
     last = [int(each.nodes[0]) for each in find_components(graph, everything)]

@@ -74,7 +74,7 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of ports, files and threads; again does nothing."""
+        """Close ports, files and threads; a second call does nothing."""
         ...
 
 

@@ -28,7 +28,7 @@ MOST_DOMAIN = 232
 
 
 def domain_or_default(domain: int | None) -> int:
-    """Take a domain, or that of the environment as ROS 2 does, or 0.
+    """Use a given domain, or that of the environment as in ROS 2, or 0.
 
     Raises
     ------

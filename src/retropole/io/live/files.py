@@ -234,7 +234,7 @@ class Recorded:
         return has_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
-        """Take the last of this many messages that came."""
+        """Read the last of this many messages."""
         self._counts[topic] += count
         self._newest[topic] = message
 

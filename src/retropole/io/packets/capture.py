@@ -85,7 +85,7 @@ class Capture:
     links: IntArray
 
     def note(self, unreadable: int) -> str:
-        """Say what is lost, where `unreadable` packets are of no use as well; or nothing."""
+        """Report what is lost, if `unreadable` packets cannot be used either; or nothing."""
         lost = []
         if len(self.gaps):
             where = counted(len(self.gaps), "place")
@@ -158,7 +158,7 @@ OF_ONE_SIZE = 8
 
 
 def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
-    """Put records into one table, in their order."""
+    """Collect records in one table, in their order."""
     parts, ones = list[NDArray[np.void]](), list[Record]()
     for own in records:
         if isinstance(own, Record):

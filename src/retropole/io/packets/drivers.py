@@ -21,7 +21,7 @@ LAYOUTS: dict[str, list[dict[str, str]]] = tomllib.loads(
 
 
 def datagrams(messages: Iterator[tuple[int, bytes, str]], kind: str) -> Iterator[Datagram]:
-    """Take the packets out of messages of a driver, in their order.
+    """Extract the packets from messages of a driver, in their order.
 
     Parameters
     ----------

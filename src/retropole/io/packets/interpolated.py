@@ -142,7 +142,7 @@ def decode(
 
 
 def reported_angles(model: Model, payload: bytes) -> Angles | None:
-    """Take the angles of the unit from its DIFOP packet; None of any other, or if it has none.
+    """Read the angles of the unit from its DIFOP packet; None for any other, or if it has none.
 
     A LiDAR of half as many channels leaves the second half empty, or repeats the first.
     """

@@ -64,7 +64,8 @@ def sweeps_of_capture(path: Path, metadata: Path) -> Iterator[Sweep]:
 
 
 def ouster_sweeps(info: Any) -> Callable[[Any], Sweep]:
-    """Give what makes sweeps of an Ouster's scans, from the `SensorInfo` of its metadata."""
+    """Return a function that makes sweeps from an Ouster's scans, from the `SensorInfo` of its
+    metadata."""
     from ouster.sdk.core import ChanField, XYZLut
 
     # In the sensor's frame z = 0 is its base; the beams start above it.
