@@ -32,7 +32,7 @@ def test_four_poles_are_tested(four: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("verdict: pass\n")
     assert "all 6 differences within their limits" in done.stdout
-    assert "not named" not in done.stdout
+    assert "is not given" not in done.stdout
     unnamed = retropole_here("certify", *files, "--json")
     assert unnamed.returncode == 0
     document = json.loads(unnamed.stdout)
